@@ -23,8 +23,8 @@ from scipy.sparse import csr_array
 from experiments.measured_scene import SCENES
 from experiments.rigs import RIGS, Case, rig_capture, rig_truth
 from lightmatrix.estimators.coherent import neighbourhood, schedule
-from lightmatrix.estimators.coherent.backgrounds import Backgrounds
 from lightmatrix.estimators.coherent.estimator import CoherentEstimator
+from lightmatrix.estimators.coherent.row_solver import Backgrounds
 from lightmatrix.evaluation.metrics import relative_error
 
 # In each of these rigs another part of the estimate matters.

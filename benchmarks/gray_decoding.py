@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
 import lightmatrix as lm
-from lightmatrix.estimators.coherent.correspondence import strongest_entries
+from lightmatrix.estimators.coherent.neighbourhood import strongest_entries
 from lightmatrix.files.image_stack import ImageStack
 
 # Frames 0 to 19 are ten column bits, the most significant first, each followed by its inverse;

@@ -176,10 +176,10 @@ def summary(results: Sequence[Outcome]) -> dict[str, float]:
         "stated below half of true": share(stated, lambda each: each.ratio < 0.5),
         "where the model holds": len(plain),
         "there within 1.5": share(plain, lambda each: within(each, 1.5)),
-        "wrong (above .3)": len(wrong),
+        "wrong (above 0.3)": len(wrong),
         "wrong, yet good or fair without a finding": sum(map(misleading, wrong)),
-        "good, yet above .1": sum(_true(each) > GOOD_AT_MOST for each in tested if _good(each)),
-        "right (up to .05), yet doubtful": sum(
+        "good, yet above 0.1": sum(_true(each) > GOOD_AT_MOST for each in tested if _good(each)),
+        "right (up to 0.05), yet doubtful": sum(
             _true(each) <= RIGHT and each.level == "doubtful" for each in tested
         ),
         "intact": len(intact),

@@ -15,7 +15,7 @@ from lightmatrix.patterns.hadamard import HadamardPatterns
 from lightmatrix.patterns.pattern_set import PatternSet
 from lightmatrix.solvers import ActiveSet, Fidelity, Problem, Result, SaturationADMM, solve
 from lightmatrix.solvers.active_set import prepared
-from lightmatrix.solvers.objective import objective
+from lightmatrix.solvers.problem import objective
 
 Row = dict[str, Any]
 # Number of rows of a timed correlation pass: full batches of every kernel.

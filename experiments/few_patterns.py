@@ -29,7 +29,7 @@ from lightmatrix.patterns.pattern_set import PatternSet
 from lightmatrix.pictures.style import COLOURS, figure, fix_ticks, save
 from lightmatrix.simulation import library
 from lightmatrix.solvers import ActiveSet, Problem
-from lightmatrix.solvers.weighted import Candidates, Cells, solve_weighted
+from lightmatrix.solvers.active_set import Candidates, Cells, solve_weighted
 from lightmatrix.transport.matrix import LightTransport
 
 SIZE = (128, 128)

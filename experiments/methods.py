@@ -8,7 +8,7 @@ from enum import StrEnum
 
 from lightmatrix.capture.capture import Capture
 from lightmatrix.estimators.coherent.estimator import CoherentEstimator
-from lightmatrix.estimators.multiscale.estimator import MultiScaleEstimator
+from lightmatrix.estimators.multiscale import MultiScaleEstimator
 from lightmatrix.estimators.plain import PlainEstimator
 from lightmatrix.pictures.style import COLOURS
 from lightmatrix.solvers import ADMM, ROMP, ActiveSet, Fidelity, SaturationADMM, Solver

@@ -16,11 +16,14 @@ from lightmatrix.errors import InputError
 from lightmatrix.estimators.estimate import estimate
 from lightmatrix.geometry.rig_geometry import RigGeometry
 from lightmatrix.patterns.bits import BernoulliPatterns
-from lightmatrix.patterns.graycode import GrayCodePatterns
-from lightmatrix.patterns.microphase import MicroPhasePatterns
 from lightmatrix.patterns.pattern_set import PatternSet
-from lightmatrix.patterns.phase import PhasePatterns
-from lightmatrix.patterns.stripes import NOTHING, StripePatterns
+from lightmatrix.patterns.stripes import (
+    NOTHING,
+    GrayCodePatterns,
+    MicroPhasePatterns,
+    PhasePatterns,
+    StripePatterns,
+)
 from lightmatrix.pictures.style import COLOURS, figure, save
 from lightmatrix.planning.plan import plan
 from lightmatrix.simulation import library

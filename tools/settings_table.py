@@ -15,7 +15,7 @@ from typing import Any
 
 from lightmatrix import solvers
 from lightmatrix.estimators.coherent.estimator import CoherentEstimator
-from lightmatrix.estimators.multiscale.estimator import MultiScaleEstimator
+from lightmatrix.estimators.multiscale import MultiScaleEstimator
 from lightmatrix.estimators.plain import PlainEstimator
 
 PAGE = Path(__file__).parent.parent / "docs" / "settings.md"

@@ -20,16 +20,16 @@ from .patterns.folder import (
     read_patterns as read_patterns,
     write_patterns as write_patterns,
 )
-from .patterns.graycode import GrayCodePatterns as GrayCodePatterns
+from .patterns.stripes import GrayCodePatterns as GrayCodePatterns
 from .patterns.hadamard import HadamardPatterns as HadamardPatterns
 from .patterns.making import make_patterns as make_patterns
-from .patterns.microphase import MicroPhasePatterns as MicroPhasePatterns
+from .patterns.stripes import MicroPhasePatterns as MicroPhasePatterns
 from .patterns.mix import MixedPatterns as MixedPatterns
 from .patterns.pattern_set import (
     ImagePatterns as ImagePatterns,
     PatternSet as PatternSet,
 )
-from .patterns.phase import PhasePatterns as PhasePatterns
+from .patterns.stripes import PhasePatterns as PhasePatterns
 
 # Captures, photographed and simulated.
 from .camera.decoder import Decoder as Decoder
@@ -60,15 +60,10 @@ from .simulation.thumbnails import write_thumbnails as write_thumbnails
 from .simulation.truth import Truth as Truth
 
 # Rigs that photograph, real and virtual.
-from .live.light_levels import measure_exposure as measure_exposure
-from .live.flicker import measure_flicker as measure_flicker
 from .live.rig_measurements import (
     RigMeasurements as RigMeasurements,
     measure_rig as measure_rig,
 )
-from .live.light_levels import measure_linearity as measure_linearity
-from .live.light_levels import measure_response as measure_response
-from .live.settle import measure_settle as measure_settle
 from .live.capturing import CaptureSettings as CaptureSettings
 from .live.capturing import take_capture as take_capture
 from .live.devices.registry import (
@@ -118,7 +113,7 @@ from .estimators.unknown_response import (
     find_response as find_response,
 )
 from .estimators.coherent.estimator import CoherentEstimator as CoherentEstimator
-from .estimators.multiscale.estimator import MultiScaleEstimator as MultiScaleEstimator
+from .estimators.multiscale import MultiScaleEstimator as MultiScaleEstimator
 from .estimators.plain import PlainEstimator as PlainEstimator
 from .solvers import (
     ADMM as ADMM,
@@ -133,7 +128,7 @@ from .solvers import (
 
 # Correspondence without T, from stripes.
 from .decoding.decode import decode as decode
-from .store.correspondence_file import (
+from .store.npz import (
     read_correspondence as read_correspondence,
     write_correspondence as write_correspondence,
 )
@@ -167,11 +162,11 @@ from .store import (
     open as open,
     save as save,
 )
-from .store.colour_stores import (
+from .store.zarr_store import (
     open_colour as open_colour,
     save_colour as save_colour,
 )
-from .transport.colour import ColourTransport as ColourTransport
+from .transport.matrix import ColourTransport as ColourTransport
 from .transport.correspondence import (
     Correspondence as Correspondence,
     correspondence as correspondence,
@@ -179,7 +174,7 @@ from .transport.correspondence import (
 from .evaluation.evaluate import ColourErrors as ColourErrors
 from .evaluation.evaluate import Errors as Errors
 from .transport.matrix import LightTransport as LightTransport
-from .transport.singular_values import singular_values as singular_values
+from .transport.operator import singular_values as singular_values
 from .uses.compensated_video import (
     CompensatedVideo as CompensatedVideo,
     compensate_video as compensate_video,

@@ -20,9 +20,8 @@ from lightmatrix.errors import InputError
 from lightmatrix.estimators.plain import PlainEstimator
 from lightmatrix.evaluation.metrics import benchmark_exposure, relative_error, unclipped_rows
 from lightmatrix.patterns.bits import BernoulliPatterns
-from lightmatrix.patterns.mix import MixedPatterns, default_mix
+from lightmatrix.patterns.mix import MixedPatterns, default_mix, interleave, parse_shares
 from lightmatrix.patterns.pattern_set import PatternSet
-from lightmatrix.patterns.shares import interleave, parse_shares
 from lightmatrix.simulation.irradiance import irradiance
 from lightmatrix.simulation.library import truth
 from lightmatrix.simulation.procedural_scene import ProceduralScene

@@ -17,7 +17,7 @@ from lightmatrix.cli import main
 from lightmatrix.errors import InputError
 from lightmatrix.evaluation.evaluate import Errors
 from lightmatrix.solvers import solve
-from lightmatrix.transport.labels import labelled
+from lightmatrix.transport.matrix import labelled
 from tests.helpers.systems import SHELL, SIGNALS
 
 COMMAND = str(Path(sys.executable).with_name("lightmatrix"))
@@ -156,7 +156,7 @@ def test_ctrl_c_after_the_output_says_that_it_is_finished(
 
 
 @pytest.mark.parametrize(
-    "where", ["lightmatrix.verdicts", "lightmatrix.store.zarr_store.read_whole"]
+    "where", ["lightmatrix.verdicts", "lightmatrix.store.zarr_store.StoredTransport.load"]
 )
 @pytest.mark.parametrize(
     "error", [MemoryError(), RuntimeError("can't start new thread"), InputError("s.zarr: 9 GiB")]
@@ -188,7 +188,7 @@ def test_lack_of_memory_before_the_json_is_a_failure(
 
     lm.simulate("metal", lm.BernoulliPatterns((64, 64), 8)).save("capture")
     line = "estimate capture -o s.zarr --solver romp --iterations 1 --json"
-    monkeypatch.setattr("lightmatrix.store.zarr_store.read_whole", failing)
+    monkeypatch.setattr("lightmatrix.store.zarr_store.StoredTransport.load", failing)
     assert main(line.split()) == 3
     assert "error: s.zarr is finished; " in capsys.readouterr().err
     assert main(line.split()) == 2

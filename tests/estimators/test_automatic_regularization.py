@@ -26,7 +26,7 @@ from lightmatrix.patterns.pattern_set import PatternSet
 from lightmatrix.simulation.irradiance import irradiance
 from lightmatrix.simulation.procedural_scene import ProceduralScene
 from lightmatrix.solvers import ActiveSet
-from lightmatrix.solvers.default_regularization import default_regularization
+from lightmatrix.solvers.regularization import default_regularization
 
 TRUTH = ProceduralScene((24, 24), (16, 16), seed=4, background=0.02, bounces=6).truth()
 BITS = 16

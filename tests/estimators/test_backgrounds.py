@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.sparse import csr_array
 
-from lightmatrix.estimators.coherent.backgrounds import WALL, Backgrounds
+from lightmatrix.estimators.coherent.row_solver import WALL, Backgrounds
 from lightmatrix.patterns.bits import BernoulliPatterns
 from lightmatrix.transport.matrix import cell_means
 

@@ -15,8 +15,8 @@ from lightmatrix.camera.sensor import Sensor
 from lightmatrix.capture.capture import Capture
 from lightmatrix.errors import InputError
 from lightmatrix.estimators.coherent import schedule
-from lightmatrix.estimators.coherent.backgrounds import Backgrounds
 from lightmatrix.estimators.coherent.estimator import CoherentEstimator
+from lightmatrix.estimators.coherent.row_solver import Backgrounds
 from lightmatrix.estimators.plain import PlainEstimator
 from lightmatrix.evaluation.metrics import relative_error, unclipped_rows
 from lightmatrix.patterns.bits import BernoulliPatterns

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.sparse import csr_array
 
-from lightmatrix.estimators.coherent.correspondence import measure_jacobian, strongest_entries
+from lightmatrix.estimators.coherent.neighbourhood import measure_jacobian, strongest_entries
 
 CAMERA = (48, 56, 1)
 PROJECTOR = (160, 160)

@@ -12,16 +12,15 @@ from scipy.sparse import csr_array
 from lightmatrix.camera.sensor import Sensor
 from lightmatrix.capture.capture import Capture
 from lightmatrix.estimators.coherent import schedule
-from lightmatrix.estimators.coherent.camera_grid import CameraGrid
-from lightmatrix.estimators.coherent.certificate import (
+from lightmatrix.estimators.coherent.estimator import SIZES, WINDOWS, CoherentEstimator
+from lightmatrix.estimators.coherent.neighbourhood import CameraGrid, Neighbourhood
+from lightmatrix.estimators.coherent.rounds import CERTIFIED, SEARCHED
+from lightmatrix.estimators.coherent.row_errors import (
     SLACK,
     _residuals,
     certified_everywhere,
     sampled_rows,
 )
-from lightmatrix.estimators.coherent.estimator import SIZES, WINDOWS, CoherentEstimator
-from lightmatrix.estimators.coherent.neighbourhood import Neighbourhood
-from lightmatrix.estimators.coherent.rounds import CERTIFIED, SEARCHED
 from lightmatrix.estimators.coherent.row_solver import RowSolver
 from lightmatrix.estimators.coherent.schedule import Round
 from lightmatrix.evaluation.metrics import relative_error

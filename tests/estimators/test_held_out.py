@@ -8,9 +8,8 @@ from numpy.typing import NDArray
 
 import lightmatrix as lm
 from benchmarks.synthetic_captures import draw
-from lightmatrix.estimators.coherent import held_out
-from lightmatrix.estimators.coherent.held_out import HeldOut
-from lightmatrix.estimators.coherent.row_errors import held_out_frames
+from lightmatrix.estimators.coherent import row_errors
+from lightmatrix.estimators.coherent.row_errors import HeldOut, held_out_frames
 from lightmatrix.evaluation.judgement import OwnError
 from lightmatrix.evaluation.metrics import relative_error
 
@@ -64,7 +63,7 @@ def test_as_few_are_judged_as_asked(count: int) -> None:
 def test_of_many_frames_the_twins_are_still_found(monkeypatch: pytest.MonkeyPatch) -> None:
     base = lm.BernoulliPatterns((16, 16), 64, seed=1).rows(0, 64).reshape(64, 16, 16)
     many = images(np.concatenate([base, base]))
-    monkeypatch.setattr(held_out, "_COMPARED", 32)
+    monkeypatch.setattr(row_errors, "_COMPARED", 32)
     held = HeldOut.choose(many, judged=4)
     assert len(held.frames) == 2 * len(held.judged) == 4
     assert set(held.frames % 64) == set(held.judged % 64)

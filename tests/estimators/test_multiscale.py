@@ -16,9 +16,8 @@ from lightmatrix.camera.sensor import Sensor
 from lightmatrix.capture.capture import Capture
 from lightmatrix.cli import main
 from lightmatrix.errors import InputError
-from lightmatrix.estimators.multiscale import estimator as multiscale
-from lightmatrix.estimators.multiscale.estimator import MultiScaleEstimator
-from lightmatrix.estimators.multiscale.scales import active_blocks, scales, split
+from lightmatrix.estimators import multiscale
+from lightmatrix.estimators.multiscale import MultiScaleEstimator, active_blocks, scales, split
 from lightmatrix.estimators.plain import PlainEstimator
 from lightmatrix.evaluation.metrics import relative_error
 from lightmatrix.patterns.bits import BernoulliPatterns
@@ -37,8 +36,8 @@ from lightmatrix.solvers import (
     Solver,
     solve,
 )
-from lightmatrix.solvers.objective import objective, relative_gap
-from lightmatrix.solvers.system import System, centred_energy
+from lightmatrix.solvers.admm import System, centred_energy
+from lightmatrix.solvers.problem import objective, relative_gap
 
 SOLVERS = [ActiveSet(), SaturationADMM(), SaturationADMM(Fidelity.CLIPPED), ADMM(), ROMP()]
 

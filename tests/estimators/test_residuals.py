@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
 import lightmatrix as lm
-from lightmatrix.estimators.coherent.residuals import (
+from lightmatrix.estimators.coherent.row_errors import (
     Predicted,
     bend,
     constant_light,

@@ -6,7 +6,7 @@ import numpy as np
 from scipy.sparse import csr_array
 
 from lightmatrix.estimators.coherent.neighbourhood import REACH
-from lightmatrix.estimators.coherent.row_changes import (
+from lightmatrix.estimators.coherent.rounds import (
     CHANGE,
     replaced,
     unchanged,

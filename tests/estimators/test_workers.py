@@ -29,7 +29,7 @@ from lightmatrix.cli import main
 from lightmatrix.errors import ClusterError, InputError, MissingExtraError
 from lightmatrix.estimators.coherent import schedule
 from lightmatrix.estimators.coherent.estimator import CoherentEstimator
-from lightmatrix.estimators.multiscale.estimator import MultiScaleEstimator
+from lightmatrix.estimators.multiscale import MultiScaleEstimator
 from lightmatrix.estimators.plain import PlainEstimator
 from lightmatrix.estimators.work import LEAST_TILE, cut_rows
 from lightmatrix.estimators.workers import pickling, pool, startup

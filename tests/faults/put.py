@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from zarr.codecs import Crc32cCodec
 
 from lightmatrix.files.zarr_arrays import SMALL
-from lightmatrix.store.zarr_store import seal_store
+from lightmatrix.store.zarr_store import seal
 
 from .case import Prepare, SkipError
 
@@ -248,7 +248,7 @@ def stored(name: str, array_name: str, change: Callable[[NDArray[Any]], NDArray[
         made[...] = values
         # Arrays that no store may hold cannot be sealed either.
         with suppress(ValueError):
-            seal_store(folder / name)
+            seal(folder / name)
 
     return fault
 

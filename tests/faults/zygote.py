@@ -81,8 +81,10 @@ def _wait(child: int, seconds: float, out: int, err: int) -> tuple[int | None, s
     words: dict[int, list[bytes]] = {out: [], err: []}
     open_ends = {out, err}
     code: int | None = None
+    ended = False
     while True:
-        ready, _, _ = select.select(list(open_ends), [], [], 0.02 if open_ends else 0.001)
+        patience = 0 if ended else 0.02 if open_ends else 0.001
+        ready, _, _ = select.select(list(open_ends), [], [], patience)
         for stream in ready:
             piece = os.read(stream, 1 << 16)
             if not piece:
@@ -91,11 +93,13 @@ def _wait(child: int, seconds: float, out: int, err: int) -> tuple[int | None, s
                 words[stream].append(piece)
         if ready and time.monotonic() < end:
             continue
+        if ended:
+            break
         done, status = os.waitpid(child, os.WNOHANG)
         if done:
-            code = os.waitstatus_to_exitcode(status)
-            break
-        if time.monotonic() > end:
+            # What it wrote just before it ended, after `select` had looked, is still to be read.
+            code, ended = os.waitstatus_to_exitcode(status), True
+        elif time.monotonic() > end:
             os.kill(child, signal.SIGKILL)
             os.waitpid(child, 0)
             break

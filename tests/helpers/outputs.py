@@ -3,14 +3,10 @@
 from __future__ import annotations
 
 import stat
-import sys
 from pathlib import Path
 
-from lightmatrix.outputs.markers import FileKind, FolderKind
+from lightmatrix.outputs.kinds import FileKind, FolderKind
 from lightmatrix.outputs.writing import atomic_folder
-
-if sys.platform != "win32":
-    pass
 
 CAPTURE = FolderKind("capture")
 TEXT = FileKind("text", (), lambda file: file.read_text().startswith("ours"))

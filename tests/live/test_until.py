@@ -13,8 +13,8 @@ from scipy.sparse import csr_array
 
 import lightmatrix as lm
 from lightmatrix.errors import InputError
-from lightmatrix.live.capturing import FIRST, GROUP, Until, parse_until
-from lightmatrix.live.session import Session
+from lightmatrix.live.capturing import FIRST, GROUP, parse_until, photograph_until
+from lightmatrix.live.session import CaptureSession
 
 from .faulty_rig import USUAL, faulty_rig
 
@@ -61,10 +61,11 @@ class Photographed:
 def outcome(session: Photographed, target: float | str, *errors: float, **kind: Any) -> Any:
     """What is said if the estimates have these errors; the last one stays."""
     left = [*errors]
-    until = Until(
-        parse_until(target), lambda: estimate_of(left.pop(0) if len(left) > 1 else left[0], **kind)
+    return photograph_until(
+        cast(CaptureSession, session),
+        parse_until(target),
+        lambda: estimate_of(left.pop(0) if len(left) > 1 else left[0], **kind),
     )
-    return until.run(cast(Session, session))
 
 
 def test_it_stops_at_the_first_group_that_is_good_enough() -> None:

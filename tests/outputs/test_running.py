@@ -6,19 +6,15 @@ import errno
 import json
 import os
 import shutil
-import sys
 from pathlib import Path
 from typing import Any
 
 import pytest
 
 from lightmatrix.errors import LightMatrixWarning, OutputError
-from lightmatrix.outputs.markers import FolderKind
+from lightmatrix.outputs.kinds import FolderKind
 from lightmatrix.outputs.running import RunningResults, setting_differences
 from lightmatrix.outputs.writing import check_output
-
-if sys.platform != "win32":
-    pass
 
 
 def test_running_results_are_kept_resumed_and_removed(tmp_path: Path) -> None:
@@ -30,7 +26,7 @@ def test_running_results_are_kept_resumed_and_removed(tmp_path: Path) -> None:
     with kept.keep("c.json") as part:
         part.write_text("3")
     # As a killed run leaves it.
-    (kept.path / ".b.0123abcd.part.json").touch()
+    (kept.path / ".0123abcd.part.json").touch()
     (kept.path / "d.json").write_text("of somebody else")
     again = RunningResults.open(tmp_path / "out", ".cases")
     assert again.names == ["a.json", "c.json"]

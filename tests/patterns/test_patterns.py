@@ -17,15 +17,16 @@ from lightmatrix.files.images import write_image
 from lightmatrix.patterns.bits import BernoulliPatterns, BitPatterns, with_white
 from lightmatrix.patterns.blocks import BlockPatterns, one_pixel_patterns, sampled_pixels
 from lightmatrix.patterns.folder import read_patterns, write_patterns
-from lightmatrix.patterns.graycode import GrayCodePatterns
-from lightmatrix.patterns.grids import block_mean, grid_cells
 from lightmatrix.patterns.hadamard import HadamardPatterns
 from lightmatrix.patterns.making import make_patterns, remake_patterns
-from lightmatrix.patterns.microphase import MicroPhasePatterns
 from lightmatrix.patterns.mix import MixedPatterns, default_mix, parse_mix
-from lightmatrix.patterns.pattern_set import ImagePatterns, PatternSet
-from lightmatrix.patterns.phase import PhasePatterns
-from lightmatrix.patterns.stripes import stripes_of
+from lightmatrix.patterns.pattern_set import ImagePatterns, PatternSet, block_mean, grid_cells
+from lightmatrix.patterns.stripes import (
+    GrayCodePatterns,
+    MicroPhasePatterns,
+    PhasePatterns,
+    stripes_of,
+)
 from lightmatrix.solvers import ActiveSet
 from lightmatrix.solvers.problem import Problem
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from lightmatrix.errors import InputError
-from lightmatrix.patterns.grids import block_mean
+from lightmatrix.patterns.pattern_set import block_mean
 from lightmatrix.simulation.binning import binned, coarse
 from lightmatrix.simulation.procedural_scene import ProceduralScene
 from lightmatrix.simulation.truth import Truth

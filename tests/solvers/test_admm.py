@@ -13,8 +13,8 @@ from scipy.sparse import csr_array
 from lightmatrix.errors import InputError, SolverError
 from lightmatrix.patterns.bits import BernoulliPatterns
 from lightmatrix.solvers import ADMM, ROMP, ActiveSet, Fidelity, Problem, SaturationADMM, solve
-from lightmatrix.solvers.objective import objective, predictions, relative_gap
-from lightmatrix.solvers.system import System
+from lightmatrix.solvers.admm import System
+from lightmatrix.solvers.problem import objective, predictions, relative_gap
 from tests.helpers.problems import clipping_problem, with_samples
 
 CONVEX = [Fidelity.LINEAR, Fidelity.ONE_SIDED, Fidelity.REJECTION, Fidelity.LIKELIHOOD]

@@ -8,7 +8,7 @@ import pytest
 from lightmatrix.errors import InputError
 from lightmatrix.patterns.bits import BernoulliPatterns
 from lightmatrix.patterns.pattern_set import ImagePatterns
-from lightmatrix.solvers.default_regularization import (
+from lightmatrix.solvers.regularization import (
     TAIL_SHARE,
     column_length,
     default_regularization,

@@ -14,9 +14,8 @@ from scipy.special import log_ndtr
 from lightmatrix.errors import InputError, LightMatrixError, SolverError
 from lightmatrix.estimators.coherent.estimator import CoherentEstimator
 from lightmatrix.solvers import ROMP, ActiveSet, Fidelity, SaturationADMM, solve
-from lightmatrix.solvers.fidelity import Observed
-from lightmatrix.solvers.fidelity.likelihood import edge_update, mills
-from lightmatrix.solvers.objective import data_term, predictions, relative_gap
+from lightmatrix.solvers.fidelity import Observed, edge_update, mills
+from lightmatrix.solvers.problem import data_term, predictions, relative_gap
 from tests.helpers.problems import clipping_problem
 
 values = st.floats(-3, 6, allow_nan=False, width=32)

@@ -23,7 +23,7 @@ from lightmatrix.solvers import (
     Status,
     solve,
 )
-from lightmatrix.solvers.objective import objective
+from lightmatrix.solvers.problem import objective
 from tests.helpers.problems import clipping_problem, with_samples
 
 

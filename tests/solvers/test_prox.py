@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from lightmatrix.solvers.prox import capped_soft_threshold, soft_threshold
+from lightmatrix.solvers.admm import capped_soft_threshold, soft_threshold
 
 values = st.floats(-3, 6, allow_nan=False, width=32)
 positive = st.floats(0.01, 30)

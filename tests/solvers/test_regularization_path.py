@@ -10,7 +10,7 @@ import pytest
 from lightmatrix.errors import InputError
 from lightmatrix.solvers import Fidelity
 from lightmatrix.solvers.active_set import ActiveSet
-from lightmatrix.solvers.regularization_path import regularization_path
+from lightmatrix.solvers.regularization import regularization_path
 from tests.helpers.problems import clipping_problem, with_samples
 
 

@@ -15,7 +15,7 @@ from lightmatrix.errors import InputError, SolverError
 from lightmatrix.patterns.bits import BernoulliPatterns
 from lightmatrix.patterns.pattern_set import ImagePatterns
 from lightmatrix.solvers import ROMP, Fidelity, Problem, Status, solve
-from lightmatrix.solvers.objective import data_term, predictions
+from lightmatrix.solvers.problem import data_term, predictions
 from tests.helpers.problems import clipping_problem, with_samples
 
 

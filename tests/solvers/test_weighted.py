@@ -15,7 +15,7 @@ from lightmatrix.errors import InputError
 from lightmatrix.patterns.bits import BernoulliPatterns
 from lightmatrix.patterns.pattern_set import ImagePatterns, PatternSet
 from lightmatrix.solvers import ActiveSet, Problem
-from lightmatrix.solvers.weighted import Candidates, Cells, PseudoSamples, solve_weighted
+from lightmatrix.solvers.active_set import Candidates, Cells, PseudoSamples, solve_weighted
 from tests.helpers.problems import clipping_problem, with_samples
 
 SOLVER = ActiveSet(tolerance=1e-8)

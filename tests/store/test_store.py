@@ -20,7 +20,7 @@ from scipy.io import loadmat
 
 from lightmatrix import store
 from lightmatrix.errors import InputError, OutputError
-from lightmatrix.store.tiles import unfinished_spans
+from lightmatrix.store.checkpoint import unfinished_spans
 from tests.helpers.limits import largest_file
 from tests.helpers.stores import (
     FINGERPRINT,
@@ -127,7 +127,7 @@ def test_damage_is_noticed(tmp_path: Path, array: str, damage: str) -> None:
         else:
             chunk.write_bytes(chunk.read_bytes()[:-5])
     name = array if damage == "no array" else chunk.relative_to(place.parent).as_posix()
-    with pytest.raises(InputError, match=rf"is damaged[\s\S]*{name}[\s\S]*estimate --overwrite"):
+    with pytest.raises(InputError, match=rf"is damaged[\s\S]*{name}[\s\S]*overwrite=True"):
         store.open(tmp_path / "scene.zarr")
 
 

@@ -25,9 +25,8 @@ from lightmatrix import store
 from lightmatrix.errors import InputError
 from lightmatrix.resources import memory
 from lightmatrix.simulation.truth import Truth
-from lightmatrix.store.matrix_checks import checked_matrix
-from lightmatrix.store.zarr_store import seal_store
-from lightmatrix.transport.sparse_rows import SparseRows
+from lightmatrix.store.zarr_store import seal
+from lightmatrix.transport.sparse_rows import SparseRows, checked_matrix
 from tests.helpers.stores import FINGERPRINT, TILES, assert_same, run, transport
 from tests.helpers.systems import PIPES
 
@@ -46,7 +45,7 @@ def rewrite(place: Path, name: str, change: Callable[[NDArray[Any]], NDArray[Any
         config={"write_empty_chunks": True},
     )
     array[...] = values
-    seal_store(place)
+    seal(place)
 
 
 def put(index: int, value: float) -> Callable[[NDArray[Any]], NDArray[Any]]:

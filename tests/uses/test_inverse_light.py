@@ -28,7 +28,7 @@ def _residue(truth: Truth, pattern: Any, wanted: Any) -> float:
 
 
 def test_known_global_light_is_cancelled(truth: Truth) -> None:
-    """.288 of the direct light before."""
+    """0.288 of the direct light before."""
     white = np.ones(truth.projector_shape, np.float32)
     found = lm.cancel_global(truth.transport(), direct=_direct(truth))
     assert _residue(truth, white, white) > 0.25

@@ -215,7 +215,7 @@ def test_a_store_is_loaded_or_refused(tmp_path: Path, monkeypatch: pytest.Monkey
     stored = lm.StoredTransport.open(tmp_path / "scene.zarr")
     part = lm.separate(stored).direct.sparse != lm.separate(known).direct.sparse
     assert part.nnz == 0
-    size = sum(array.bytes for array in stored.header.arrays.values())
+    size = sum(array.bytes for array in stored.arrays.values())
     monkeypatch.setattr(loading, "available_bytes", lambda: 4 * size)
     with pytest.raises(lm.InputError, match=r"scene\.zarr: takes .* GiB of memory") as refused:
         lm.separate(stored)

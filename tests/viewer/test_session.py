@@ -16,7 +16,7 @@ from scipy.sparse import csr_array
 
 import lightmatrix as lm
 from lightmatrix.pictures import maps
-from lightmatrix.store import stored_transport
+from lightmatrix.store import zarr_store
 from lightmatrix.viewer import lights, session, tiles
 from lightmatrix.viewer.coarse import CoarseLight
 from lightmatrix.viewer.layers import LAYERS, LayerSource
@@ -116,7 +116,7 @@ def _small_parts(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(session, "_MOST_TILES", 3)
     monkeypatch.setattr(lights, "_BLOCK_ENTRIES", 500)
     monkeypatch.setattr(lights, "_GROUP_ROWS", 16)
-    monkeypatch.setattr(stored_transport, "_BLOCK_ENTRIES", 500)
+    monkeypatch.setattr(zarr_store, "_BLOCK_ENTRIES", 500)
     monkeypatch.setattr("lightmatrix.viewer.coarse._SQUARES", 7)
     monkeypatch.setattr("lightmatrix.viewer.coarse._CELLS", 5)
     monkeypatch.setattr("lightmatrix.viewer.coarse._PART", 300)

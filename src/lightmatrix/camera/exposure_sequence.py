@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lightmatrix.errors import InputError
+from lightmatrix.patterns.mix import interleave, parse_shares
 from lightmatrix.patterns.pattern_set import PatternSet
-from lightmatrix.patterns.shares import interleave, parse_shares
 
 EXAMPLE = "1:0.75,0.25:0.25"
 # Exposures that are accepted, in any unit. Within this range float32 samples keep their digits.

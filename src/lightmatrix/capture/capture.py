@@ -23,8 +23,7 @@ from lightmatrix.capture.frames import CutFrames, Frames, Surroundings, cut, in_
 from lightmatrix.capture.reader import Reader
 from lightmatrix.capture.settings import ReadSettings
 from lightmatrix.errors import InputError
-from lightmatrix.patterns.grids import block_size
-from lightmatrix.patterns.pattern_set import PatternSet
+from lightmatrix.patterns.pattern_set import PatternSet, block_size
 from lightmatrix.regions import Region
 from lightmatrix.reprs import html_table
 from lightmatrix.resources.computed_once import computed_once

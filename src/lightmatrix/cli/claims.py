@@ -10,8 +10,7 @@ from lightmatrix.cli.failures import lacks_memory
 from lightmatrix.cli.stops import is_stop
 from lightmatrix.cli.terminal import FinishedError, Stopped
 from lightmatrix.errors import InputError
-from lightmatrix.outputs.kinds import PARTIAL
-from lightmatrix.outputs.markers import OutputKind
+from lightmatrix.outputs.kinds import PARTIAL, OutputKind
 from lightmatrix.outputs.writing import claimed
 
 # `lightmatrix.cli.app` closes them when the command ends.

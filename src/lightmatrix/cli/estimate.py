@@ -26,7 +26,7 @@ from lightmatrix.cli.terminal import progress, say, show_json, show_table
 from lightmatrix.errors import InputError
 from lightmatrix.files.colours import COLOURS
 from lightmatrix.outputs.kinds import COLOUR_STORES, REPORT, STORE
-from lightmatrix.transport.labels import labelled
+from lightmatrix.transport.matrix import labelled
 
 if TYPE_CHECKING:
     from lightmatrix import (

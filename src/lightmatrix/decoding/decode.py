@@ -15,7 +15,7 @@ from lightmatrix.decoding.codes import Code, Codes, find_codes
 from lightmatrix.decoding.reading import Reading, correlate, read_bits, refine
 from lightmatrix.outputs.kinds import CORRESPONDENCE
 from lightmatrix.outputs.writing import check_output
-from lightmatrix.store.correspondence_file import write_correspondence
+from lightmatrix.store.npz import write_correspondence
 from lightmatrix.transport.correspondence import Correspondence
 
 Progress = Callable[[int, int], None]

@@ -10,9 +10,12 @@ from numpy.typing import NDArray
 from lightmatrix.camera.noise import USUAL_NOISE
 from lightmatrix.camera.samples import Samples
 from lightmatrix.capture.capture import Capture
-from lightmatrix.solvers.default_regularization import default_regularization
 from lightmatrix.solvers.problem import Problem
-from lightmatrix.solvers.regularization_path import RegularizationPath, regularization_path
+from lightmatrix.solvers.regularization import (
+    RegularizationPath,
+    default_regularization,
+    regularization_path,
+)
 
 # The regularization is chosen from 32 stretches of 64 rows, spread evenly over the capture. The
 # values are chosen by hand: 2,048 rows suffice for a 0.99 quantile and are read in an instant.

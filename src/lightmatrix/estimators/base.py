@@ -20,7 +20,7 @@ from lightmatrix.camera.samples import Samples
 from lightmatrix.capture.capture import Capture
 from lightmatrix.diagnosis.finding import FINDINGS
 from lightmatrix.estimators.work import TilesInMemory, Work, WorkerPool, complete
-from lightmatrix.outputs.targets import final_target
+from lightmatrix.outputs.writing import final_target
 from lightmatrix.resources.blas import one_blas_thread
 from lightmatrix.resources.disk import check_disk_space
 from lightmatrix.solvers import Solver

@@ -21,8 +21,7 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
 from lightmatrix.camera.samples import Samples
-from lightmatrix.patterns.pattern_set import PatternSet
-from lightmatrix.patterns.twins import NEAR
+from lightmatrix.patterns.pattern_set import NEAR, PatternSet
 from lightmatrix.transport.sparse_rows import SparseRows
 
 # The diagnostic: 1 where the strongest projector pixel is certain, 0 where it is not, NaN for rows

@@ -21,10 +21,9 @@ from lightmatrix.estimators.automatic_regularization import held_out_path
 from lightmatrix.estimators.base import Estimator
 from lightmatrix.estimators.camera_window import window_of_light
 from lightmatrix.estimators.coherent.estimator import CoherentEstimator
-from lightmatrix.estimators.coherent.held_out import HeldOut
-from lightmatrix.estimators.coherent.row_errors import squared_misfit
+from lightmatrix.estimators.coherent.row_errors import HeldOut, squared_misfit
 from lightmatrix.estimators.coherent.schedule import is_large
-from lightmatrix.estimators.multiscale.estimator import MultiScaleEstimator
+from lightmatrix.estimators.multiscale import MultiScaleEstimator
 from lightmatrix.estimators.plain import PlainEstimator
 from lightmatrix.estimators.resource_estimate import ResourceEstimate, estimate_resources
 from lightmatrix.estimators.settings import EstimateSettings

@@ -7,7 +7,7 @@ A tile of rows is solved six calls below it:
 3. `complete` (`work.py`) goes through the steps of the work and their missing tiles.
 4. A method of `Rounds` (`coherent/rounds.py`) reads the samples of a tile and keeps its rows.
 5. `RowSolver.near` (`coherent/row_solver.py`) sets up the weighted problem of these rows.
-6. `solve_weighted` (`solvers/weighted.py`) hands it to the compiled core.
+6. `solve_weighted` (`solvers/active_set.py`) hands it to the compiled core.
 
 Row by row, `_Rows.solve` (`plain.py`) replaces 4 and 5, and `solvers.solve` replaces 6.
 With workers, 3 hands the tiles to `DaskPool.solve` (`workers/pool.py`), and each worker does the

@@ -24,8 +24,7 @@ from lightmatrix.errors import InputError, warn
 from lightmatrix.estimators.camera_window import window_of_levels
 from lightmatrix.estimators.choice import choose_estimator
 from lightmatrix.estimators.settings import EstimateSettings
-from lightmatrix.transport.held_out import prediction_error
-from lightmatrix.transport.matrix import LightTransport
+from lightmatrix.transport.matrix import LightTransport, prediction_error
 
 # The search ends after four estimates, or when the curve changes by less than 1 % of full light.
 # Each step removes nearly all of a difference, so that what is left is much smaller.

@@ -29,9 +29,7 @@ from lightmatrix.simulation import library
 from lightmatrix.simulation.colour import is_of_all_primaries, of_primary
 from lightmatrix.simulation.scenes import scene as find_scene
 from lightmatrix.simulation.truth import Truth
-from lightmatrix.transport.colour import ColourTransport
-from lightmatrix.transport.labels import labelled
-from lightmatrix.transport.matrix import LightTransport
+from lightmatrix.transport.matrix import ColourTransport, LightTransport, labelled
 
 
 @dataclass(frozen=True)

@@ -2,7 +2,7 @@
 
 T is judged by the errors that an estimate states of its own rows. Photographs held out of an
 estimate do not show what is wrong with all photographs alike, nor what none of them shows. The
-diagnostics of the rows reveal some of this (`lightmatrix.estimators.coherent.residuals`); where
+diagnostics of the rows reveal some of this (`lightmatrix.estimators.coherent.row_errors`); where
 they do, no error of T is stated, and the reason stands in its place.
 
 Whether a map of correspondences is right, whether T relights scenes, and whether it is T are
@@ -21,8 +21,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import rank_filter
 
 from lightmatrix.evaluation.metrics import row_energies, unclipped_rows
-from lightmatrix.transport.held_out import prediction_error
-from lightmatrix.transport.matrix import LightTransport
+from lightmatrix.transport.matrix import LightTransport, prediction_error
 
 Level = Literal["good", "fair", "doubtful", "not tested"]
 

@@ -1,19 +1,21 @@
 """Arrays of Zarr v3: written in chunks, read in parts, and only if they are stored in our way.
 
 A codec may be anything, even a program, so only what `create_array` writes is read back: bytes,
-Blosc, a checksum. Chunks are checked before they are decoded, and a damaged one is named.
+Blosc, a checksum. Zarr compares the checksums, and reads a missing chunk as zeros: so every chunk
+is looked at before it is decoded. An array may be read with the list of its chunks' checksums, and
+then a sound chunk from elsewhere is noticed as well.
 """
 
 from __future__ import annotations
 
 import itertools
 import math
-import operator
 import os
 import struct
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import cached_property, partial
 from pathlib import Path
 from typing import Any
 
@@ -25,24 +27,18 @@ from zarr.codecs import BloscCodec, Crc32cCodec
 from lightmatrix.errors import InputError
 from lightmatrix.files.json_files import parse_json
 from lightmatrix.files.reading import read_text, regular_file
+from lightmatrix.resources.work_ahead import side_by_side
 
 HEADER = "zarr.json"
-# Values of a chunk unless the caller chooses another size. Chosen by hand.
+# Values of a chunk unless the caller chooses another size.
 CHUNK = 1 << 20
 # SMALL takes a tenth less space than QUICK, which is decoded in a third of the time.
 SMALL = BloscCodec(cname="zstd", clevel=3, shuffle="shuffle")
 QUICK = BloscCodec(cname="lz4hc", clevel=5, shuffle="shuffle")
-# The only codecs and names of chunks that are read.
-_CODECS = ("bytes", "blosc", "crc32c")
-_KEYS = {"name": "default", "configuration": {"separator": "/"}}
 # The header of a Blosc chunk: version and flags, then three sizes, first that of its content.
 _BLOSC = struct.Struct("<4xIII")
-# Digits of the CRC-32C with which each chunk ends.
-_CHECKSUM_DIGITS = 8
 # Python's words where there is no memory left for a thread, which is no damage.
 _NO_THREAD = "can't start new thread"
-# Variables of this beginning are settings of zarr-python, and wrong ones look like damage.
-_SETTINGS = "ZARR_"
 
 
 def create_array(
@@ -74,26 +70,37 @@ def write_array(group: zarr.Group, name: str, values: NDArray[Any]) -> None:
     create_array(group, name, values.shape, values.dtype, chunks)[...] = values
 
 
-class GrowingArray:
-    """An array of unknown length, written in chunks (of `chunk` values) as they fill."""
+def write_parts(
+    group: zarr.Group,
+    parts: Iterable[Mapping[str, NDArray[Any]]],
+    chunk: int | None = None,
+    blosc: BloscCodec = SMALL,
+) -> None:
+    """Write arrays of unknown lengths from parts that follow each other along the first axis.
 
-    def __init__(
-        self,
-        group: zarr.Group,
-        name: str,
-        dtype: Any,
-        chunk: int | None = None,
-        blosc: BloscCodec = SMALL,
-    ) -> None:
-        self._group, self._name, self._dtype = group, name, np.dtype(dtype)
-        self._chunk, self._blosc = chunk, blosc
+    Each part holds values of all arrays, by name. A chunk has about `chunk` values (None: CHUNK).
+    """
+    arrays: dict[str, _GrowingArray] = {}
+    for part in parts:
+        for name in set(part) - set(arrays):
+            arrays[name] = _GrowingArray(group, name, chunk or CHUNK, blosc)
+        # Most of the time goes into compressing, which threads do side by side.
+        side_by_side([partial(arrays[name].add, values) for name, values in part.items()])
+    side_by_side([array.close for array in arrays.values()])
+
+
+class _GrowingArray:
+    """An array of unknown length, written in chunks of about `values` values as they fill."""
+
+    def __init__(self, group: zarr.Group, name: str, values: int, blosc: BloscCodec) -> None:
+        self._group, self._name, self._values, self._blosc = group, name, values, blosc
         self._waiting: list[NDArray[Any]] = []
         self._array: zarr.Array[Any] | None = None
 
     def add(self, values: NDArray[Any]) -> None:
         """Append values along the first axis."""
-        self._waiting.append(np.asarray(values, self._dtype))
-        chunk = max(1, (self._chunk or CHUNK) // max(1, int(np.prod(values.shape[1:]))))
+        self._waiting.append(values)
+        chunk = max(1, self._values // max(1, int(np.prod(values.shape[1:]))))
         if sum(map(len, self._waiting)) >= chunk:
             self._write(chunk, last=False)
 
@@ -108,7 +115,7 @@ class GrowingArray:
         if self._array is None:
             chunks = (chunk, *(max(1, n) for n in shape))
             self._array = create_array(
-                self._group, self._name, (ready, *shape), self._dtype, chunks, self._blosc
+                self._group, self._name, (ready, *shape), values.dtype, chunks, self._blosc
             )
         else:
             done = self._array.shape[0]
@@ -118,7 +125,7 @@ class GrowingArray:
         self._waiting = [values[ready:]]
 
 
-def read_metadata(place: Path) -> dict[str, Any]:
+def _read_metadata(place: Path) -> dict[str, Any]:
     """The metadata of a group or array of Zarr version 3, or InputError or ValueError."""
     file = place / HEADER
     content = parse_json(read_text(file), str(file), finite=False)
@@ -132,7 +139,7 @@ def read_attributes(place: Path) -> dict[str, Any]:
     if not place.is_dir() or not os.path.lexists(place / HEADER):
         return {}
     try:
-        attributes = read_metadata(place).get("attributes")
+        attributes = _read_metadata(place).get("attributes")
     except (InputError, ValueError):
         if not os.access(place / HEADER, os.R_OK):
             raise
@@ -159,7 +166,8 @@ def as_damage_error(place: Path, hint: str) -> Iterator[None]:
         if _NO_THREAD in str(error):
             raise MemoryError(str(error)) from error
         words = " ".join(str(getattr(error, "message", error)).split())[:120]
-        settings = sorted(name for name in os.environ if name.startswith(_SETTINGS))
+        # Wrong settings of zarr-python look like damage.
+        settings = sorted(name for name in os.environ if name.startswith("ZARR_"))
         if settings:
             hint = f"unset {' and '.join(settings)} and try again; if that does not help, {hint}"
         raise InputError(
@@ -175,7 +183,7 @@ class StoredArray:
     shape: tuple[int, ...]
     chunks: tuple[int, ...]
     dtype: np.dtype[Any]
-    array: zarr.Array[Any]
+    # The checksums of its chunks, as `checksums` returns them, if they are known.
     expected: str | None = None
 
     @classmethod
@@ -185,18 +193,40 @@ class StoredArray:
         """Read the header of an array; a ValueError says if we would not store it this way.
 
         A chunk may hold `most_chunk` values, even if the array has fewer. `checksums` are those of
-        its chunks, as `checksums` returns them; a chunk with another one is not read.
+        its chunks, as `checksums` returns them; a chunk with another one is refused.
         """
-        shape, chunks, dtype = _checked_header(place, read_metadata(place), most_chunk)
-        # Only version 3 is opened: other versions permit other codecs.
-        array = zarr.open_array(place, mode="r", zarr_format=3)
-        if (array.shape, array.dtype) != (shape, dtype):
-            raise ValueError(f"{place.name} is not an array")
-        made = cls(place, shape, chunks, dtype, array, checksums)
-        wanted = _CHECKSUM_DIGITS * math.prod(made._grid)
-        if checksums is not None and (type(checksums) is not str or len(checksums) != wanted):
+        metadata = _read_metadata(place)
+        try:
+            codecs = [codec["name"] for codec in metadata["codecs"]]
+            chunks = tuple(metadata["chunk_grid"]["configuration"]["chunk_shape"])
+            shape, dtype = tuple(metadata["shape"]), np.dtype(metadata["data_type"])
+            keys = metadata["chunk_key_encoding"]
+        except (KeyError, TypeError, AttributeError) as error:
+            raise ValueError(f"{place.name} is not an array ({error})") from error
+        ours = codecs == ["bytes", "blosc", "crc32c"] and dtype.kind in "bfiu"
+        ours &= keys == {"name": "default", "configuration": {"separator": "/"}}
+        if not ours or metadata.get("storage_transformers"):
+            raise ValueError(f"{place.name} is stored in another way than ours")
+        whole = all(type(n) is int and n >= 0 for n in (*shape, *chunks))
+        if not whole or len(chunks) != len(shape) or min(chunks, default=1) < 1:
+            raise ValueError(f"{place.name} has a shape that no array has")
+        # A chunk may hold no more values than the whole array, or than our chunks do.
+        if math.prod(chunks) > max(most_chunk, math.prod(shape)):
+            raise ValueError(f"{place.name} has chunks of {math.prod(chunks)} values")
+        made = cls(place, shape, chunks, dtype, checksums)
+        if checksums is not None and (
+            type(checksums) is not str or len(checksums) != 8 * math.prod(made._grid)
+        ):
             raise ValueError(f"{place.name} has not as many chunks as were written")
         return made
+
+    @cached_property
+    def _array(self) -> zarr.Array[Any]:
+        # Only version 3 is opened: other versions permit other codecs.
+        array = zarr.open_array(self.place, mode="r", zarr_format=3)
+        if (array.shape, array.chunks, array.dtype) != (self.shape, self.chunks, self.dtype):
+            raise ValueError(f"{self.place.name} is not an array, or was replaced meanwhile")
+        return array
 
     @property
     def bytes(self) -> int:
@@ -211,18 +241,31 @@ class StoredArray:
             range(span.start // chunk, -(-span.stop // chunk)) if span.stop > span.start else []
             for span, chunk in zip(spans, self.chunks, strict=True)
         ]
-        for index in itertools.product(*grid):
+        indices = list(itertools.product(*grid))
+        for index in indices:
             self._check_chunk(index)
         try:
-            return np.asarray(self.array[tuple(spans)])
+            values = np.asarray(self._array[tuple(spans)])
         except MemoryError:
             raise
         except Exception as error:
             if _NO_THREAD in str(error):
                 raise
-            for index in itertools.product(*grid):
-                self._decode(index)
+            # Each chunk is read by itself, to name the one that is damaged.
+            for index in indices:
+                cuts = zip(index, self.chunks, strict=True)
+                try:
+                    self._array[tuple(slice(i * chunk, (i + 1) * chunk) for i, chunk in cuts)]
+                except Exception:
+                    words = " ".join(str(error).split())[:80]
+                    raise ValueError(f"the chunk {self._named(index)}: {words}") from error
             raise ValueError(f"{self.place.name} cannot be read ({error})") from error
+        # Compared after the reading, so that an array that was replaced meanwhile is noticed, too.
+        for index in indices if self.expected else ():
+            first = 8 * int(np.ravel_multi_index(index, self._grid))
+            if _checksum(self.chunk_file(index)) != str(self.expected)[first : first + 8]:
+                raise ValueError(f"the chunk {self._named(index)} is not the one that was written")
+        return values
 
     def checksums(self) -> str:
         """The checksums of its chunks in their order, eight hexadecimal digits each."""
@@ -238,37 +281,20 @@ class StoredArray:
 
     def _check_chunk(self, index: tuple[int, ...]) -> None:
         """Check that a chunk is a regular file that announces no more values than a chunk has."""
-        most = math.prod(self.chunks) * self.dtype.itemsize
         file = self.chunk_file(index)
         # Zarr would read a missing chunk as zeros.
         if not os.path.lexists(file):
             raise ValueError(f"the chunk {self._named(index)} is missing")
         with regular_file(file).open("rb") as stream:
             header = stream.read(_BLOSC.size)
+        most = math.prod(self.chunks) * self.dtype.itemsize
         if len(header) < _BLOSC.size or _BLOSC.unpack(header)[0] > most:
             raise ValueError(f"the chunk {self._named(index)} is not what the array needs")
-        if self.expected is not None:
-            first = _CHECKSUM_DIGITS * sum(map(operator.mul, index, self._strides))
-            if _checksum(file) != self.expected[first : first + _CHECKSUM_DIGITS]:
-                raise ValueError(f"the chunk {self._named(index)} is not the one that was written")
 
     @property
     def _grid(self) -> tuple[int, ...]:
         """Chunks along each axis."""
         return tuple(-(-n // chunk) for n, chunk in zip(self.shape, self.chunks, strict=True))
-
-    @property
-    def _strides(self) -> tuple[int, ...]:
-        """How many chunks further the next one along each axis is."""
-        return tuple(math.prod(self._grid[axis + 1 :]) for axis in range(len(self._grid)))
-
-    def _decode(self, index: tuple[int, ...]) -> None:
-        cuts = zip(index, self.chunks, strict=True)
-        try:
-            self.array[tuple(slice(i * chunk, (i + 1) * chunk) for i, chunk in cuts)]
-        except Exception as error:
-            words = " ".join(str(error).split())[:80]
-            raise ValueError(f"the chunk {self._named(index)}: {words}") from error
 
     def _named(self, index: tuple[int, ...]) -> str:
         return str(self.chunk_file(index).relative_to(self.place.parent))
@@ -277,27 +303,5 @@ class StoredArray:
 def _checksum(file: Path) -> str:
     """The checksum with which a chunk ends, in hexadecimal digits."""
     with file.open("rb") as stream:
-        stream.seek(-_CHECKSUM_DIGITS // 2, os.SEEK_END)
+        stream.seek(-4, os.SEEK_END)
         return stream.read().hex()
-
-
-def _checked_header(
-    place: Path, metadata: Mapping[str, Any], most_chunk: int
-) -> tuple[tuple[int, ...], tuple[int, ...], np.dtype[Any]]:
-    try:
-        codecs = tuple(codec["name"] for codec in metadata["codecs"])
-        chunks = tuple(metadata["chunk_grid"]["configuration"]["chunk_shape"])
-        shape, dtype = tuple(metadata["shape"]), np.dtype(metadata["data_type"])
-        keys = metadata["chunk_key_encoding"]
-    except (KeyError, TypeError, AttributeError) as error:
-        raise ValueError(f"{place.name} is not an array ({error})") from error
-    ours = codecs == _CODECS and keys == _KEYS and dtype.kind in "bfiu"
-    if not ours or metadata.get("storage_transformers"):
-        raise ValueError(f"{place.name} is stored in another way than ours")
-    whole = all(type(n) is int and n >= 0 for n in (*shape, *chunks))
-    if not whole or len(chunks) != len(shape) or min(chunks, default=1) < 1:
-        raise ValueError(f"{place.name} has a shape that no array has")
-    # A chunk may hold no more values than the whole array, or than our chunks do.
-    if math.prod(chunks) > max(most_chunk, math.prod(shape)):
-        raise ValueError(f"{place.name} has chunks of {math.prod(chunks)} values")
-    return shape, chunks, dtype

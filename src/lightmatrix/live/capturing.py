@@ -1,19 +1,17 @@
-"""As many photographs as it takes: an estimate after each group of frames, until T is good enough.
+"""A whole capture by a rig: measure it, photograph the patterns, and write the capture folder.
 
-The error is the one that the verdict of an estimate states: of T, or of images under photographs
-that were held out. If it hardly falls any more, further patterns are not what is missing, and the
-diagnostics of the rows say what is.
+With `CaptureSettings.until` there is an estimate after each group of frames. It ends when the error
+that the estimate states is small enough: that of T, or of photographs that were held out. If the
+error hardly falls any more, further patterns are not what is missing, and the diagnostics of the
+rows say what is.
 """
-# MERGED DOCS
-# """How a rig photographs patterns."""
-# """A whole capture by a rig: measure it, photograph the patterns, and write the capture folder."""
 
 from __future__ import annotations
 
 import shutil
 from collections import Counter
 from collections.abc import Callable
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -34,35 +32,22 @@ from lightmatrix.live.record import CaptureFacts, CaptureRecord
 from lightmatrix.live.references import Drift, References, measure_drift, take_references
 from lightmatrix.live.rig import ProjectedPatterns, Rig
 from lightmatrix.live.rig_measurements import PARTS, RigMeasurements, measure_rig, outdated_parts
-from lightmatrix.live.session import Session, Step
+from lightmatrix.live.session import CaptureSession, Step
 from lightmatrix.outputs.kinds import LIVE_CAPTURE
 from lightmatrix.outputs.writing import claimed
 from lightmatrix.patterns.folder import read_patterns
 from lightmatrix.patterns.making import make_patterns
 from lightmatrix.patterns.pattern_set import PatternSet
-from lightmatrix.transport.held_out import prediction_error
-from lightmatrix.transport.matrix import LightTransport
+from lightmatrix.transport.matrix import LightTransport, prediction_error
 
+USUAL_COUNT = 64
+USUAL_REFERENCE = 32
+RIG_FILE = "rig.json"
 # Patterns photographed between two estimates, and before the first one: fewer frames hold out too
 # few for a stated error.
 GROUP, FIRST = 8, 16
-# More patterns do not help if the error fell by less than a tenth over this many of them. Before
-# the second number, errors may stay high for a while and then fall at once, as is usual in sparse
-# estimation. Both are chosen by hand.
-_LOOK_BACK, _PATIENT_UNTIL = 24, 64
-_LEAST_GAIN = 0.1
-# A row counts as clipped if more than this share of its samples clip, and as global light if its
-# strongest projector pixel holds less than the second share of it. Chosen by hand.
-_CLIPPED, _GLOBAL = 0.5, 0.1
-# The cause that holds more than this share of the error is named. Chosen by hand.
-_MAIN_CAUSE = 0.4
-_CLIPPED_ADVICE = "rows that clip in most frames: lower the exposure"
-_GLOBAL_ADVICE = "light from everywhere: add patterns of coarse cells, or accept it"
-_NOISE_ADVICE = "noise: expose for longer, open the aperture, or bin the camera"
-
-
-# How a target begins that is an error of relit images.
-_RELIGHTING = "relighting"
+# Names of the reference frames in the record.
+_BLACK, _WHITE = "black.npy", "white.npy"
 
 
 @dataclass(frozen=True)
@@ -89,49 +74,39 @@ class Outcome:
     sentence: str
 
 
-@dataclass
-class Until:
-    """Photographs the patterns of a session group by group.
+def photograph_until(
+    session: CaptureSession, target: Target, estimate: Callable[[], LightTransport]
+) -> Outcome:
+    """Photograph group by group, until the target is reached or more patterns do not help.
 
     `estimate` returns the estimate from all frames so far.
     """
-
-    target: Target
-    estimate: Callable[[], LightTransport]
-    _errors: list[tuple[int, float]] = field(default_factory=list)
-
-    def run(self, session: Session) -> Outcome:
-        """Photograph until the target is reached, or more patterns do not help or are not there."""
-        total = session.patterns.count
-        # A session that goes on starts with the frames that it has.
-        count = max(FIRST, -(-len(session.record.state.frames) // GROUP) * GROUP)
-        while True:
-            count = min(count, total)
-            session.run(count)
-            transport = self.estimate()
-            error = self.target.stated(transport)
-            frames = len(session.record.state.frames)
-            self._errors.append((frames, float("nan") if error is None else error))
-            if error is not None and error <= self.target.error:
-                return self._outcome(True, f"{percent(error)} after {frames} frames")
-            if error is None and frames >= _PATIENT_UNTIL:
-                reasons = [] if self.target.relighting else OwnError(transport).doubts
-                return self._outcome(False, " ".join(["no error can be stated.", *reasons]))
-            if self._stalled:
-                return self._outcome(False, f"more patterns do not help; {_cause(transport)}")
-            if count == total:
-                return self._outcome(False, f"all {total} patterns are photographed: allow more")
-            count += GROUP
-
-    @property
-    def _stalled(self) -> bool:
-        frames, error = self._errors[-1]
-        before = [e for n, e in self._errors if n <= frames - _LOOK_BACK]
-        return frames >= _PATIENT_UNTIL and bool(before) and error > (1 - _LEAST_GAIN) * min(before)
-
-    def _outcome(self, reached: bool, sentence: str) -> Outcome:
-        target = self.target
-        return Outcome(target.error, target.relighting, self._errors, reached, sentence)
+    total = session.patterns.count
+    # A session that goes on starts with the frames that it has.
+    count = max(FIRST, -(-len(session.record.state.frames) // GROUP) * GROUP)
+    errors: list[tuple[int, float]] = []
+    while True:
+        count = min(count, total)
+        session.run(count)
+        transport = estimate()
+        error = target.stated(transport)
+        frames = len(session.record.state.frames)
+        errors.append((frames, float("nan") if error is None else error))
+        reached, sentence = False, ""
+        before = [e for n, e in errors if n <= frames - 24]
+        if error is not None and error <= target.error:
+            reached, sentence = True, f"{percent(error)} after {frames} frames"
+        # Errors of sparse estimates may stay high for 64 frames and then fall at once.
+        elif error is None and frames >= 64:
+            doubts = [] if target.relighting else OwnError(transport).doubts
+            sentence = " ".join(["no error can be stated.", *doubts])
+        elif frames >= 64 and before and errors[-1][1] > 0.9 * min(before):
+            sentence = f"more patterns do not help; {_cause(transport)}"
+        elif count == total:
+            sentence = f"all {total} patterns are photographed: allow more"
+        if sentence:
+            return Outcome(target.error, target.relighting, errors, reached, sentence)
+        count += GROUP
 
 
 def parse_until(text: str | float) -> Target:
@@ -141,13 +116,13 @@ def parse_until(text: str | float) -> Target:
         error = float(number)
     except ValueError:
         error = float("nan")
-    if kind not in ("", _RELIGHTING) or not 0 < error < 1:
+    if kind not in ("", "relighting") or not 0 < error < 1:
         raise InputError(
             f"a target of {text}",
             hint="give a relative error of T, such as 0.03 for 3 %, or of relit images, such as "
             "relighting:0.03",
         )
-    return Target(error, kind == _RELIGHTING)
+    return Target(error, kind == "relighting")
 
 
 def _cause(transport: LightTransport) -> str:
@@ -156,19 +131,16 @@ def _cause(transport: LightTransport) -> str:
     # Dark rows have no error of their own, or an infinite one.
     wrong = row_energies(transport) * np.where(np.isfinite(errors), errors, 0) ** 2
     total = max(float(wrong.sum()), np.finfo(float).tiny)
-    clipped = np.asarray(transport.diagnostics["clipped_share"]) > _CLIPPED
-    if wrong[clipped].sum() > _MAIN_CAUSE * total:
-        return _CLIPPED_ADVICE
-    sparse = transport.sparse
-    strongest = sparse.max(axis=1).toarray().ravel()
+    # The cause of 40 % of the error is named: rows of which half of the samples clip, or whose
+    # strongest projector pixel holds less than a tenth.
+    clipped = np.asarray(transport.diagnostics["clipped_share"]) > 0.5
+    if wrong[clipped].sum() > 0.4 * total:
+        return "rows that clip in most frames: lower the exposure"
+    strongest = transport.sparse.max(axis=1).toarray().ravel()
     white = transport.relight(np.ones(transport.projector_shape, np.float32)).ravel()
-    spread = strongest < _GLOBAL * white
-    return _GLOBAL_ADVICE if wrong[spread].sum() > _MAIN_CAUSE * total else _NOISE_ADVICE
-
-
-USUAL_REFERENCE = 32
-# Seconds; longer exposures and settle times are refused as mistakes.
-_LONGEST = 60
+    if wrong[strongest < 0.1 * white].sum() > 0.4 * total:
+        return "light from everywhere: add patterns of coarse cells, or accept it"
+    return "noise: expose for longer, open the aperture, or bin the camera"
 
 
 @dataclass(frozen=True)
@@ -211,7 +183,8 @@ class CaptureSettings:
 
     def __post_init__(self) -> None:
         for name, value in (("exposure", self.exposure), ("settle time", self.settle)):
-            if value is not None and not 0 <= value <= _LONGEST:
+            # More than a minute is a mistake.
+            if value is not None and not 0 <= value <= 60:
                 raise InputError(f"a {name} of {value} s", hint="give seconds, such as 0.02")
         if self.cell < 1:
             raise InputError(f"a cell of {self.cell} pixels", hint="use 1 or more")
@@ -234,14 +207,6 @@ class CaptureSettings:
         largest = min(rig.projector.shape)
         if self.cell > largest:
             raise InputError(f"a cell of {self.cell} pixels", hint=f"use 1 to {largest} pixels")
-
-
-USUAL_COUNT = 64
-RIG_FILE = "rig.json"
-# A warning says that the room's light varies by more than this share of white.
-_ROOM = 0.02
-# Names of the reference frames in the record.
-_BLACK, _WHITE = "black.npy", "white.npy"
 
 
 def take_capture(
@@ -345,7 +310,7 @@ def take_capture(
                 def estimated() -> LightTransport:
                     return _estimate_so_far(session, known, settings, write_extras)
 
-                outcome = Until(parse_until(settings.until), estimated).run(session)
+                outcome = photograph_until(session, parse_until(settings.until), estimated)
             facts = _facts(session, known, settings, outcome)
             record.finish(patterns, facts, write_extras=write_extras, overwrite=overwrite)
     _warn(record, known, settings.response)
@@ -380,7 +345,7 @@ def _begin(
     known: RigMeasurements,
     settings: CaptureSettings,
     progress: Callable[[Step], None] | None,
-) -> Session:
+) -> CaptureSession:
     """A session with its references; refuses a rig that has changed since the frames so far."""
     assert known.settle is not None
     projected = ProjectedPatterns(patterns, rig.projector.shape, settings.cell, known.response)
@@ -389,7 +354,7 @@ def _begin(
     references = rig.persistently(lambda: take_references(photographer, seconds))
     photographer.changing = references.black.changing
     _check_unchanged(record, references)
-    return Session(
+    return CaptureSession(
         photographer,
         record,
         patterns,
@@ -436,7 +401,7 @@ def _check_unchanged(record: CaptureRecord, now: References) -> None:
 
 
 def _estimate_so_far(
-    session: Session,
+    session: CaptureSession,
     known: RigMeasurements,
     settings: CaptureSettings,
     write_extras: Callable[[Path], None],
@@ -451,7 +416,7 @@ def _estimate_so_far(
 
 
 def _facts(
-    session: Session,
+    session: CaptureSession,
     known: RigMeasurements,
     settings: CaptureSettings,
     outcome: Outcome | None = None,
@@ -529,7 +494,7 @@ def _warn(record: CaptureRecord, known: RigMeasurements, response: str) -> None:
             break
     if known.exposure is not None:
         concerns += known.exposure.warnings
-    if known.flicker is not None and known.flicker.room > _ROOM:
+    if known.flicker is not None and known.flicker.room > 0.02:
         concerns.append(
             f"the room's light varies by {100 * known.flicker.room:.0f} % of white from frame to "
             "frame: darken the room, or expose for longer"

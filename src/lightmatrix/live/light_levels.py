@@ -1,7 +1,4 @@
-"""The exposures of a capture, advised by the planner from a white frame of the rig."""
-# MERGED DOCS
-# """The projector's response: how much light it gives for each grey value."""
-# """The camera's linearity: whether twice the exposure gives twice the level above black."""
+"""Exposures, the projector's response and the camera's linearity, by the light levels of a rig."""
 
 from __future__ import annotations
 
@@ -15,7 +12,6 @@ from lightmatrix.live.devices.base import exposure_limits
 from lightmatrix.live.photograph import (
     Photographer,
     WhiteAndBlack,
-    find_white_and_black,
     plain_images,
     take_average,
 )
@@ -27,20 +23,6 @@ from lightmatrix.planning.exposure_advice import (
     advise_exposures,
     clipped_share,
 )
-
-# A warning says that the camera cannot expose as advised if its limit is off by this factor, one
-# stop. Chosen by hand.
-_FAR_OFF = 2.0
-# A warning says that avoiding flicker makes more samples clip if the exposure grows by this factor.
-# Chosen by hand: a smaller change is within the tolerance of the advice.
-_LONGER = 1.2
-# A pixel of the mean of several white frames counts as clipped from this share of the clip level
-# on. Chosen by hand: noise takes the mean of clipped frames slightly below the level.
-_CLIPS = 0.995
-# A black frame at this share of the white frame's exposure separates the room's light from the
-# pedestal. A camera whose shortest exposure is more than the second share of it cannot do that.
-# Chosen by hand.
-_BRIEF, _NOT_BRIEF = 1 / 8, 0.6
 
 
 @dataclass(frozen=True)
@@ -64,44 +46,20 @@ class ExposureAdvice:
 
 
 def measure_exposure(
-    rig: Rig, *, settle: float, period: float = 0.0, whites: WhiteAndBlack | None = None
+    rig: Rig, whites: WhiteAndBlack, settle: float, period: float = 0.0
 ) -> ExposureAdvice:
     """Advise the exposures of a rig from a white picture, as `plan` does from a photograph.
 
-    Parameters
-    ----------
-    rig : Rig
-    settle : float
-        Seconds; see `measure_settle`.
-    period : float
-        Seconds that exposures should be a multiple of; see `measure_flicker`.
-    whites : WhiteAndBlack, optional
-        White and black frame, if they are known already.
-
-    Returns
-    -------
-    ExposureAdvice
-
-    Raises
-    ------
-    DeviceError
-        If the camera does not see the projector, or all clips.
-
-    Examples
-    --------
-    >>> import lightmatrix as lm
-    >>> with lm.open_rig("virtual:procedural,size=16,real=0") as rig:
-    ...     advice = lm.measure_exposure(rig, settle=0.05)
-    >>> len(advice.seconds), 60 < advice.pedestal < 68
-    (1, True)
+    `settle` is in seconds, and `period` are those that exposures should be a multiple of. An
+    InputError says that all clips.
     """
     photographer = Photographer(rig, settle)
-    whites = whites or find_white_and_black(photographer)
     limits = exposure_limits(rig.camera)
     top = whites.white.clip_level
     pedestal = _pedestal(photographer, whites, limits[0])
     levels = whites.light.ravel().astype(np.float64) / (top - pedestal) / whites.exposure
-    clipped = (whites.white.mean >= _CLIPS * top).ravel()
+    # Noise takes the mean of clipped frames slightly below the clip level.
+    clipped = (whites.white.mean >= 0.995 * top).ravel()
     frame = WhiteFrame(levels, clipped)
     noise = max(whites.white.noise, whites.black.noise) / top
     advised = advise_exposures(frame, noise)
@@ -125,20 +83,24 @@ def measure_exposure(
 def _possible(
     exposure: float, period: float, limits: tuple[float, float]
 ) -> tuple[float, list[str]]:
-    """The exposure nearest to an advised one that does not flicker and that the camera has."""
+    """The exposure nearest to an advised one that does not flicker and that the camera has.
+
+    Warns where that is off by a stop, or by a fifth to avoid flicker: less is within the tolerance
+    of the advice.
+    """
     shortest, longest = limits
     warnings = []
     steady = exposure
     if period:
         steady = max(1, math.floor(exposure / period + 1e-6)) * period
-        if steady > _LONGER * exposure:
+        if steady > 1.2 * exposure:
             warnings.append(
                 f"an exposure of {exposure:.3g} s would flicker; {steady:.3g} s clips more: "
                 "close the aperture"
             )
-    if steady > _FAR_OFF * longest:
+    if steady > 2 * longest:
         warnings.append(f"the camera exposes for {longest:g} s at most, not {steady:.3g} s")
-    if _FAR_OFF * steady < shortest:
+    if 2 * steady < shortest:
         warnings.append(
             f"the camera exposes for {shortest:g} s at least, not {steady:.3g} s: close the "
             "aperture"
@@ -147,10 +109,14 @@ def _possible(
 
 
 def _pedestal(photographer: Photographer, whites: WhiteAndBlack, shortest: float) -> float:
-    """The level without any light: that of black frames without the room's light."""
+    """The level without any light: that of black frames without the room's light.
+
+    A black frame at an eighth of the exposure separates both. A camera that cannot expose for so
+    short a time gives the level of black frames.
+    """
     black = whites.black.without_noise
-    brief = max(shortest, _BRIEF * whites.exposure)
-    if brief > _NOT_BRIEF * whites.exposure:
+    brief = max(shortest, whites.exposure / 8)
+    if brief > 0.6 * whites.exposure:
         return float(np.median(black))
     dark = take_average(photographer, plain_images(photographer.rig)[0], brief, 3)
     share = dark.exposure / whites.exposure
@@ -158,67 +124,26 @@ def _pedestal(photographer: Photographer, whites: WhiteAndBlack, shortest: float
     return max(0.0, float(np.median(level)))
 
 
-# Grey values that are photographed, evenly from 0 to 255: a smooth curve is known between them.
-_STEPS = 17
-
-
 def measure_response(
     rig: Rig,
-    *,
+    whites: WhiteAndBlack,
     settle: float,
-    whites: WhiteAndBlack | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> ProjectorResponse:
     """Measure how much light the projector gives for each grey value.
 
-    Parameters
-    ----------
-    rig : Rig
-    settle : float
-        Seconds; see `measure_settle`.
-    whites : WhiteAndBlack, optional
-        White and black frame, if they are known already.
-    progress : callable, optional
-        Called with (done, total) grey values.
-
-    Returns
-    -------
-    ProjectorResponse
-
-    Raises
-    ------
-    DeviceError
-        If the camera does not see the projector.
-
-    Examples
-    --------
-    >>> import lightmatrix as lm
-    >>> with lm.open_rig("virtual:procedural,size=16,gamma=2.2,real=0") as rig:
-    ...     response = lm.measure_response(rig, settle=0.05)
-    >>> round(response.gamma, 1), int(response.grey_for(np.array([0.5]))[0])
-    (2.2, 186)
+    `settle` is in seconds; `progress` is called with (done, total) grey values.
     """
     photographer = Photographer(rig, settle)
-    whites = whites or find_white_and_black(photographer)
-    levels = np.rint(np.linspace(0, 255, _STEPS)).astype(int)
-    light = np.empty(_STEPS)
+    # A smooth curve is known between 17 grey values.
+    levels = np.rint(np.linspace(0, 255, 17)).astype(int)
+    light = np.empty(len(levels))
     for k, level in enumerate(levels):
         image = np.full(rig.projector.shape, level, np.uint8)
         light[k] = whites.level(take_average(photographer, image, whites.exposure, 3).mean)
         if progress is not None:
-            progress(k + 1, _STEPS)
+            progress(k + 1, len(levels))
     return ProjectorResponse.of_light(levels, light)
-
-
-# Exposures from this share of the longest one up to it, and their number: each is 1.6 times the one
-# before, from the noise up to the brightest level.
-_SHORTEST, _EXPOSURES = 1 / 16, 7
-# Frames of each image at each exposure, without and with flicker. Twelve frames at random moments
-# of a flicker average it out.
-_FRAMES, _FLICKERING_FRAMES = 3, 12
-# A camera is linear if no level deviates by more than this share of the brightest one. Larger
-# deviations change the second digit of estimates.
-TOLERATED = 0.02
 
 
 @dataclass(frozen=True)
@@ -236,55 +161,32 @@ class CameraLinearity:
 
     @property
     def linear(self) -> bool:
-        """Whether the deviation is at most 2 % of the brightest level."""
-        return self.deviation <= TOLERATED
+        """Whether the deviation is at most 2 % of the brightest level.
+
+        Larger ones change the second digit of estimates.
+        """
+        return self.deviation <= 0.02
 
 
 def measure_linearity(
     rig: Rig,
-    *,
+    whites: WhiteAndBlack,
     settle: float,
     period: float = 0.0,
-    whites: WhiteAndBlack | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> CameraLinearity:
     """Photograph white and black at several exposures.
 
-    Parameters
-    ----------
-    rig : Rig
-    settle : float
-        Seconds; see `measure_settle`.
-    period : float
-        Period of a flicker in seconds; 0 for none. With one, more frames are taken of each.
-    whites : WhiteAndBlack, optional
-        White and black frame, if they are known already.
-    progress : callable, optional
-        Called with (done, total) exposures.
-
-    Returns
-    -------
-    CameraLinearity
-
-    Raises
-    ------
-    DeviceError
-        If the camera does not see the projector.
-
-    Examples
-    --------
-    >>> import lightmatrix as lm
-    >>> with lm.open_rig("virtual:procedural,size=16,real=0") as rig:
-    ...     lm.measure_linearity(rig, settle=0.05).linear
-    True
+    `settle` and `period`, that of a flicker or 0, are in seconds. With a flicker, more frames are
+    taken of each. `progress` is called with (done, total) exposures.
     """
     photographer = Photographer(rig, settle)
-    whites = whites or find_white_and_black(photographer)
     black, white = plain_images(rig)
-    asked = whites.exposure * np.geomspace(_SHORTEST, 1, _EXPOSURES)
-    count = _FLICKERING_FRAMES if period else _FRAMES
-    shortest, longest = exposure_limits(rig.camera)
-    asked = np.unique(asked.clip(shortest, longest))
+    # Seven exposures, each 1.6 times the one before, from the noise up to the brightest level.
+    asked = whites.exposure * np.geomspace(1 / 16, 1, 7)
+    asked = np.unique(asked.clip(*exposure_limits(rig.camera)))
+    # Twelve frames at random moments of a flicker average it out.
+    count = 12 if period else 3
     exposures, levels = [], []
     for k, exposure in enumerate(asked):
         bright = take_average(photographer, white, float(exposure), count)

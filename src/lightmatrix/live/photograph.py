@@ -296,6 +296,11 @@ class WhiteAndBlack:
         return share_of_white(frame, self.white.mean, self.black.mean, self.lit)
 
 
+def robust_deviation(levels: NDArray[np.float64]) -> float:
+    """Standard deviation by medians, since one of the frames may be torn or a copy."""
+    return MEDIAN_TO_DEVIATION * float(np.median(np.abs(levels - np.median(levels))))
+
+
 def plain_images(rig: Rig) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
     """The black and the white image of a rig's projector."""
     black = np.zeros(rig.projector.shape, np.uint8)

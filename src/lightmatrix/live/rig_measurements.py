@@ -1,6 +1,4 @@
-"""All that is measured of a rig, as rig.json keeps it, and measuring it."""
-# MERGED DOCS
-# """Which measurements of a rig no longer hold, found by a short look at the rig."""
+"""All that is measured of a rig, as rig.json keeps it: measuring it, and what is outdated."""
 
 from __future__ import annotations
 
@@ -52,8 +50,6 @@ _KINDS: dict[str, Callable[..., Any]] = {
 PARTS = tuple(_KINDS)
 # Facts by which a projector and a camera are recognized, with their settings.
 _IDENTITY = ("name", "shape", "refresh", "bits", "pixel_format")
-
-Progress = Callable[[str, int, int], None]
 
 
 @dataclass(frozen=True)
@@ -189,7 +185,7 @@ def measure_rig(
     *,
     keep: str | Path | None = None,
     settle: float | None = None,
-    progress: Progress | None = None,
+    progress: Callable[[str, int, int], None] | None = None,
 ) -> RigMeasurements:
     """Measure a rig, or some of it, and what that needs.
 
@@ -247,7 +243,7 @@ def _measured(
     known: RigMeasurements,
     parts: Sequence[str],
     settle: float | None,
-    progress: Progress | None,
+    progress: Callable[[str, int, int], None] | None,
 ) -> RigMeasurements:
     def report(part: str) -> Callable[[int, int], None] | None:
         if progress is None:
@@ -258,11 +254,11 @@ def _measured(
     if settle is not None:
         known = replace(known, settle=SettleTime(settle, 0.0, 0, 0))
     elif "settle" in parts or known.settle is None:
-        known = replace(known, settle=measure_settle(rig, whites=whites, progress=report("settle")))
+        known = replace(known, settle=measure_settle(rig, whites, report("settle")))
     assert known.settle is not None
     wait = known.settle.seconds
     if "flicker" in parts or ("exposure" in parts and known.flicker is None):
-        flicker = measure_flicker(rig, settle=wait, whites=whites, progress=report("flicker"))
+        flicker = measure_flicker(rig, whites, wait, report("flicker"))
         known = replace(known, flicker=flicker)
     period = 0.0 if known.flicker is None else known.flicker.period
     if period:
@@ -270,38 +266,26 @@ def _measured(
         exposure = set_exposure(rig.camera, max(1, round(whites.exposure / period)) * period)
         whites = take_white_and_black(Photographer(rig, wait), exposure)
     if "exposure" in parts:
-        advice = measure_exposure(rig, settle=wait, period=period, whites=whites)
+        advice = measure_exposure(rig, whites, wait, period)
         known = replace(known, exposure=advice)
     if "response" in parts:
-        response = measure_response(rig, settle=wait, whites=whites, progress=report("response"))
+        response = measure_response(rig, whites, wait, report("response"))
         known = replace(known, response=response)
     if "linearity" in parts:
-        linearity = measure_linearity(
-            rig, settle=wait, period=period, whites=whites, progress=report("linearity")
-        )
+        linearity = measure_linearity(rig, whites, wait, period, report("linearity"))
         known = replace(known, linearity=linearity)
     now = datetime.now().astimezone().isoformat(timespec="seconds")
     return replace(known, brightness=whites.brightness, measured=now)
 
 
-# The exposures are outdated if the brightness changed by more than this share. Chosen by hand.
-_SAME_LIGHT = 0.05
-# The responses are outdated if a middle grey changed by more than this share of the way from black
-# to white. Chosen by hand.
-_SAME_GREY = 0.03
-# The settle time is outdated if, of so many changes between black and white, more than the second
-# number are farther from their end than the last share. Single late images are normal.
-_CHANGES, _MOST_LATE, _NEAR = 6, 2, 0.05
-
-
 def outdated_parts(rig: Rig, known: RigMeasurements) -> list[str]:
     """Names of the parts that no longer hold; `known` has a settle time and exposures."""
+    assert known.settle is not None
     # Each look begins anew if the camera is lost: some cameras have memory for a few pictures only.
     whites, parts = rig.persistently(lambda: _changed_levels(rig, known))
-    assert known.settle is not None
     settle, flicker = known.settle.seconds, known.flicker
     if flicker is not None and rig.persistently(
-        lambda: flicker_has_grown(rig, flicker, settle=settle, whites=whites)
+        lambda: flicker_has_grown(rig, whites, settle, flicker)
     ):
         # Exposures are multiples of the period of a flicker.
         parts += [part for part in ("flicker", "exposure") if part not in parts]
@@ -317,24 +301,25 @@ def _changed_levels(rig: Rig, known: RigMeasurements) -> tuple[WhiteAndBlack, li
     parts = []
     photographer = Photographer(rig, known.settle.seconds)
     late = 0
-    for change in range(_CHANGES):
+    for change in range(6):
         image = plain_images(rig)[change % 2]
         try:
             level = whites.level(photographer.take(image, exposure).data)
         except UntrustedFrameError:
             continue
-        late += not abs(level - change % 2) < _NEAR
-    if late > _MOST_LATE:
+        late += not abs(level - change % 2) < 0.05
+    # Single late images are normal.
+    if late > 2:
         parts.append("settle")
     if known.response is not None:
         grey = known.response.grey_for(np.array([0.5]))[0]
         light = float(np.interp(grey, known.response.levels, known.response.light))
         image = np.full_like(plain_images(rig)[0], grey)
         shown = take_average(photographer, image, exposure, 3)
-        if abs(whites.level(shown.mean) - light) > _SAME_GREY:
+        if abs(whites.level(shown.mean) - light) > 0.03:
             # The projector's curve has changed, or the camera's.
             parts += ["response", "linearity"]
-    if abs(whites.brightness / known.brightness - 1) > _SAME_LIGHT:
+    if abs(whites.brightness / known.brightness - 1) > 0.05:
         # The aperture, the distance, the scene or the lamp has changed.
         parts.append("exposure")
     return whites, parts

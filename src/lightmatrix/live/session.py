@@ -59,7 +59,7 @@ class Step:
 
 
 @dataclass(eq=False)
-class Session:
+class CaptureSession:
     """Photographs all patterns."""
 
     photographer: Photographer

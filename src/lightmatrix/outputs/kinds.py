@@ -1,16 +1,28 @@
 """The kinds of outputs that lightmatrix writes, and how each is recognized.
 
-They stand apart from the code that writes them, so that a command can check and lock its output
+A folder of ours carries a marker: a JSON object that holds the name of the format, the kind of the
+output, and every file in it with its size. A folder without a marker, with a file that is not
+listed, or with one of another size is not ours alone and is never replaced. A single file is
+recognized by its content.
+
+Kinds stand apart from the code that writes outputs, so that a command can check and lock its output
 before it loads anything slow.
 """
 
 from __future__ import annotations
 
+import json
+import os
+import zipfile
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from lightmatrix.errors import OutputError
-from lightmatrix.outputs.markers import FileKind, FolderKind, holds_member, read_object
 
+MARKER, FORMAT = ".lightmatrix", "lightmatrix-output"
+ANOTHER_NAME = "choose another name for the output"
 # Ending of the folder beside an output that holds its running results.
 PARTIAL = ".partial"
 # Names of the arrays by which our npz files are recognized.
@@ -23,15 +35,174 @@ TRANSPORT_MARK, TRUTH_MARK, PACKED_MARK, NUMBERS_MARK, CORRESPONDENCE_MARK = (
 )
 # The text with which our mat files begin; readers of the format ignore it.
 MAT_MARK = "MATLAB 5.0 MAT-file, written by lightmatrix"
-# How a page of the viewer tells that it is one, within its first bytes.
+# How a page of the viewer tells that it is one, within its first 1024 bytes.
 PAGE_MARK = '<meta name="generator" content="lightmatrix viewer">'
-_EARLY = 1024
 # How a point cloud tells that it is ours, in its header.
 PLY_MARK = "comment written by lightmatrix"
 RIG_FORMAT, RESPONSE_FORMAT = "lightmatrix-rig", "lightmatrix-response"
 GEOMETRY_FORMAT = "lightmatrix-geometry"
 # The first bytes of PNG, npy, TIFF and EXR files.
 _IMAGES = (b"\x89PNG\r\n\x1a\n", b"\x93NUMPY", b"II*\0", b"MM\0*", b"v/1\x01")
+
+
+@dataclass(frozen=True)
+class FolderKind:
+    """A kind of output that is a folder."""
+
+    # In words, such as "capture"; stands in the marker.
+    name: str
+    # Permitted endings, in lower case; empty permits any.
+    suffixes: tuple[str, ...] = ()
+    # Ending of the folder beside the output for its running results; empty if none.
+    running: str = ""
+
+    @property
+    def marker_file(self) -> str:
+        """The file with the marker: an attribute in Zarr, which warns of files not its own."""
+        return "zarr.json" if ".zarr" in self.suffixes else MARKER
+
+    def check_replaceable(self, shown: Path, target: Path) -> bool:
+        """Whether a folder of ours may be replaced; False if it is just empty."""
+        if not target.is_dir():
+            raise OutputError(
+                f"{shown}: is a file, the output is a folder ({self.name})", hint=ANOTHER_NAME
+            )
+        if not any(target.iterdir()):
+            return False
+        marker = _read_marker(target)
+        if marker is None:
+            raise OutputError(
+                f"{shown}: is a folder that was not written by lightmatrix",
+                hint=f"{ANOTHER_NAME}, or remove the folder yourself",
+            )
+        if marker["kind"] != self.name:
+            raise OutputError(
+                f"{shown}: holds a {printable(str(marker['kind']))}, the output is a {self.name}",
+                hint=f"{ANOTHER_NAME}, or remove the folder yourself",
+            )
+        files = marker["files"]
+        for name, size in _sizes_below(target):
+            if name == self.marker_file or files.get(name) == size:
+                continue
+            problem = f"holds {printable(name)}, which was not written by lightmatrix"
+            if name in files:
+                problem = f"{printable(name)} in it was changed since lightmatrix wrote it"
+            raise OutputError(
+                f"{shown}: {problem}", hint=f"{ANOTHER_NAME}, or move that file elsewhere"
+            )
+        return True
+
+    def mark(self, folder: Path) -> None:
+        """Write the marker of a finished folder."""
+        files = {name: size for name, size in _sizes_below(folder) if name != self.marker_file}
+        content: dict[str, Any] = {"format": FORMAT, "kind": self.name, "files": files}
+        file = folder / self.marker_file
+        if self.marker_file != MARKER:
+            group = json.loads(file.read_text(encoding="utf-8"))
+            group["attributes"]["output"] = content
+            content = group
+        # In one step, since a folder that is in use may be marked again.
+        written = file.with_name(f"{file.name}.new")
+        written.write_text(json.dumps(content, indent=1) + "\n")
+        os.replace(written, file)
+
+
+@dataclass(frozen=True)
+class FileKind:
+    """A kind of output that is one file."""
+
+    name: str
+    suffixes: tuple[str, ...]
+    # Whether a file is of this kind by its content. An exception counts as no.
+    recognize: Callable[[Path], bool]
+    running: str = ""
+
+    def check_replaceable(self, shown: Path, target: Path) -> bool:
+        """Whether a file may be replaced: True, or OutputError if it is of another kind."""
+        if target.is_dir():
+            raise OutputError(
+                f"{shown}: is a folder, the output is a file ({self.name})", hint=ANOTHER_NAME
+            )
+        if target.stat().st_size == 0:
+            return True
+        try:
+            ours = self.recognize(target)
+        # Readers raise nearly anything on files of other kinds.
+        except Exception:
+            ours = False
+        if not ours:
+            raise OutputError(
+                f"{shown}: is a file that was not written by lightmatrix as {self.name}",
+                hint=f"{ANOTHER_NAME}, or remove the file yourself",
+            )
+        return True
+
+
+OutputKind = FolderKind | FileKind
+
+
+def holds_member(file: Path, name: str) -> bool:
+    """Whether an npz has an array of that name, which we write first: files may be cut off."""
+    member = f"{name}.npy".encode()
+    with file.open("rb") as opened:
+        start = opened.read(30 + len(member))
+    # 30 bytes of a ZIP file stand before the name of the first member.
+    if start.startswith(b"PK\x03\x04") and start[30:] == member:
+        return True
+    with zipfile.ZipFile(file) as archive:
+        return f"{name}.npy" in archive.namelist()
+
+
+def read_object(file: Path) -> dict[str, Any] | None:
+    """A JSON object from a file that may be anything; None if it holds none."""
+    try:
+        # Far more bytes than any marker takes.
+        if file.is_symlink() or not file.is_file() or file.stat().st_size > 1 << 28:
+            return None
+        content = json.loads(file.read_text(encoding="utf-8"))
+    except (OSError, ValueError, RecursionError):
+        return None
+    return content if isinstance(content, dict) else None
+
+
+def printable(text: str) -> str:
+    """A name without characters that would disturb a terminal."""
+    return "".join(character if character.isprintable() else "?" for character in text)
+
+
+def _read_marker(folder: Path) -> dict[str, Any] | None:
+    """The marker of a folder, with "kind" and "files"; None without our marker."""
+    group = (read_object(folder / "zarr.json") or {}).get("attributes")
+    for content in (
+        read_object(folder / MARKER),
+        group.get("output") if isinstance(group, dict) else None,
+    ):
+        if (
+            isinstance(content, dict)
+            and content.get("format") == FORMAT
+            and "kind" in content
+            and isinstance(content.get("files"), dict)
+        ):
+            return content
+    return None
+
+
+def _sizes_below(folder: Path) -> Iterator[tuple[str, int]]:
+    """Path and size of all but folders in a folder; -1 for links, pipes, devices and mounts."""
+
+    def fail(error: OSError) -> None:
+        raise error
+
+    for place, folders, files in os.walk(folder, onerror=fail):
+        folders.sort()
+        inner = Path(place)
+        special = [
+            name for name in folders if (inner / name).is_symlink() or os.path.ismount(inner / name)
+        ]
+        for name in sorted([*files, *special]):
+            path = inner / name
+            regular = path.is_file() and not path.is_symlink()
+            yield path.relative_to(folder).as_posix(), path.stat().st_size if regular else -1
 
 
 def _begins_with(file: Path, *starts: bytes) -> bool:
@@ -41,7 +212,7 @@ def _begins_with(file: Path, *starts: bytes) -> bool:
 
 def _holds_early(file: Path, mark: str) -> bool:
     with file.open("rb") as opened:
-        return mark.encode() in opened.read(_EARLY)
+        return mark.encode() in opened.read(1024)
 
 
 def _is_json(file: Path, name: str) -> bool:
@@ -53,12 +224,9 @@ PATTERNS = FolderKind("folder of patterns")
 CAPTURE = FolderKind("capture")
 # A capture that is being photographed, perhaps for hours, keeps its frames as running results.
 LIVE_CAPTURE = FolderKind("capture", running=PARTIAL)
-# The marker is an attribute of the group, since Zarr warns of files that are not its own.
-STORE = FolderKind(
-    "light transport matrix", (".zarr",), ("zarr.json", "attributes", "output"), running=PARTIAL
-)
+STORE = FolderKind("light transport matrix", (".zarr",), running=PARTIAL)
 COLOUR_STORES = FolderKind("light transport matrix of a colour projector")
-PACKED_CAPTURE = FolderKind("packed capture", (".zarr",), ("zarr.json", "attributes", "output"))
+PACKED_CAPTURE = FolderKind("packed capture", (".zarr",))
 PICTURES = FolderKind("folder of pictures")
 SEPARATION = FolderKind("separation")
 THUMBNAILS = FolderKind("folder of scene pictures")

@@ -3,13 +3,12 @@
 The tiles of an estimate, the frames of a live capture and the cases of a figure are kept this way,
 so that a run that was stopped continues. The folder has a marker of lines: the first says what the
 folder is, each further one is the name of a file that was kept in it. Only those files are ever
-read, replaced or removed. Other processes may write files there too, once the process that holds
+replaced or removed. Other processes may write files there too, once the process that holds
 the folder has written down their names.
 """
 
 from __future__ import annotations
 
-import json
 import os
 import re
 import secrets
@@ -19,14 +18,11 @@ from pathlib import Path
 from typing import Any, Self
 
 from lightmatrix.errors import OutputError, warn
-from lightmatrix.outputs.markers import MARKER, printable, read_object
-from lightmatrix.outputs.targets import as_output_error
+from lightmatrix.outputs.kinds import MARKER, printable, read_object
+from lightmatrix.outputs.writing import RUNNING, as_output_error, check_running
 
-FORMAT, VERSION = "lightmatrix-running", 1
-# The name of a file that is being written: its final name around eight random digits.
-_PART_NAME = re.compile(r"\.(.+)\.[0-9a-f]{8}\.part(\.[^.]*)?")
-# Values of settings that tell a reader nothing.
-_DIGEST = re.compile(r"[0-9a-f]{16,}")
+# The name of a file that is being written: eight random digits and its final ending.
+_PART_NAME = re.compile(r"\.[0-9a-f]{8}\.part(\.[^.]*)?")
 
 
 class RunningResults:
@@ -34,7 +30,12 @@ class RunningResults:
 
     def __init__(self, path: Path) -> None:
         self.path = path
-        self._names = _listed_names(path)
+        lines = []
+        if (path / MARKER).is_file():
+            lines = (path / MARKER).read_text(encoding="utf-8", errors="replace").split("\n")
+        # The marker may come from anywhere, so names that lead out of the folder are passed over.
+        names = [name for name in dict.fromkeys(lines[1:]) if name and name.isprintable()]
+        self._names = [name for name in names if name == Path(name).name and name != MARKER]
 
     @classmethod
     def open(cls, target: Path, ending: str) -> Self:
@@ -56,7 +57,13 @@ class RunningResults:
         with as_output_error(folder):
             folder.mkdir(exist_ok=True)
             if not (folder / MARKER).exists() or not (folder / MARKER).stat().st_size:
-                _write_header(folder, target.name)
+                try:
+                    (folder / MARKER).write_text(RUNNING)
+                except OSError:
+                    # A full disk leaves nothing behind.
+                    (folder / MARKER).unlink(missing_ok=True)
+                    folder.rmdir()
+                    raise
         running = cls(folder)
         running._sweep()
         return running
@@ -156,17 +163,15 @@ class RunningResults:
             raise OutputError(
                 f"{self.file(name)}: was not written by lightmatrix", hint="move it elsewhere"
             )
-        with (self.path / MARKER).open("a") as marker:
+        with (self.path / MARKER).open("a", encoding="utf-8") as marker:
             # The line break comes first, so that a line that a full disk cut off spoils no other.
-            marker.write("\n" + json.dumps(name))
+            marker.write(f"\n{name}")
         self._names.append(name)
 
     def _sweep(self) -> None:
         """Remove files that killed processes left half-written."""
-        listed = set(self._names)
         for entry in os.listdir(self.path):
-            match = _PART_NAME.fullmatch(entry)
-            if match is not None and f"{match[1]}{match[2] or ''}" in listed:
+            if _PART_NAME.fullmatch(entry):
                 (self.path / entry).unlink(missing_ok=True)
 
 
@@ -177,7 +182,7 @@ def write_whole(file: Path) -> Iterator[Path]:
     The path is this writer's alone: two processes may write the same file, if one seemed dead. Any
     process may call this, but only the one that holds the folder may list names (`place`).
     """
-    part = file.with_name(f".{file.stem}.{secrets.token_hex(4)}.part{file.suffix}")
+    part = file.with_name(f".{secrets.token_hex(4)}.part{file.suffix}")
     with as_output_error(file):
         try:
             yield part
@@ -186,31 +191,6 @@ def write_whole(file: Path) -> Iterator[Path]:
             os.replace(part, file)
         finally:
             part.unlink(missing_ok=True)
-
-
-def check_running(target: Path, ending: str) -> Path:
-    """The folder of an output's running results, not made; an OutputError if it is not ours."""
-    folder = target.with_name(target.name + ending)
-    with as_output_error(folder):
-        if not os.path.lexists(folder) or _is_ours(folder):
-            return folder
-    raise OutputError(
-        f"{folder}: stands where the running results would go, and was not written by lightmatrix",
-        hint="move it elsewhere, or choose another name for the output",
-    )
-
-
-def _write_header(folder: Path, output: str) -> None:
-    """Write the first line of the marker; on a full disk leave nothing behind."""
-    try:
-        (folder / MARKER).write_text(
-            json.dumps({"format": FORMAT, "version": VERSION, "output": output})
-        )
-    except OSError:
-        with suppress(OSError):
-            (folder / MARKER).unlink(missing_ok=True)
-            folder.rmdir()
-        raise
 
 
 def setting_differences(before: Mapping[str, Any], now: Mapping[str, Any]) -> str:
@@ -222,45 +202,10 @@ def setting_differences(before: Mapping[str, Any], now: Mapping[str, Any]) -> st
             continue
         if isinstance(old, Mapping) and isinstance(new, Mapping):
             words.append(f"the {key}: {setting_differences(old, new)}")
-        elif any(_DIGEST.fullmatch(str(value)) for value in (old, new)):
+        elif any(re.fullmatch(r"[0-9a-f]{16,}", str(value)) for value in (old, new)):
+            # Digests tell a reader nothing.
             words.append(f"different {key}")
         else:
-            words.append(f"{key} was {_shown(old)}, is {_shown(new)}")
+            old, new = ("not given" if value is None else value for value in (old, new))
+            words.append(f"{key} was {old}, is {new}")
     return "; ".join(words)
-
-
-def _shown(value: Any) -> str:
-    return "not given" if value is None else str(value)
-
-
-def _is_ours(folder: Path) -> bool:
-    if folder.is_symlink() or not folder.is_dir():
-        return False
-    marker = folder / MARKER
-    inside = list(folder.iterdir())
-    # A run that was killed before it had written its marker has kept nothing.
-    if not inside or (inside == [marker] and not marker.lstat().st_size):
-        return True
-    header = _marker_lines(marker)[:1]
-    return bool(header) and isinstance(header[0], dict) and header[0].get("format") == FORMAT
-
-
-def _listed_names(folder: Path) -> list[str]:
-    names = [name for name in _marker_lines(folder / MARKER)[1:] if isinstance(name, str)]
-    # The marker may come from anywhere, so names that lead out of the folder are passed over.
-    return [name for name in dict.fromkeys(names) if name == Path(name).name and name != MARKER]
-
-
-def _marker_lines(marker: Path) -> list[object]:
-    """The values in the lines of a marker; None for a line that cannot be read."""
-    if marker.is_symlink() or not marker.is_file():
-        return []
-    text = marker.read_text(encoding="utf-8", errors="replace")
-    return [_parsed(line) for line in text.split("\n")]
-
-
-def _parsed(line: str) -> object:
-    try:
-        return json.loads(line)
-    except (ValueError, RecursionError):
-        return None

@@ -10,14 +10,10 @@ import numpy as np
 from lightmatrix.errors import InputError
 from lightmatrix.patterns.bits import BernoulliPatterns
 from lightmatrix.patterns.blocks import BlockPatterns, one_pixel_patterns
-from lightmatrix.patterns.graycode import GrayCodePatterns
 from lightmatrix.patterns.hadamard import HadamardPatterns
-from lightmatrix.patterns.microphase import USUAL_COUNT as USUAL_MICRO_COUNT
-from lightmatrix.patterns.microphase import USUAL_PERIOD as USUAL_MICRO_PERIOD
-from lightmatrix.patterns.microphase import MicroPhasePatterns
 from lightmatrix.patterns.mix import Mix, MixedPatterns, default_mix, parse_mix
 from lightmatrix.patterns.pattern_set import PatternSet
-from lightmatrix.patterns.phase import USUAL_PERIOD, PhasePatterns
+from lightmatrix.patterns.stripes import GrayCodePatterns, MicroPhasePatterns, PhasePatterns
 
 # The kinds that `make_patterns` makes.
 KINDS = ("bernoulli", "hadamard", "onepixel", "blocks", "mix", "graycode", "phase", "microphase")
@@ -150,12 +146,12 @@ def _code(
     kind: str, shape: tuple[int, int], count: int | None, inverse: bool, period: float | None
 ) -> PatternSet:
     """Stripes that number the projector's columns and rows."""
+    given: dict[str, Any] = {} if period is None else {"period": period}
     if kind == "microphase":
-        total = USUAL_MICRO_COUNT if count is None else count
-        return MicroPhasePatterns(shape, total, period or USUAL_MICRO_PERIOD)
+        return MicroPhasePatterns(shape, **given | ({} if count is None else {"total": count}))
     code: PatternSet = GrayCodePatterns(shape, inverse)
     if kind == "phase":
-        code = PhasePatterns(shape, period or USUAL_PERIOD, inverse)
+        code = PhasePatterns(shape, inverse=inverse, **given)
     if count is not None and count != code.count:
         raise InputError(
             f"{count} {kind} patterns", hint=f"leave the number out: this code has {code.count}"

@@ -14,21 +14,117 @@ from __future__ import annotations
 
 import hashlib
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from typing import Any, ClassVar, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import convolve
 
 from lightmatrix import _core
 from lightmatrix.errors import InputError
-from lightmatrix.patterns.grids import block_mean
-from lightmatrix.patterns.twins import far_twins, groups, of_surroundings, varying_axes
 from lightmatrix.ranges import real_array
 from lightmatrix.reprs import short_repr
 from lightmatrix.resources.computed_once import computed_once
 from lightmatrix.resources.work_ahead import work_ahead
+
+# The longest side of a bin in pixels, more than any camera or projector has.
+_LARGEST_BLOCK = 1 << 20
+
+
+def block_size(block: int | tuple[int, int], what: str) -> tuple[int, int]:
+    """Rows and columns of a block of `what` pixels, given as such or as one number for both."""
+    rows, cols = (block, block) if isinstance(block, (int, np.integer)) else block
+    if not 1 <= min(rows, cols) <= max(rows, cols) <= _LARGEST_BLOCK:
+        raise InputError(
+            f"the {what} binned by {rows} x {cols} pixels",
+            hint=f"use 1 to {_LARGEST_BLOCK}, such as 8",
+        )
+    return int(rows), int(cols)
+
+
+def block_mean(images: NDArray[Any], block: tuple[int, int]) -> NDArray[np.float64]:
+    """Means over blocks of the last two axes; blocks at the border may be smaller."""
+    result: NDArray[np.float64] = np.asarray(images, np.float64)
+    for axis, size in ((-2, block[0]), (-1, block[1])):
+        starts = np.arange(0, result.shape[axis], size)
+        lengths = np.diff(np.append(starts, result.shape[axis]))
+        result = np.add.reduceat(result, starts, axis=axis)
+        result /= lengths[:, None] if axis == -2 else lengths
+    return result
+
+
+def grid_cells(shape: tuple[int, int], grid: tuple[int, int]) -> NDArray[np.int64]:
+    """The cell (row by row) of a coarse grid that each pixel lies in, (N,); none is empty."""
+    check_grid(shape, grid)
+    row = np.arange(shape[0]) * grid[0] // shape[0]
+    col = np.arange(shape[1]) * grid[1] // shape[1]
+    return (row[:, None] * grid[1] + col[None, :]).ravel()
+
+
+def check_grid(shape: tuple[int, int], grid: tuple[int, int]) -> None:
+    """Refuse grids with more rows or columns than the projector, or none."""
+    if min(grid) < 1 or grid[0] > shape[0] or grid[1] > shape[1]:
+        raise InputError(
+            f"a grid of {grid[0]} x {grid[1]} cells on a projector of {shape[0]} x {shape[1]}",
+            hint="use at least 1 and at most one cell a pixel",
+        )
+
+
+# Pixels at most this far apart, in rows and columns, count as one: camera pixels often see both.
+NEAR = 1
+# Values that differ by less than 2 % are the same.
+SAME = 0.02
+# Mixtures of values that differ by less than this share are the same but for rounding.
+_ROUNDING = 1e-9
+
+
+def varying_axes(images: Iterable[NDArray[np.float32]]) -> tuple[bool, bool]:
+    """Whether any of the patterns, in blocks of (k, rows, cols), varies along rows and columns."""
+    varies = [False, False]
+    for block in images:
+        for axis in (0, 1):
+            varies[axis] |= bool((np.ptp(block, axis=1 + axis) > SAME).any())
+        if all(varies):
+            break
+    return varies[0], varies[1]
+
+
+def of_surroundings(mixed: NDArray[np.float64]) -> NDArray[np.float64]:
+    """A mixture of each pixel with its eight neighbours, (rows, cols).
+
+    It is the same where the surroundings are, also if they are mirrored.
+    """
+    corner, beside, above, centre = np.random.default_rng(1).standard_normal(4)
+    kernel = [[corner, above, corner], [beside, centre, beside], [corner, above, corner]]
+    return np.asarray(convolve(mixed, np.array(kernel), mode="nearest"))
+
+
+def groups(mixed: NDArray[np.float64]) -> NDArray[np.int64]:
+    """The number of each pixel's group of pixels of the same mixture, (N,)."""
+    order = np.argsort(mixed, kind="stable")
+    step = np.diff(mixed[order]) >= _ROUNDING * max(1.0, float(np.abs(mixed).max()))
+    group = np.empty(len(mixed), np.int64)
+    group[order] = np.concatenate([[0], np.cumsum(step)])
+    return group
+
+
+def far_twins(
+    group: NDArray[np.int64], shape: tuple[int, int], axes: tuple[bool, bool]
+) -> NDArray[np.bool_]:
+    """Whether a pixel of the same group lies more than a pixel away along one of the axes, (N,)."""
+    far = np.zeros(len(group), np.bool_)
+    count = int(group.max()) + 1
+    for place, counts in zip(np.divmod(np.arange(len(group)), shape[1]), axes, strict=True):
+        if not counts:
+            continue
+        for away in (place, -place):
+            least = np.full(count, np.iinfo(np.int64).max)
+            np.minimum.at(least, group, away)
+            far |= away - least[group] > NEAR
+    return far
+
 
 T = TypeVar("T")
 

@@ -134,3 +134,227 @@ def both_axes(shape: tuple[int, int]) -> tuple[tuple[int, int], ...]:
     """Axis and length of the columns, then of the rows; an axis of one pixel needs no code."""
     lengths = ((COLUMNS, shape[1]), (ROWS, shape[0]))
     return tuple((axis, length) for axis, length in lengths if length > 1)
+
+
+@dataclass(frozen=True, eq=False)
+class GrayCodePatterns(StripePatterns):
+    """Gray code of the columns, then of the rows, then white and black.
+
+    Neighbouring stripes differ in one bit, so that a camera pixel on an edge is off by one stripe
+    at most (Inokuchi et al. 1984). The bits come from the coarsest to the finest.
+
+    Parameters
+    ----------
+    shape : (int, int)
+        Projector rows and columns.
+    inverse : bool
+        Whether each bit is followed by its inverse. The brighter of the two decides a bit, whatever
+        the surface and the global light.
+
+    Examples
+    --------
+    >>> import lightmatrix as lm
+    >>> patterns = lm.GrayCodePatterns((4, 8), inverse=True)
+    >>> patterns.count, patterns.images()[4, 0].tolist()
+    (12, [0.0, 1.0, 1.0, 0.0, 0.0, 1.0, 1.0, 0.0])
+    """
+
+    shape: tuple[int, int]
+    inverse: bool = False
+
+    def __post_init__(self) -> None:
+        check_code_shape(self.shape)
+
+    @cached_property
+    def stripes(self) -> Stripes:
+        axes, profiles = [], []
+        for axis, length in both_axes(self.shape):
+            for bit in with_inverses(gray_bits(np.arange(length)), self.inverse):
+                axes.append(axis)
+                profiles.append(bit)
+        for value in (1, 0):
+            axes.append(NOTHING)
+            profiles.append(np.full(1, value, np.float32))
+        return Stripes(np.array(axes), tuple(profiles))
+
+    @property
+    def description(self) -> dict[str, Any]:
+        return {"kind": "graycode", "shape": list(self.shape), "inverse": self.inverse}
+
+
+def gray_bits(number: NDArray[np.int64]) -> NDArray[np.float32]:
+    """Bits of the Gray code of the number of each pixel, the coarsest first, (bits, length)."""
+    gray = number ^ (number >> 1)
+    places = np.arange(int(number.max()).bit_length())[::-1]
+    return ((gray >> places[:, None]) & 1).astype(np.float32)
+
+
+def with_inverses(bits: NDArray[np.float32], inverse: bool) -> NDArray[np.float32]:
+    """The bits (n, length), each followed by its inverse if asked for."""
+    if not inverse:
+        return bits
+    return np.stack([bits, 1 - bits], axis=1).reshape(-1, bits.shape[1])
+
+
+@dataclass(frozen=True, eq=False)
+class PhasePatterns(StripePatterns):
+    """Gray code down to half periods, and four shifts of a sinusoid, of columns, then of rows.
+
+    The sinusoid places a camera pixel to fractions of a projector pixel within its period; the code
+    says which period it is (Sansoni et al. 1999). Its stripes are half a period wide, so that an
+    edge between them never lies where the phase starts anew.
+
+    Parameters
+    ----------
+    shape : (int, int)
+        Projector rows and columns.
+    period : float
+        Projector pixels of a period, at least 3. Short periods place a pixel more finely, but a
+        projector out of focus by a pixel leaves a quarter less of 8 pixels' contrast.
+    inverse : bool
+        Whether each bit of the Gray code is followed by its inverse.
+
+    Examples
+    --------
+    >>> import lightmatrix as lm
+    >>> lm.PhasePatterns((16, 32), inverse=True).count
+    18
+    """
+
+    shape: tuple[int, int]
+    period: float = 8.0
+    inverse: bool = False
+
+    def __post_init__(self) -> None:
+        check_code_shape(self.shape)
+        check_period(self.period)
+
+    @cached_property
+    def stripes(self) -> Stripes:
+        axes, profiles = [], []
+        for axis, length in both_axes(self.shape):
+            pixel = np.arange(length)
+            half = (2 * pixel / self.period).astype(np.int64)
+            bits = gray_bits(half)
+            shifts = np.arange(4) / 4
+            waves = sinusoid(pixel[None, :] / self.period - shifts[:, None])
+            for profile in (*with_inverses(bits, self.inverse), *waves):
+                axes.append(axis)
+                profiles.append(profile)
+        return Stripes(np.array(axes), tuple(profiles))
+
+    @property
+    def description(self) -> dict[str, Any]:
+        return {
+            "kind": "phase",
+            "shape": list(self.shape),
+            "period": self.period,
+            "inverse": self.inverse,
+        }
+
+
+def sinusoid(phase: NDArray[np.float64]) -> NDArray[np.float32]:
+    """Grey values in [0, 1] at phases in periods, as 8 bits can show them."""
+    return (np.rint(255 * (0.5 + 0.5 * np.cos(2 * np.pi * phase))) / 255).astype(np.float32)
+
+
+def check_period(period: float) -> None:
+    """Refuse periods that pixels cannot show."""
+    if not 3 <= period < np.inf:
+        raise InputError(
+            f"a period of {period} projector pixels", hint="use at least 3, such as 8 or 16"
+        )
+
+
+# Periods lie within this share of their mean, as in the paper: all are then short, which is what
+# makes global light the same in all photographs.
+_BAND = 0.2
+
+
+@dataclass(frozen=True, eq=False)
+class MicroPhasePatterns(StripePatterns):
+    """Three shifts of one sinusoid and one of each further period; of columns, then of rows.
+
+    All patterns are fine, so that light from many places, as between concave surfaces, adds the
+    same amount to each photograph. F periods need F + 2 patterns (Gupta & Nayar 2012, Eq. 9). The
+    defaults are those of the paper's experiments, with five periods.
+
+    Parameters
+    ----------
+    shape : (int, int)
+        Projector rows and columns.
+    total : int
+        Number of patterns: an equal number, at least 5, for the columns and for the rows.
+    period : float
+        Mean period in projector pixels, at least 3.
+
+    Examples
+    --------
+    >>> import lightmatrix as lm
+    >>> lm.MicroPhasePatterns((48, 64), period=8).count
+    14
+    """
+
+    shape: tuple[int, int]
+    total: int = 14
+    period: float = 16.0
+
+    def __post_init__(self) -> None:
+        check_code_shape(self.shape)
+        check_period(self.period * (1 - _BAND))
+        axes = len(both_axes(self.shape))
+        # An axis needs three shifts of one period, and one of each of two more.
+        if self.total % axes or self.total < 5 * axes:
+            raise InputError(
+                f"{self.total} micro phase shifts for columns and rows",
+                hint=f"ask for an even number from {5 * axes} on, such as 14",
+            )
+
+    @cached_property
+    def stripes(self) -> Stripes:
+        axes, profiles = [], []
+        each = self.total // len(both_axes(self.shape))
+        for axis, length in both_axes(self.shape):
+            periods = _periods(length, each - 2, self.period)
+            for profile in _profiles(np.arange(length, dtype=float), periods):
+                axes.append(axis)
+                profiles.append(profile)
+        return Stripes(np.array(axes), tuple(profiles))
+
+    @property
+    def description(self) -> dict[str, Any]:
+        return {
+            "kind": "microphase",
+            "shape": list(self.shape),
+            "total": self.total,
+            "period": self.period,
+        }
+
+
+def _profiles(pixel: NDArray[np.float64], periods: NDArray[np.float64]) -> NDArray[np.float32]:
+    """Grey values of all patterns at these pixels, (patterns, pixels)."""
+    first = pixel[None, :] / periods[0] - np.arange(3)[:, None] / 3
+    return sinusoid(np.concatenate([first, pixel[None, :] / periods[1:, None]]))
+
+
+def _periods(length: int, count: int, mean: float) -> NDArray[np.float64]:
+    """Periods in projector pixels by which distant pixels differ most, (count,).
+
+    Of random sets, the one in which the most similar codes of two pixels, at least half a period
+    apart, correlate least. 200 sets take milliseconds to compare.
+    """
+    draws = np.random.default_rng(0).uniform(1 - _BAND, 1 + _BAND, (200, count))
+    sets = np.sort(mean * draws, axis=1)
+    pixel = np.arange(length, dtype=float)
+    # Only 128 pixels are compared with all others: large projectors then take a second at most.
+    some = np.unique(np.linspace(0, length - 1, 128).astype(np.int64))
+    distant = np.abs(pixel[:, None] - pixel[some]) >= mean / 2
+    if not distant.any():
+        return np.asarray(sets[0])
+    alike = []
+    for periods in sets:
+        codes = _profiles(pixel, periods)
+        codes = codes - codes.mean(axis=0)
+        codes /= np.maximum(np.linalg.norm(codes, axis=0), 1e-6)
+        alike.append(float((codes.T @ codes[:, some])[distant].max()))
+    return np.asarray(sets[int(np.argmin(alike))])

@@ -18,10 +18,9 @@ from lightmatrix.files.images import DISPLAY_GAMMA, read_grey, read_light, write
 from lightmatrix.files.json_files import errors_naming
 from lightmatrix.outputs.kinds import IMAGE
 from lightmatrix.outputs.writing import check_output
-from lightmatrix.patterns.grids import block_mean
+from lightmatrix.patterns.pattern_set import block_mean
 from lightmatrix.ranges import check_number
-from lightmatrix.transport.colour import ColourTransport
-from lightmatrix.transport.matrix import LightTransport
+from lightmatrix.transport.matrix import ColourTransport, LightTransport
 
 Relit = LightTransport | store.StoredTransport
 

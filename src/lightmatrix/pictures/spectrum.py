@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from lightmatrix.pictures.style import COLOURS, STYLE
 from lightmatrix.pictures.transport import Picture
 from lightmatrix.transport.matrix import LightTransport
-from lightmatrix.transport.singular_values import singular_values
+from lightmatrix.transport.operator import singular_values
 
 # Singular values that are drawn, if T has so many.
 _VALUES = 50

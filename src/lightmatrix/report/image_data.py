@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from lightmatrix.files.images import read_image
 from lightmatrix.files.pillow_images import encode_image
-from lightmatrix.patterns.grids import block_mean
+from lightmatrix.patterns.pattern_set import block_mean
 from lightmatrix.pictures.maps import Map
 from lightmatrix.pictures.style import display
 from lightmatrix.pictures.transport import FAINT

@@ -17,8 +17,7 @@ from lightmatrix.capture.capture import Capture
 from lightmatrix.errors import LightMatrixError
 from lightmatrix.estimators.camera_window import mean_image, window_of_light
 from lightmatrix.estimators.choice import choose_estimator
-from lightmatrix.estimators.coherent.held_out import HeldOut
-from lightmatrix.estimators.coherent.row_errors import FEWEST
+from lightmatrix.estimators.coherent.row_errors import FEWEST, HeldOut
 from lightmatrix.estimators.settings import EstimateSettings
 from lightmatrix.solvers.loop import Progress
 from lightmatrix.transport.matrix import LightTransport

@@ -26,7 +26,7 @@ from lightmatrix.reprs import short_repr
 from lightmatrix.simulation.scenes import names, scene
 from lightmatrix.simulation.scenes.scene import Scene
 from lightmatrix.simulation.surface import Surface, finer, trace_surface
-from lightmatrix.store.sparse_npz import VERSION, read_sparse_npz
+from lightmatrix.store.npz import VERSION, read_sparse_npz
 from lightmatrix.transport.matrix import LightTransport
 
 

@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
 from lightmatrix.solvers.fidelity import Fidelity
-from lightmatrix.solvers.objective import relative_gap
-from lightmatrix.solvers.problem import Problem, Result, Status, no_rows, solved_rows
+from lightmatrix.solvers.problem import Problem, Result, Status, no_rows, relative_gap, solved_rows
 from lightmatrix.transport.sparse_rows import SparseRows
 
 Progress = Callable[[int, int], None]

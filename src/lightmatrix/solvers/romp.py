@@ -12,8 +12,15 @@ from scipy.sparse import csr_array
 from lightmatrix.errors import SolverError
 from lightmatrix.ranges import check_at_least_one
 from lightmatrix.solvers.fidelity import Fidelity
-from lightmatrix.solvers.objective import CHUNK_BYTES, relative_gap
-from lightmatrix.solvers.problem import Problem, Result, Status, no_rows, solved_rows
+from lightmatrix.solvers.problem import (
+    CHUNK_BYTES,
+    Problem,
+    Result,
+    Status,
+    no_rows,
+    relative_gap,
+    solved_rows,
+)
 from lightmatrix.transport.sparse_rows import SparseRows
 
 # Ridge of the least squares, relative to the largest diagonal element. It makes the system regular

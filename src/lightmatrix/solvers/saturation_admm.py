@@ -9,10 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lightmatrix.ranges import check_at_least_one, check_positive
-from lightmatrix.solvers.admm import automatic_penalty_x, relative, shrink
+from lightmatrix.solvers.admm import System, automatic_penalty_x, relative, shrink, system_of
 from lightmatrix.solvers.fidelity import Fidelity
 from lightmatrix.solvers.problem import Problem
-from lightmatrix.solvers.system import System, system_of
 
 # Residuals of samples are relative to their norm, but at least to this share of lambda, so that
 # rows without light can stop. Chosen by hand, far below any lit row.

@@ -1,8 +1,7 @@
 """An index of the columns of a store, so that a brush stroke reads no more than its columns.
 
 A store is cut into rows, and a column is spread over all of them. The index keeps the entries a
-second time, column by column. The columns of 32 x 32 projector pixels stand together. The index
-also keeps the background, cell by cell.
+second time, as the transposed matrix. The columns of 32 x 32 projector pixels stand together.
 """
 
 from __future__ import annotations
@@ -12,7 +11,7 @@ import math
 import os
 import shutil
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -21,47 +20,36 @@ from typing import Any
 import numpy as np
 import zarr
 from numpy.typing import NDArray
+from scipy.sparse import csr_array, hstack
 
 from lightmatrix.errors import InputError
 from lightmatrix.files.zarr_arrays import (
-    CHUNK,
     QUICK,
-    GrowingArray,
     StoredArray,
     as_damage_error,
     create_array,
     read_attributes,
+    write_parts,
 )
 from lightmatrix.outputs.kinds import STORE
-from lightmatrix.outputs.locks import check_unlocked
-from lightmatrix.outputs.targets import as_output_error, final_target
-from lightmatrix.outputs.writing import claimed
-from lightmatrix.patterns.grids import grid_cells
+from lightmatrix.outputs.writing import as_output_error, claimed, final_target, locked
+from lightmatrix.patterns.pattern_set import grid_cells
 from lightmatrix.reprs import short_repr
 from lightmatrix.resources.disk import check_disk_space
-from lightmatrix.store.matrix_checks import check_indptr, checked_float32
-from lightmatrix.store.seal import sealed, sealed_arrays
-from lightmatrix.store.stored_transport import StoredTransport
-from lightmatrix.transport.sparse_rows import row_blocks
+from lightmatrix.store.zarr_store import StoredTransport, seal, sealed_arrays
+from lightmatrix.transport.sparse_rows import check_indptr, checked_float32, row_blocks
 
-COLUMNS = "columns"
-# The folder of an index that is not whole yet. The next run removes what a killed run left there.
-_PART = ".columns.part"
-# The attribute that holds the digest of the indexed matrix.
-_MATRIX = "matrix"
-_ENTRIES = {"indptr": np.int64, "rows": np.int32, "data": np.float32}
-# Entries that are sorted by columns at once. Each takes 12 bytes, and 12 more while it is sorted.
+# The folder of an index within a store, and that of one that is not whole yet. The next run removes
+# what a killed run left there.
+COLUMNS, _PART = "columns", ".columns.part"
+# Entries that are transposed at once. Each takes 8 bytes, and 8 more while they are joined.
 _PASS_ENTRIES = 1 << 26
-# Values of the background that are transposed at once.
-_PASS_VALUES = 1 << 24
 # Rows and columns of projector pixels whose columns stand together.
 _TILE = 32
 # Entries of a chunk of the index: few, so that the pixels of a brush read little else.
 _CHUNK = 1 << 16
-# Chunks that are kept in memory, 512 KiB each.
-_MOST_KEPT = 256
-# Bytes of background cells that are kept in memory. A cell takes 4 for each camera sample.
-_CELL_BYTES = 1 << 26
+# Bytes of chunks, and of background cells, that an index keeps in memory.
+_KEPT_CHUNKS, _KEPT_CELLS = 1 << 27, 1 << 26
 _REMEDY = "make it again with index_columns"
 
 
@@ -101,16 +89,17 @@ def index_columns(
     (64, 64)
     """
     matrix = StoredTransport.open(path, memory=0)
-    _remove_leftovers(final_target(path))
+    with locked(target := final_target(path)):
+        _remove_leftovers(target)
     with claimed(path, STORE, overwrite=True) as target, as_output_error(path):
         if (target / COLUMNS).exists() and not overwrite:
             raise InputError(f"{path}: has an index already", hint="pass overwrite=True")
-        background = matrix.header.arrays["background"].bytes
+        background = matrix.arrays["background"].bytes
         check_disk_space(target, 8 * matrix.entries + 8 * matrix.shape[1] + background, path)
         part = target / _PART
         shutil.rmtree(part, ignore_errors=True)
         try:
-            _write(part, matrix, progress or (lambda done, total: None))
+            _write_index(part, matrix, progress or (lambda done, total: None))
             shutil.rmtree(target / COLUMNS, ignore_errors=True)
             os.rename(part, target / COLUMNS)
         finally:
@@ -120,7 +109,6 @@ def index_columns(
 
 def _remove_leftovers(target: Path) -> None:
     """Remove what a killed run left, which would otherwise count as somebody else's file."""
-    check_unlocked(target)
     marker = read_attributes(target).get("output")
     listed = marker.get("files") if isinstance(marker, dict) else None
     finished = isinstance(listed, dict) and any(name.startswith(f"{COLUMNS}/") for name in listed)
@@ -143,51 +131,42 @@ def tile_places(pixels: NDArray[np.integer], projector_shape: tuple[int, int]) -
     return top * cols + left * height + (row - top) * width + col - left
 
 
-def _write(part: Path, matrix: StoredTransport, progress: Callable[[int, int], None]) -> None:
-    pixels = matrix.shape[1]
-    places = tile_places(np.arange(pixels), matrix.projector_shape)
-    counts = np.zeros(pixels, np.int64)
+def _write_index(part: Path, matrix: StoredTransport, progress: Callable[[int, int], None]) -> None:
+    """Write the transposed matrix, its rows in the order of `tile_places`, in bounded memory."""
+    samples, pixels = matrix.shape
+    order = np.argsort(tile_places(np.arange(pixels), matrix.projector_shape))
     # One reading to count, and one for each pass.
-    done, total = 0, matrix.entries * (1 + max(1, math.ceil(matrix.entries / _PASS_ENTRIES)))
-    for _, block in matrix.blocks():
-        counts += np.bincount(places[block.coefficients.indices], minlength=pixels)
-        done += block.coefficients.nnz
-        progress(done, total)
-    ends = np.concatenate([[0], np.cumsum(counts)])
-    group = zarr.open_group(part, mode="w", zarr_format=3)
-    arrays = {
-        name: GrowingArray(group, name, dtype, _CHUNK, QUICK) for name, dtype in _ENTRIES.items()
-    }
-    arrays["indptr"].add(ends)
-    for first, last in itertools.pairwise(row_blocks(ends, _PASS_ENTRIES)):
-        columns, rows, data = [], [], []
-        for start, block in matrix.blocks():
-            entries = block.coefficients.tocoo()
-            column = places[entries.col]
-            inside = (column >= first) & (column < last)
-            columns.append(column[inside].astype(np.int32))
-            rows.append((start + entries.row[inside]).astype(np.int32))
-            data.append(entries.data[inside])
-            done += entries.nnz
+    total = matrix.entries * (1 + max(1, math.ceil(matrix.entries / _PASS_ENTRIES)))
+    done = 0
+
+    def blocks() -> Iterator[csr_array]:
+        nonlocal done
+        for _, block in matrix.blocks():
+            yield block.coefficients
+            done += block.coefficients.nnz
             progress(min(done, total), total)
-        order = np.argsort(np.concatenate(columns), kind="stable")
-        arrays["rows"].add(np.concatenate(rows)[order])
-        arrays["data"].add(np.concatenate(data)[order])
-    for array in arrays.values():
-        array.close()
-    _write_background(group, matrix)
-    facts = {_MATRIX: matrix.header.digest}
-    group.attrs.update({**facts, **sealed(part, [*_ENTRIES, "background"], facts)})
 
+    def columns() -> Iterator[dict[str, NDArray[Any]]]:
+        counts = sum(np.bincount(block.indices, minlength=pixels)[order] for block in blocks())
+        ends = np.concatenate([[0], np.cumsum(counts)])
+        for first, last in itertools.pairwise(row_blocks(ends, _PASS_ENTRIES)):
+            some = order[first:last]
+            rows = hstack([block[:, some].T.tocsr() for block in blocks()], format="csr")
+            # The first row's beginning is that of the array as well.
+            begin = first + 1 if first else 0
+            yield {"indptr": ends[begin : last + 1], "indices": rows.indices, "data": rows.data}
 
-def _write_background(group: zarr.Group, matrix: StoredTransport) -> None:
-    """Write the background with a row for each cell, which is read without the others."""
-    samples, cells = matrix.header.arrays["background"].shape
-    chunk = max(1, min(samples, CHUNK, _PASS_VALUES // cells))
+    group = zarr.open_group(part, mode="w", zarr_format=3)
+    write_parts(group, columns(), _CHUNK, QUICK)
+    # The background has a row for each cell, which is read without the others.
+    cells = math.prod(matrix.background_grid)
+    chunk = max(1, min(samples, _PASS_ENTRIES // (4 * cells)))
     by_cells = create_array(group, "background", (cells, samples), np.float32, (1, chunk), QUICK)
     for start in range(0, samples, chunk):
         stop = min(start + chunk, samples)
         by_cells[:, start:stop] = matrix.background(start, stop).T
+    group.attrs["matrix"] = matrix.digest
+    seal(part)
 
 
 @dataclass(frozen=True, eq=False)
@@ -200,7 +179,7 @@ class ColumnIndex:
     ----------
     matrix : StoredTransport
     arrays : dict of str to StoredArray
-        ``indptr``, ``rows``, ``data`` and ``background``.
+        ``indptr``, ``indices``, ``data`` and ``background``.
 
     Examples
     --------
@@ -230,19 +209,18 @@ class ColumnIndex:
             If there is no store, it has no index, or it is damaged.
         """
         matrix = StoredTransport.open(path)
-        place = matrix.header.place / COLUMNS
+        place = matrix.place / COLUMNS
         if not place.is_dir():
             raise InputError(f"{path}: has no index of its columns", hint="make it: index_columns")
         with as_damage_error(place, _REMEDY):
-            entries, pixels = (matrix.entries,), (matrix.shape[1] + 1,)
-            by_cells = matrix.header.arrays["background"].shape[::-1]
-            wanted = {"indptr": pixels, "rows": entries, "data": entries, "background": by_cells}
-            facts = {_MATRIX: matrix.header.digest}
+            entries, by_cells = (matrix.entries,), matrix.arrays["background"].shape[::-1]
+            ends = (matrix.shape[1] + 1,)
+            wanted: dict[str, tuple[int, ...]] = {"background": by_cells, "indptr": ends}
+            wanted |= {"indices": entries, "data": entries}
             attributes = read_attributes(place)
-            if attributes.get(_MATRIX, matrix.header.digest) != matrix.header.digest:
-                raise ValueError("it is the index of another matrix")
-            arrays = sealed_arrays(place, wanted, attributes, facts)
-            if any(arrays[name].shape != shape for name, shape in wanted.items()):
+            arrays = sealed_arrays(place, wanted, attributes)
+            same = all(arrays[name].shape == shape for name, shape in wanted.items())
+            if attributes["matrix"] != matrix.digest or not same:
                 raise ValueError("it is the index of another matrix")
         index = cls(matrix, arrays)
         # Read now, so that damage of it is reported at once.
@@ -306,7 +284,7 @@ class ColumnIndex:
         spans = zip(ends[lit] // _CHUNK, (ends[lit + 1] - 1) // _CHUNK, strict=True)
         wanted = sorted({k for first, last in spans for k in range(first, last + 1)})
         missing = [k for k in wanted if k not in self._kept]
-        if len(self._kept) + len(missing) > _MOST_KEPT:
+        if 8 * _CHUNK * (len(self._kept) + len(missing)) > _KEPT_CHUNKS:
             self._kept.clear()
             missing = wanted
         # Chunks that follow each other are read together: each reading takes time of its own.
@@ -317,8 +295,8 @@ class ColumnIndex:
 
     def _read(self, first: int, last: int) -> None:
         span = slice(first * _CHUNK, last * _CHUNK)
-        with self._whole():
-            rows = self.arrays["rows"].read(span)
+        with self._damage():
+            rows = self.arrays["indices"].read(span)
             if len(rows) and not (rows.min() >= 0 and rows.max() < self.matrix.shape[0]):
                 raise ValueError("a row lies outside the matrix")
             data = checked_float32(self.arrays["data"].read(span), "data")
@@ -329,21 +307,15 @@ class ColumnIndex:
     def _background(self, cell: int) -> NDArray[np.float32]:
         """The values of one cell of the background, one for each camera sample."""
         if cell not in self._kept_cells:
-            room = _CELL_BYTES // (4 * self.matrix.shape[0])
-            if len(self._kept_cells) >= max(1, room):
-                # The cell that was read first goes.
-                del self._kept_cells[next(iter(self._kept_cells))]
-            with self._whole():
+            if 4 * self.matrix.shape[0] * (len(self._kept_cells) + 1) > _KEPT_CELLS:
+                self._kept_cells.clear()
+            with self._damage():
                 values = self.arrays["background"].read(slice(cell, cell + 1))
                 self._kept_cells[cell] = checked_float32(values, "background")[0]
         return self._kept_cells[cell]
 
-    @contextmanager
-    def _whole(self) -> Iterator[None]:
-        """Refuse what was read within if it is damaged or belongs to another store by now."""
-        place = self.matrix.header.place / COLUMNS
-        with self.matrix.header.unreplaced(), as_damage_error(place, _REMEDY):
-            yield
+    def _damage(self) -> AbstractContextManager[None]:
+        return as_damage_error(self.matrix.place / COLUMNS, _REMEDY)
 
     @cached_property
     def _cells(self) -> NDArray[np.int64]:
@@ -356,7 +328,7 @@ class ColumnIndex:
 
     @cached_property
     def _ends(self) -> NDArray[np.int64]:
-        with self._whole():
+        with self._damage():
             ends = self.arrays["indptr"].read()
             check_indptr(ends, self.matrix.entries)
         return ends.astype(np.int64)

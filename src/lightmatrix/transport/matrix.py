@@ -1,8 +1,8 @@
-"""`LightTransport`, the light transport matrix in memory."""
+"""`LightTransport`, the matrix in memory, and `ColourTransport`, one for each primary."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
@@ -12,11 +12,10 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
 from lightmatrix.errors import InputError
-from lightmatrix.patterns.grids import check_grid, grid_cells
-from lightmatrix.ranges import check_finite, check_unmasked, real_array
+from lightmatrix.files.colours import COLOURS
+from lightmatrix.patterns.pattern_set import check_grid, grid_cells
 from lightmatrix.regions import Region
 from lightmatrix.reprs import html_table
-from lightmatrix.transport.labels import labelled
 from lightmatrix.transport.operator import TransportOperator
 
 # The entries of the provenance that a summary repeats.
@@ -33,6 +32,59 @@ _STATISTICS: dict[str, tuple[str, Callable[[NDArray[Any]], Any]]] = {
     "rows_searched_everywhere": ("searched_everywhere", np.mean),
     "rows_certified_everywhere": ("certified_everywhere", np.nanmean),
 }
+# Keys that need more than spaces for their underscores. A label has at most 26 characters, which
+# leaves room for its value on a terminal of 80 columns.
+_LABELS = {
+    "entries_per_row": "entries per row",
+    "background_grid": "background cells",
+    "background_share": "light in the background",
+    "rows_half_clipped": "rows half clipped or more",
+    "iterations_median": "iterations (median)",
+    "gap_median": "duality gap (median)",
+    "gap_max": "duality gap (largest)",
+    "rows_searched_everywhere": "rows searched everywhere",
+    "rows_certified_everywhere": "rows certified everywhere",
+    "relative_error": "error of T",
+    "relighting_error": "error of relit images",
+    "response_rmse": "RMSE of single responses",
+    "share_of_rows_unclipped_responses": "rows no single pixel clips",
+    "relative_error_unclipped_responses": "error of T, these rows",
+    "relighting_error_unclipped_responses": "relit images, these rows",
+    "share_of_rows_diffuse": "diffuse rows",
+    "relative_error_diffuse": "error of T, diffuse rows",
+    "relighting_error_diffuse": "relit images, diffuse rows",
+} | {
+    f"{error}_{colour}": f"{colour}: {label}"
+    for error, label in (
+        ("relative_error", "error of T"),
+        ("relighting_error", "relit images"),
+    )
+    for colour in COLOURS
+}
+# Values between 0 and 1 that are shown in per cent.
+_SHARES = {
+    "background_share",
+    "clipped_samples",
+    "rows_half_clipped",
+    "converged_rows",
+    "rows_searched_everywhere",
+    "rows_certified_everywhere",
+    "share_of_rows_unclipped_responses",
+    "share_of_rows_diffuse",
+}
+# What a user wants to know of an estimate at first sight, besides the verdict.
+_MAIN = (
+    "camera",
+    "crop",
+    "projector",
+    "entries_per_row",
+    "background_share",
+    "clipped_samples",
+    "converged_rows",
+    "gap_max",
+    "estimator",
+    "regularization",
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -169,33 +221,6 @@ class LightTransport(TransportOperator):
         diffuse = self.pooling.T @ (self.background.T @ vectors)
         return np.asarray(self.sparse.T @ vectors + diffuse)
 
-    def relight(self, patterns: NDArray[Any]) -> NDArray[np.float32]:
-        """Camera images under patterns: c = T p, linear, not clipped.
-
-        `patterns` are (rows, cols) or (K, rows, cols) in [0, 1]; integers can only be 0 and 1. The
-        images have the shape of the camera and are in units of camera full scale at exposure 1.
-        """
-        stack = checked_patterns(patterns, self.projector_shape)
-        p = stack.reshape(-1, self.shape[1]).T
-        images = np.asarray(self.multiplied(p).T, np.float32).reshape(-1, *self.camera_shape)
-        return images if stack.ndim == 3 else images[0]
-
-    def dual(self, lights: NDArray[Any]) -> NDArray[np.float32]:
-        """The scene seen from the projector, lit from the camera: p = T' c (Sen et al. 2005).
-
-        `lights` has the camera's shape and says how strongly each camera sample acts as a light.
-        The result is the image that the projector would see, (rows, cols).
-        """
-        light = np.asarray(real_array("camera lights", lights), np.float32)
-        if light.shape != self.camera_shape:
-            raise InputError(
-                f"camera lights of shape {light.shape}",
-                hint=f"give shape {self.camera_shape}",
-            )
-        check_lights(lights)
-        image = self.multiplied_transposed(light.ravel())
-        return np.asarray(image, np.float32).reshape(self.projector_shape)
-
     def dual_image(self) -> NDArray[np.float32]:
         """The scene seen from the projector, lit evenly from the camera.
 
@@ -218,14 +243,6 @@ class LightTransport(TransportOperator):
         index = self.row_number(camera_index)
         values = self.dense_rows(np.array([index]))[0]
         return values.reshape(self.projector_shape)
-
-    def column(self, row: int, col: int) -> NDArray[np.float32]:
-        """One column of T as a camera image: the response to one lit projector pixel.
-
-        Raises InputError if the projector has no such pixel.
-        """
-        index = self.column_number(row, col)
-        return self.dense_columns(np.array([index]))[:, 0].reshape(self.camera_shape)
 
     def dense_rows(self, index: NDArray[np.integer]) -> NDArray[np.float32]:
         """Some rows of T, with background: (len(index), N) float32."""
@@ -302,40 +319,108 @@ class LightTransport(TransportOperator):
         return csr_array(self.sparse + csr_array(self.background) @ self.pooling)
 
 
-def checked_patterns(
-    patterns: NDArray[Any], projector_shape: tuple[int, int]
-) -> NDArray[np.float32]:
-    """Patterns as float32; refuses other shapes than the projector's and values outside [0, 1]."""
-    check_unmasked("a pattern", patterns)
-    values = np.asarray(patterns)
-    if values.dtype.kind not in "bfiu":
-        raise InputError(f"the pattern has {values.dtype} values", hint="give values in [0, 1]")
-    # Written so that it refuses NaN, too.
-    if values.size and not (values.min() >= 0 and values.max() <= 1):
-        raw = values.dtype.kind in "iu"
-        raise InputError(
-            f"the pattern has values from {values.min():g} to {values.max():g}",
-            hint="use values in [0, 1]"
-            + (": divide raw levels by their largest one, such as 255" if raw else ""),
-        )
-    if values.shape[-2:] != projector_shape or values.ndim not in (2, 3):
-        raise InputError(
-            f"the pattern has shape {values.shape}, but the projector has "
-            f"{projector_shape[0]} x {projector_shape[1]}",
-            hint="resize the pattern to the projector",
-        )
-    return np.asarray(values, np.float32)
-
-
-def check_lights(lights: NDArray[Any]) -> None:
-    """Refuse camera lights that are masked or not finite."""
-    check_unmasked("camera lights", lights)
-    check_finite("camera lights", lights)
-
-
 def cell_means(projector_shape: tuple[int, int], grid: tuple[int, int]) -> csr_array:
     """The operator m, (B, N) float32: means of a pattern over the B cells of a coarse grid."""
     cell = grid_cells(projector_shape, grid)
     sizes = np.bincount(cell, minlength=grid[0] * grid[1])
     entries = ((1 / sizes[cell]).astype(np.float32), (cell, np.arange(len(cell))))
     return csr_array(entries, shape=(grid[0] * grid[1], len(cell)))
+
+
+def prediction_error(transport: LightTransport) -> float | None:
+    """The relative error of photographs held out, over all rows; None if none was predicted."""
+    errors = np.asarray(transport.diagnostics.get("prediction_error", np.zeros(0)), float)
+    known = np.isfinite(errors)
+    return float(np.sqrt(np.mean(errors[known] ** 2))) if known.any() else None
+
+
+def labelled(values: Mapping[str, Any], *, main_only: bool = False) -> dict[str, Any]:
+    """The values with labels for keys and shares in per cent; about ten lines if `main_only`."""
+    keys = [key for key in _MAIN if key in values] if main_only else list(values)
+    return {
+        _LABELS.get(key, key.replace("_", " ")): f"{100 * values[key]:.1f} %"
+        if key in _SHARES
+        else values[key]
+        for key in keys
+    }
+
+
+@dataclass(frozen=True, eq=False)
+class ColourTransport:
+    """T of a colour projector: the matrices of red, green and blue, whose light adds up.
+
+    It can be given wherever three matrices can: to `relight`, `evaluate_colour` and `compensate`.
+
+    Parameters
+    ----------
+    red, green, blue : LightTransport
+        T of each primary, of one camera and one size of patterns.
+
+    Raises
+    ------
+    InputError
+        If their shapes differ.
+
+    Examples
+    --------
+    >>> import lightmatrix as lm
+    >>> known = lm.truth("metal").transport()
+    >>> colour = lm.ColourTransport(known, known, known)
+    >>> colour.relight(np.ones((64, 64, 3))).shape, colour.dual_image().shape
+    ((64, 64), (64, 64, 3))
+    """
+
+    red: LightTransport
+    green: LightTransport
+    blue: LightTransport
+
+    def __post_init__(self) -> None:
+        for other in (self.green, self.blue):
+            if other.image_shapes != self.red.image_shapes:
+                raise InputError(
+                    f"matrices of shapes {self.red.image_shapes} and {other.image_shapes}",
+                    hint="give red, green and blue of one rig",
+                )
+
+    def __iter__(self) -> Iterator[LightTransport]:
+        return iter((self.red, self.green, self.blue))
+
+    def __len__(self) -> int:
+        return 3
+
+    def __getitem__(self, primary: int) -> LightTransport:
+        return (self.red, self.green, self.blue)[primary]
+
+    @property
+    def camera_shape(self) -> tuple[int, ...]:
+        """Rows, columns and channels of a photograph."""
+        return self.red.camera_shape
+
+    @property
+    def projector_shape(self) -> tuple[int, int]:
+        """Rows and columns of a pattern."""
+        return self.red.projector_shape
+
+    def relight(self, patterns: NDArray[Any]) -> NDArray[np.float32]:
+        """Camera images under patterns in colour, (rows, cols, 3) or (K, rows, cols, 3).
+
+        Grey patterns, (rows, cols), are white light. The images are linear and not clipped.
+        """
+        shown = np.asarray(patterns)
+        if shown.ndim < 3:
+            shown = np.repeat(shown[..., None], 3, axis=-1)
+        if shown.shape[-1] != 3:
+            raise InputError(
+                f"a pattern of shape {shown.shape} for a colour projector",
+                hint="give (rows, cols, 3), or (rows, cols) for white light",
+            )
+        parts = [one.relight(shown[..., number]) for number, one in enumerate(self)]
+        return np.asarray(parts[0] + parts[1] + parts[2])
+
+    def dual_image(self) -> NDArray[np.float32]:
+        """The scene seen from the projector in its primaries, lit evenly from the camera.
+
+        (rows, cols, 3): how much of each primary's light at each pixel reaches all channels.
+        """
+        lights = np.ones(self.camera_shape, np.float32)
+        return np.stack([one.dual(lights) for one in self], axis=-1)

@@ -1,8 +1,13 @@
-"""`SparseRows`, some rows of a light transport matrix, and helpers for sparse rows."""
+"""`SparseRows`, some rows of a light transport matrix, and checks of matrices that were read.
+
+Compiled routines trust indices, and users trust values. A check raises a ValueError that says what
+is wrong; the reader adds the name of the file.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import math
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Self
 
@@ -11,8 +16,12 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_array, vstack
 
 from lightmatrix.errors import InputError
+from lightmatrix.files.numpy_files import as_float32
 
+# How arrays of diagnostics are named among those of `SparseRows.arrays`.
 _DIAGNOSTIC = "diagnostic_"
+# SciPy's indices count rows and columns in 32 bits.
+_MOST_PIXELS = 1 << 31
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,23 +39,6 @@ class SparseRows:
     def count(self) -> int:
         """Number of rows m."""
         return int(self.coefficients.shape[0])
-
-    def check(self) -> None:
-        """Refuse parts that do not fit together or are not finite, as in a damaged file."""
-        try:
-            self.coefficients.check_format(full_check=True)
-        except ValueError as error:
-            raise _damaged(f"invalid sparse rows: {error}") from error
-        if self.background.ndim != 2 or len(self.background) != self.count:
-            raise _damaged(f"a background of shape {self.background.shape} for {self.count} rows")
-        for name, values in self.diagnostics.items():
-            if values.shape != (self.count,):
-                raise _damaged(
-                    f"a diagnostic {name!r} of shape {values.shape} for {self.count} rows"
-                )
-        for part in (self.coefficients.data, self.background):
-            if part.dtype not in (np.float32, np.float64) or not np.isfinite(part).all():
-                raise _damaged("coefficients that are not finite numbers")
 
     def rows(self, index: slice | NDArray[np.integer]) -> SparseRows:
         """Some of the rows, in the order of the index."""
@@ -91,23 +83,31 @@ class SparseRows:
 
     @classmethod
     def from_arrays(cls, arrays: Mapping[str, NDArray[Any]]) -> Self:
-        """Rows from the arrays of `arrays()`; refuses arrays that are missing or do not fit."""
+        """Rows from the arrays of `arrays()`; an InputError refuses what does not fit together."""
         try:
-            parts = arrays["data"], arrays["indices"], arrays["indptr"]
             count, pixels = (int(size) for size in arrays["shape"])
-            rows = cls(
-                csr_array(parts, shape=(count, pixels)),
-                arrays["background"],
-                {
-                    name.removeprefix(_DIAGNOSTIC): values
-                    for name, values in arrays.items()
-                    if name.startswith(_DIAGNOSTIC)
-                },
-            )
+            parts = arrays["data"], arrays["indices"], arrays["indptr"]
+            matrix, background = csr_array(parts, shape=(count, pixels)), arrays["background"]
+            matrix.check_format(full_check=True)
+            diagnostics = {
+                name.removeprefix(_DIAGNOSTIC): values
+                for name, values in arrays.items()
+                if name.startswith(_DIAGNOSTIC)
+            }
+            if background.shape[:-1] != (count,):
+                raise ValueError(f"a background of shape {background.shape} for {count} rows")
+            for name, values in diagnostics.items():
+                if values.shape != (count,):
+                    raise ValueError(f"a diagnostic {name!r} of shape {values.shape}")
+            for part in (matrix.data, background):
+                if part.dtype not in (np.float32, np.float64) or not np.isfinite(part).all():
+                    raise ValueError("coefficients that are not finite numbers")
         except (KeyError, TypeError, ValueError) as error:
-            raise _damaged(f"arrays that do not hold sparse rows: {error}") from error
-        rows.check()
-        return rows
+            raise InputError(
+                f"arrays that do not hold sparse rows: {error}",
+                hint="the file is damaged: create it again",
+            ) from error
+        return cls(matrix, background, diagnostics)
 
 
 def stack_rows(parts: Sequence[csr_array]) -> csr_array:
@@ -139,5 +139,63 @@ def row_blocks(ends: NDArray[np.integer], most: int) -> NDArray[np.int64]:
     return np.unique([0, *np.searchsorted(ends, inner), len(ends) - 1])
 
 
-def _damaged(what: str) -> InputError:
-    return InputError(what, hint="the file is damaged: create it again")
+def checked_shape(
+    value: Any,
+    lengths: Sequence[int],
+    name: str,
+    pixels: Callable[[tuple[int, ...]], int] = math.prod,
+) -> tuple[int, ...]:
+    """A stored shape of a permitted length: positive whole numbers, not too many pixels.
+
+    `pixels` counts the pixels that are limited: the product of the sides of an image, the longer
+    side of a matrix, whose sides are camera samples and projector pixels.
+    """
+    # True counts as 1 in an array, but is no number of pixels.
+    exact = not isinstance(value, list) or all(type(n) is int for n in value)
+    array = np.asarray(value)
+    if not exact or array.ndim != 1 or len(array) not in lengths or array.dtype.kind not in "iu":
+        raise ValueError(f"{name} is no shape")
+    shape = tuple(int(n) for n in array)
+    if min(shape) < 1 or pixels(shape) >= _MOST_PIXELS:
+        raise ValueError(f"{name} is {' x '.join(map(str, shape))}")
+    return shape
+
+
+def checked_matrix(
+    data: NDArray[Any], indices: NDArray[Any], indptr: NDArray[Any], shape: tuple[int, int]
+) -> csr_array:
+    """The sparse float32 matrix (M, N) of a CSR matrix's three arrays, checked one by one."""
+    rows, cols = shape
+    if data.ndim != 1 or indices.shape != data.shape or indptr.shape != (rows + 1,):
+        raise ValueError("its arrays do not fit each other")
+    if indices.dtype.kind not in "iu" or indptr.dtype.kind not in "iu":
+        raise ValueError("its indices are not whole numbers")
+    values = checked_float32(data, "data")
+    check_indptr(indptr, len(data))
+    if len(indices) and not (indices.min() >= 0 and indices.max() < cols):
+        raise ValueError(f"an index lies outside the {cols} columns")
+    # Stores keep indptr in 64 bits, and SciPy would widen the indices to that.
+    if max(len(data), cols) <= np.iinfo(np.int32).max:
+        indices, indptr = (part.astype(np.int32, copy=False) for part in (indices, indptr))
+    matrix = csr_array((values, indices, indptr), shape=shape)
+    matrix.check_format(full_check=True)
+    return matrix
+
+
+def check_indptr(indptr: NDArray[Any], entries: int) -> None:
+    """Check that the ends of rows rise from 0 to the number of entries."""
+    if indptr.dtype.kind not in "iu":
+        raise ValueError("its indices are not whole numbers")
+    # Compared, not subtracted: differences of unsigned numbers are never negative.
+    if indptr[0] != 0 or indptr[-1] != entries or (indptr[1:] < indptr[:-1]).any():
+        raise ValueError("indptr does not rise from 0 to the number of entries")
+
+
+def checked_float32(values: NDArray[Any], name: str) -> NDArray[np.float32]:
+    """Numbers as float32, all of them finite; `name` is what the message calls them."""
+    if values.dtype.kind not in "fiu":
+        raise ValueError(f"{name} holds {values.dtype} values")
+    single = as_float32(values)
+    if not np.isfinite(single).all():
+        raise ValueError(f"{name} holds values that are not finite")
+    return single

@@ -31,11 +31,11 @@ def loaded(source: Transport, times: float) -> LightTransport:
             return store.open(source)
         # Nothing is kept: the matrix is loaded whole below.
         source = store.StoredTransport.open(source, memory=0)
-    needed = times * sum(array.bytes for array in source.header.arrays.values())
+    needed = times * sum(array.bytes for array in source.arrays.values())
     free = available_bytes()
     if needed > free:
         raise InputError(
-            f"{source.header.place}: takes {needed / 2**30:.3g} GiB of memory, "
+            f"{source.place}: takes {needed / 2**30:.3g} GiB of memory, "
             f"{free / 2**30:.3g} GiB are free, and all of the matrix is needed at once",
             hint="take a part of the camera (lm.StoredTransport.open(...).region), estimate with "
             "--bin-camera, or use a machine with more memory",

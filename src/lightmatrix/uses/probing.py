@@ -11,7 +11,7 @@ from scipy.sparse import csr_array, sparray
 
 from lightmatrix.capture.capture import Capture
 from lightmatrix.errors import InputError
-from lightmatrix.patterns.grids import grid_cells
+from lightmatrix.patterns.pattern_set import grid_cells
 from lightmatrix.reprs import short_repr
 from lightmatrix.transport.matrix import LightTransport
 

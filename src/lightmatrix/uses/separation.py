@@ -19,7 +19,8 @@ from lightmatrix.outputs.kinds import SEPARATION
 from lightmatrix.outputs.writing import atomic_folder, check_output
 from lightmatrix.reprs import short_repr
 from lightmatrix.transport.correspondence import pixel_rows
-from lightmatrix.transport.matrix import LightTransport, checked_patterns
+from lightmatrix.transport.matrix import LightTransport
+from lightmatrix.transport.operator import checked_patterns
 from lightmatrix.uses.direct_light import (
     DirectSpots,
     camera_pixels,

@@ -18,16 +18,14 @@ from lightmatrix.errors import InputError
 from lightmatrix.files.colours import holds_colour
 from lightmatrix.files.images import fill_image
 from lightmatrix.geometry.rig_geometry import RigGeometry
-from lightmatrix.outputs.kinds import IMAGE, NUMBERS, NUMBERS_MARK, PICTURES
-from lightmatrix.outputs.markers import FileKind
+from lightmatrix.outputs.kinds import IMAGE, NUMBERS, NUMBERS_MARK, PICTURES, FileKind
 from lightmatrix.outputs.writing import atomic_file, atomic_folder, check_output
 from lightmatrix.pictures import diagnostics, maps
 from lightmatrix.pictures.spectrum import show_spectrum, spectrum
 from lightmatrix.pictures.transport import DPI, Picture, show_column, show_dual, show_row
-from lightmatrix.store.colour_stores import open_colour
-from lightmatrix.transport.colour import ColourTransport
+from lightmatrix.store.zarr_store import open_colour
 from lightmatrix.transport.correspondence import correspondence
-from lightmatrix.transport.matrix import LightTransport
+from lightmatrix.transport.matrix import ColourTransport, LightTransport
 from lightmatrix.uses.shape import Shape
 from lightmatrix.uses.shape_picture import depth_map, normals_picture
 from lightmatrix.uses.triangulation import triangulate

@@ -13,7 +13,7 @@ from lightmatrix.errors import InputError
 from lightmatrix.geometry.rig_geometry import RigGeometry
 from lightmatrix.outputs.kinds import CLOUD, DEPTH, PICTURE
 from lightmatrix.outputs.writing import check_output
-from lightmatrix.store.opening import open_matches
+from lightmatrix.store.zarr_store import open_matches
 from lightmatrix.transport.correspondence import Correspondence, pixel_rows
 from lightmatrix.transport.matrix import LightTransport
 from lightmatrix.uses.direct_light import camera_pixels

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import coo_array, csr_array
 
-from lightmatrix.patterns.grids import grid_cells
+from lightmatrix.patterns.pattern_set import grid_cells
 from lightmatrix.transport.matrix import cell_means
 from lightmatrix.viewer.lights import Light
 

@@ -12,9 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csc_array, csr_array
 
-from lightmatrix.patterns.grids import grid_cells
+from lightmatrix.patterns.pattern_set import grid_cells
 from lightmatrix.store.column_index import COLUMNS, ColumnIndex, index_columns
-from lightmatrix.store.stored_transport import StoredTransport
+from lightmatrix.store.zarr_store import StoredTransport
 from lightmatrix.transport.matrix import LightTransport
 from lightmatrix.transport.sparse_rows import SparseRows, row_blocks
 
@@ -83,10 +83,8 @@ class Light(ABC):
         if isinstance(matrix, LightTransport):
             diagnostics = dict(matrix.diagnostics)
         else:
-            with self.lock, matrix.header.unreplaced():
-                diagnostics = {
-                    name: array.read() for name, array in matrix.header.diagnostics.items()
-                }
+            with self.lock:
+                diagnostics = matrix.diagnostics(0, matrix.shape[0])
         empty = csr_array(matrix.shape, dtype=np.float32)
         return LightTransport.from_matrix(
             empty, matrix.camera_shape, matrix.projector_shape, diagnostics=diagnostics
@@ -99,14 +97,14 @@ class StoredLight(Light):
     def __init__(self, matrix: StoredTransport) -> None:
         super().__init__()
         self.matrix: StoredTransport = matrix
-        self._index = ColumnIndex.open(matrix.header.place)
+        self._index = ColumnIndex.open(matrix.place)
 
     @classmethod
     def open(cls, path: str | Path, progress: Progress | None = None) -> StoredLight:
         """Open a store; without an index, make it."""
         matrix = StoredTransport.open(path, memory=_KEPT_BYTES)
-        if not (matrix.header.place / COLUMNS).is_dir():
-            background = matrix.header.arrays["background"].bytes
+        if not (matrix.place / COLUMNS).is_dir():
+            background = matrix.arrays["background"].bytes
             size = 8 * (matrix.entries + matrix.shape[1]) + background
             note = f"at most {max(1, size >> 20)} MiB beside the matrix"
             told = None if progress is None else _with_note(progress, note)

@@ -13,7 +13,7 @@ from lightmatrix import store
 from lightmatrix.capture.capture import Capture
 from lightmatrix.errors import InputError, LightMatrixError
 from lightmatrix.geometry.rig_geometry import RigGeometry
-from lightmatrix.store.stored_transport import StoredTransport
+from lightmatrix.store.zarr_store import StoredTransport
 from lightmatrix.transport.matrix import LightTransport
 from lightmatrix.uses.compensation import compensate
 from lightmatrix.viewer.captured import CapturedPatterns
@@ -78,7 +78,7 @@ class Scene:
         # T where the page does not have it.
         self.light: Light | None = None
         if isinstance(self.matrix, StoredTransport):
-            self.light = StoredLight.open(self.matrix.header.place, progress)
+            self.light = StoredLight.open(self.matrix.place, progress)
             self._layers = LayerSource(self.light, geometry)
         elif page_size(self.matrix) > page_bytes:
             self.light = MemoryLight(self.matrix)

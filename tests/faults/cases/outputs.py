@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 from ..case import Case, Limits, Prepare
 from ..checks import every, holds, is_link
-from ..put import both, copy, device, flip, folder_at, link, move, pipe, plug, remove, text
+from ..put import both, copy, device, folder_at, link, move, pipe, plug, remove, text
 
 PATTERNS = "patterns bernoulli -k 2 --size 8x8"
 SIMULATE = "simulate T.npz --patterns patterns"
@@ -179,33 +177,6 @@ def _files() -> list[Case]:
     ]
 
 
-def _edited() -> list[Case]:
-    """Our own folders in which somebody changed a file and kept its size."""
-
-    def edited(name: str, old: str, new: str) -> Prepare:
-        def fault(folder: Path) -> None:
-            content = (folder / name).read_text()
-            assert old in content
-            (folder / name).write_text(content.replace(old, new, 1))
-
-        return fault
-
-    picture = "capture/images/image_0003.png"
-    faults = {
-        "simulate": (f"{SIMULATE} -o capture", edited("capture/capture.json", "255.0", "254.0")),
-        "patterns": (f"{PATTERNS} -o patterns", edited("patterns/patterns.json", "0.5", "0.4")),
-        "simulate after a photograph": (f"{SIMULATE} -o capture", flip(picture, 0.6)),
-        "estimate": (
-            "estimate capture -o scene.zarr",
-            edited("scene.zarr/zarr.json", "lightmatrix", "lightmetrix"),
-        ),
-    }
-    return [
-        Case(f"{words} over an edited file", f"{command} --overwrite", "was changed since", put)
-        for words, (command, put) in faults.items()
-    ]
-
-
 def _links() -> list[Case]:
     outside = both(copy("patterns", "../kept"), link("out", "../kept"))
     photographs = both(text("../kept/photo.jpg"), link("out", "../kept"))
@@ -293,4 +264,4 @@ NEEDS = (
     ),
 )
 
-CASES = [*_not_files(), *_places(), *_files(), *_edited(), *_links()]
+CASES = [*_not_files(), *_places(), *_files(), *_links()]

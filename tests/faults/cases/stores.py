@@ -305,7 +305,7 @@ def _foreign_parts() -> list[Case]:
         "the indices as data": (indices_over_data, ("bad.zarr", "data/c/0")),
         "data read as whole numbers": (both(BAD, as_integers), ("bad.zarr", "together")),
         "a camera of another shape": (both(BAD, json_edit(whole, turned)), ("bad.zarr",)),
-        "no digest": (both(BAD, json_edit(whole, unsealed)), ("bad.zarr", "has no digest")),
+        "no digest": (both(BAD, json_edit(whole, unsealed)), ("bad.zarr", "digest")),
     }
     return [
         Case(f"{words}: {reader}", READERS[reader], says, put)

@@ -18,7 +18,7 @@ from zarr.codecs import Crc32cCodec
 
 from lightmatrix.files.pillow_images import encode_image
 from lightmatrix.files.zarr_arrays import SMALL
-from lightmatrix.store.zarr_store import seal_store
+from lightmatrix.store.zarr_store import seal
 
 from ..cases.partial import PARTIAL, interrupted
 from ..checks import whole_matrix
@@ -177,7 +177,7 @@ def _store(draw: Generator, folder: Path) -> str:
         made[...] = values
         # Arrays that no store may hold cannot be sealed either.
         with suppress(ValueError):
-            seal_store(place)
+            seal(place)
         return f"{name} {words}"
     if how < 7:
         file = _pick(draw, [place / "zarr.json", *place.rglob("zarr.json")])

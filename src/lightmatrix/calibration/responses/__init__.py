@@ -6,5 +6,5 @@
 - `photographs` and `pictures` serve both: what is read, and what is drawn.
 
 The models of the two responses are `camera.camera_curve` and `patterns.projector_curve`. A live rig
-measures its projector by itself: `live.measurements.grey_ramp`.
+measures its projector by itself: `live.light_levels`.
 """

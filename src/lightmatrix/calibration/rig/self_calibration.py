@@ -22,7 +22,7 @@ from lightmatrix.geometry.rig_geometry import RigGeometry
 from lightmatrix.outputs.kinds import GEOMETRY
 from lightmatrix.outputs.writing import check_output
 from lightmatrix.ranges import check_number
-from lightmatrix.store.opening import open_matches
+from lightmatrix.store.zarr_store import open_matches
 from lightmatrix.transport.correspondence import Correspondence, correspondence
 from lightmatrix.transport.matrix import LightTransport
 

@@ -1,4 +1,7 @@
-"""The coherent estimate as work: its rounds, each of which starts from the rows before it."""
+"""The coherent estimate as work: its rounds, each of which starts from the rows before it.
+
+Where light grows from seeds, rows stay as they are if nothing changed around them.
+"""
 
 from __future__ import annotations
 
@@ -10,34 +13,26 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import maximum_filter
 from scipy.sparse import csr_array
 
 from lightmatrix.camera.samples import Samples
 from lightmatrix.capture.capture import Capture
 from lightmatrix.estimators.base import rows_with_diagnostics
 from lightmatrix.estimators.certainty import with_certainty
-from lightmatrix.estimators.coherent.camera_grid import CameraGrid
-from lightmatrix.estimators.coherent.certificate import certified_everywhere, sampled_rows
-from lightmatrix.estimators.coherent.held_out import HeldOut
-from lightmatrix.estimators.coherent.neighbourhood import Neighbourhood
-from lightmatrix.estimators.coherent.residuals import (
-    MOST_ROWS,
-    predicted_samples,
-    residual_diagnostics,
-    squared_residual,
-)
-from lightmatrix.estimators.coherent.row_changes import (
-    CHANGE,
-    replaced,
-    unchanged,
-    unsettled,
-    with_change,
-)
+from lightmatrix.estimators.coherent.neighbourhood import REACH, CameraGrid, Neighbourhood
 from lightmatrix.estimators.coherent.row_errors import (
+    MOST_ROWS,
+    HeldOut,
+    certified_everywhere,
     held_out_energy,
     noise_of,
+    predicted_samples,
+    residual_diagnostics,
+    sampled_rows,
     smooth_misfit,
     squared_misfit,
+    squared_residual,
     without,
 )
 from lightmatrix.estimators.coherent.row_solver import RowSolver
@@ -52,8 +47,43 @@ from lightmatrix.resources.threads import core_threads
 from lightmatrix.solvers.loop import Progress
 from lightmatrix.solvers.problem import Result
 from lightmatrix.store import ROWS
-from lightmatrix.store.tiles import Span
+from lightmatrix.store.checkpoint import Span
 from lightmatrix.transport.sparse_rows import SparseRows, footprint_sizes
+
+# The diagnostic that holds which share of its light changed in a row's last round.
+CHANGE = "change"
+# A row has settled if no row around it changed by more than this share of its light. Measured on
+# procedural scenes: after three rounds at a spacing a tenth to a quarter of the rows are unsettled.
+STILL = 0.02
+
+
+def with_change(rows: SparseRows, before: SparseRows) -> SparseRows:
+    """Rows with the share of their light that changed."""
+    difference = np.asarray(abs(rows.coefficients - before.coefficients).sum(axis=1), np.float64)
+    light = np.asarray(abs(rows.coefficients).sum(axis=1), np.float64)
+    change = np.divide(difference, light, out=(difference > 0).astype(np.float64), where=light > 0)
+    return replace(rows, diagnostics={**rows.diagnostics, CHANGE: change.astype(np.float32)})
+
+
+def unsettled(rows: SparseRows, camera: tuple[int, int, int]) -> NDArray[np.bool_]:
+    """Which rows of a whole camera have a change around them, (M,)."""
+    change = rows.diagnostics[CHANGE].reshape(camera)
+    side = 2 * REACH + 1
+    around = maximum_filter(change, size=(side, side, 1), mode="nearest")
+    return np.asarray(around > STILL).ravel()
+
+
+def unchanged(rows: SparseRows) -> SparseRows:
+    """Rows that a round did not solve again."""
+    return replace(rows, diagnostics={**rows.diagnostics, CHANGE: np.zeros(rows.count, np.float32)})
+
+
+def replaced(rows: SparseRows, new: SparseRows, places: NDArray[np.int64]) -> SparseRows:
+    """Unchanged rows, with new ones at some places."""
+    order = np.arange(rows.count)
+    order[places] = rows.count + np.arange(new.count)
+    return SparseRows.joined([unchanged(rows), new]).rows(order)
+
 
 # Diagnostics where light grows: whether a row has searched all projector pixels; and whether no
 # atom beside its candidates would enter it, NaN for rows that were not checked.

@@ -1,17 +1,42 @@
-"""The error of each row, estimated from how well it predicts frames that were held out of it.
+"""How far to trust each row: by frames held out, by its residuals, and against all atoms.
 
-A row solved without some of its frames mispredicts these by what it has wrong. Under random
-patterns an error d of the row gives an error of the sample whose variance is that of the patterns'
-values times ||d||^2. So the frames held out measure ||d|| itself, of a row from a few frames less.
+**Held-out frames.** A row solved without some of its frames mispredicts these by what it has wrong.
+Under random patterns an error d of the row gives an error of the sample whose variance is that of
+the patterns' values times ||d||^2. So the frames held out measure ||d|| itself, of a row from a few
+frames less. A photograph of a pattern that was shown twice, or whose inverse was shown, follows
+from the others whatever T is. Such frames are held out together. If that leaves too few others,
+nothing is tested.
+
+**Residuals.** Photographs held out do not show what is wrong with all photographs alike. Two such
+faults leave traces in the residuals of some rows. A constant light, as of an electronic pedestal,
+of the room or of a projector whose black is not dark, is taken for a background, but does not get
+brighter with the patterns. And where samples are no linear function of light, residuals bend with
+the prediction.
+
+**All atoms.** Some rows, solved on likely atoms only, are checked against all atoms.
 """
 
 from __future__ import annotations
 
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from itertools import chain
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
+from scipy.sparse import csr_array
 
+from lightmatrix import _core
 from lightmatrix.camera.samples import Samples
-from lightmatrix.estimators.coherent.camera_grid import mean_around
+from lightmatrix.diagnosis.pattern_faults import is_separable
+from lightmatrix.estimators.coherent.neighbourhood import mean_around, strongest_entries
+from lightmatrix.estimators.coherent.row_solver import RowSolver, WeightedRows
+from lightmatrix.patterns.atoms import AtomPatterns
+from lightmatrix.patterns.pattern_set import PatternSet
+from lightmatrix.resources.threads import core_threads
+from lightmatrix.solvers.fidelity import Fidelity
+from lightmatrix.solvers.problem import Result
 
 # One frame of eight is held out, but at least two; none of fewer than eight frames. Chosen by hand:
 # the row should lose few frames, and one frame alone has no variance.
@@ -100,3 +125,387 @@ def smooth_misfit(
             side = 1 + (width - 1) * max(1, spacing // 2)
             means[missing] = mean_around(image, known, side)[missing]
     return np.asarray(np.maximum(means - noise, LEAST_SHARE * means).ravel(), np.float32)
+
+
+# A held-out frame tests an estimate if the remaining patterns leave at least half as much of its
+# contrast unexplained as they leave of a random pattern. Chosen on 60 small captures.
+_NEW = 0.5
+# At most a quarter of the frames is held out: the rows need the others. Chosen by hand.
+_MOST = 4
+# Frames are compared with all others. If there are more than this, only about so many are compared
+# that are most like those to hold out, which bounds the time to a few seconds.
+_COMPARED = 1024
+# The contrast is computed from this many projector pixels, or from four for each frame.
+_SAMPLED_PIXELS, _PIXELS_PER_FRAME = 4096, 4
+# Patterns whose squared cosine exceeds this are the same, or inverses of each other.
+_SAME = 0.99
+# Pixels whose values, less the mean of their pattern, differ by less than this never vary. Patterns
+# of one pixel each have means that differ by a pixel's share.
+_VARIES = 0.1
+# Contrasts below this share of the largest one are rounding.
+_ROUNDING = 1e-6
+
+
+@dataclass(frozen=True, eq=False)
+class HeldOut:
+    """The frames that are held out, and those among them by which the error is judged.
+
+    A frame that repeats or inverts a judged one is held out with it; it adds no knowledge.
+    """
+
+    frames: NDArray[np.int64]
+    judged: NDArray[np.int64]
+
+    @classmethod
+    def choose(cls, patterns: PatternSet, judged: int | None = None) -> HeldOut:
+        """The frames to hold out of some patterns; none if they could test nothing.
+
+        About every eighth frame is judged, or as few as `judged`, which is at least 2.
+        """
+        nothing = np.zeros(0, np.int64)
+        usual = held_out_frames(patterns.count)
+        # A code of stripes needs each of its bits, so nothing can be held out.
+        if not len(usual) or is_separable(patterns):
+            return cls(nothing, nothing)
+        if judged is not None and judged < len(usual):
+            usual = usual[np.linspace(0, len(usual) - 1, judged).astype(int)]
+        values = _values(patterns)
+        compared = _most_alike(values, usual)
+        chosen = cls._among(values[compared], np.searchsorted(compared, usual))
+        return cls(compared[chosen.frames], compared[chosen.judged])
+
+    @classmethod
+    def _among(cls, values: NDArray[np.float64], usual: NDArray[np.int64]) -> HeldOut:
+        """The frames to hold out of centred patterns, (K, n), if these are the usual ones."""
+        nothing = np.zeros(0, np.int64)
+        gram, pixels = values @ values.T, values.shape[1]
+        most = max(len(values) // _MOST, len(usual))
+        firsts, groups = [int(k) for k in usual], dict[int, list[int]]()
+        # Frames that were not held out in the end may explain others.
+        while firsts != [*groups]:
+            firsts = [*groups] or firsts
+            groups = _complete(firsts, gram, pixels, len(usual), most)
+            if not groups:
+                break
+        frames = np.unique(np.concatenate([nothing, *groups.values()]))
+        judged = np.array(sorted(groups), np.int64)
+        # One frame alone has no variance.
+        if len(judged) < 2 or _show_only_their_own(values, frames, judged):
+            return cls(nothing, nothing)
+        return cls(frames, judged)
+
+
+def _most_alike(values: NDArray[np.float64], usual: NDArray[np.int64]) -> NDArray[np.int64]:
+    """The usual frames, and all others or those that are most like one of them, in order."""
+    if len(values) <= _COMPARED:
+        return np.arange(len(values))
+    spread = np.linalg.norm(values, axis=1)
+    cosines = np.abs(values @ values[usual].T) / np.maximum(spread[:, None] * spread[usual], 1e-300)
+    each = _COMPARED // len(usual)
+    nearest = np.argpartition(-cosines, each, axis=0)[:each]
+    return np.union1d(nearest.ravel(), usual)
+
+
+def _complete(
+    firsts: list[int], gram: NDArray[np.float64], pixels: int, usual: int, most: int
+) -> dict[int, list[int]]:
+    """Groups of frames, each of the first with all that predict it; those that fit into `most`.
+
+    They hold about as many frames as are usual, and are two at least.
+    """
+    contrast = np.diag(gram)
+    least = _ROUNDING * contrast.max()
+    complete: dict[int, list[int]] = {}
+    others = [k for k in firsts if contrast[k] > least]
+    while others and not _enough(complete, usual):
+        first = others.pop(0)
+        taken = [k for group in complete.values() for k in group]
+        if first in taken:
+            continue
+        # Twins among the usual frames are one group.
+        alike = gram[first, others] ** 2 > _SAME * contrast[first] * contrast[others]
+        group = [first, *np.array(others, np.int64)[alike].tolist()]
+        while len(taken) + len(group) <= most:
+            # The frames still to come may be held out as well.
+            rest = np.setdiff1d(np.arange(len(gram)), [*taken, *group, *others])
+            share, strongest, rank = _unexplained(gram, first, rest)
+            if share >= _NEW * (1 - rank / max(pixels - 1, 1)) - 1e-6:
+                complete[first] = group
+                break
+            group.append(strongest)
+    return complete
+
+
+def _enough(groups: dict[int, list[int]], usual: int) -> bool:
+    return len(groups) > 1 and sum(map(len, groups.values())) >= usual
+
+
+def _unexplained(
+    gram: NDArray[np.float64], frame: int, rest: NDArray[np.int64]
+) -> tuple[float, int, int]:
+    """The share of a frame's contrast that the rest leaves, what explains most, and their rank."""
+    values, vectors = np.linalg.eigh(gram[np.ix_(rest, rest)])
+    used = values > _ROUNDING * max(values[-1], 1e-300)
+    across = gram[rest, frame]
+    projected = vectors[:, used].T @ across
+    explained = float((projected**2 / values[used]).sum())
+    coefficients = vectors[:, used] @ (projected / values[used])
+    weight = np.abs(coefficients) * np.sqrt(np.diag(gram)[rest])
+    return 1 - explained / gram[frame, frame], int(rest[weight.argmax()]), int(used.sum())
+
+
+def _show_only_their_own(
+    values: NDArray[np.float64], frames: NDArray[np.int64], judged: NDArray[np.int64]
+) -> bool:
+    """Whether the contrast of frames is mostly in pixels that the frames not held out never vary.
+
+    Then T is right where it is known, and nothing can be predicted: one pixel at a time, say.
+    """
+    rest = np.delete(values, frames, axis=0)
+    off = (values[judged] - rest.mean(axis=0)) ** 2
+    never = np.ptp(rest, axis=0) < _VARIES
+    return bool(off[:, never].sum() > off.sum() / 2)
+
+
+def _values(patterns: PatternSet) -> NDArray[np.float64]:
+    """The patterns, each less its mean, at some pixels, (K, n)."""
+    most = max(_SAMPLED_PIXELS, _PIXELS_PER_FRAME * patterns.count)
+    pixels = np.sort(np.random.default_rng(0).permutation(patterns.pixels)[:most])
+    values = patterns.columns(pixels).astype(np.float64)
+    return np.asarray(values - values.mean(axis=1, keepdims=True))
+
+
+# The most rows, evenly spread, whose residuals are looked at. Chosen by hand: what is wrong in all
+# rows shows in these as well, and they cost little.
+MOST_ROWS = 4096
+# Patterns are alike in brightness if their means vary by less than this share of it. Chosen by
+# hand: the means of random patterns of 128 x 128 pixels vary by 0.8 %.
+_ALIKE = 0.004
+# Rows that are only bounded and clip in more than this share of K photographs, and 1.5 / K more,
+# see a glint: several projector pixels clip them alone. Rows of intact captures reach .69, glints
+# 30 to 100 times as bright as the rest clip in .77 to 1. Chosen on 180 small captures.
+_MOSTLY, _FEW = 0.72, 1.5
+# Fewer samples of a row that do not clip show no curve.
+_FEWEST = 8
+
+
+@dataclass(frozen=True, eq=False)
+class Predicted:
+    """The predicted samples of m rows under K patterns: of their atoms and of their background.
+
+    Parameters
+    ----------
+    atoms, background : (m, K)
+        Light in units of camera sample.
+    brightness : (K,)
+        Mean of each pattern.
+    """
+
+    atoms: NDArray[np.float32]
+    background: NDArray[np.float32]
+    brightness: NDArray[np.float64]
+
+
+def predicted_samples(
+    solver: RowSolver, weighted: WeightedRows, solved: Result, index: NDArray[np.int64]
+) -> Predicted:
+    """The predicted samples of some of the solved rows under the patterns shown."""
+    patterns, brightness = solver.capture.patterns, solver.backgrounds.brightness
+    if not len(index):
+        nothing = np.zeros((0, patterns.count), np.float32)
+        return Predicted(nothing, nothing, brightness)
+    pixels = solver.atoms.expand(csr_array(solved.coefficients[index], dtype=np.float32))
+    used, place = np.unique(pixels.indices, return_inverse=True)
+    own = csr_array((pixels.data, place, pixels.indptr), shape=(len(index), len(used)))
+    light: NDArray[Any] = (
+        solved.background[index][:, None] * weighted.background[index, : patterns.count]
+    )
+    if solved.cells.shape[1]:
+        light = light + solved.cells[index] @ solver.backgrounds.shown_means
+    return Predicted(
+        np.asarray(own @ patterns.columns(used).T, np.float32).reshape(light.shape),
+        np.asarray(light, np.float32),
+        brightness,
+    )
+
+
+def residual_diagnostics(
+    solver: RowSolver,
+    weighted: WeightedRows,
+    solved: Result,
+    pixels: csr_array,
+    chosen: NDArray[np.int64],
+) -> dict[str, NDArray[Any]]:
+    """The diagnostics of solved rows that their samples and residuals give.
+
+    `pixels` are the rows as pixels. `only_bounded` and `glint` are of all rows, `constant_light`
+    and `bend` are of the `chosen` ones, and NaN of others.
+    """
+    samples = weighted.problem.samples
+    shown, few = predicted_samples(solver, weighted, solved, chosen), samples.rows(chosen)
+    constant, bent = (np.full(len(samples.values), np.nan) for _ in range(2))
+    constant[chosen], bent[chosen] = constant_light(few, shown), bend(few, shown)
+    bounded = only_bounded(samples, pixels, solver.capture.patterns)
+    clipped = samples.clipped.mean(axis=1)
+    return {
+        "only_bounded": bounded,
+        "glint": bounded & (clipped > _MOSTLY + _FEW / samples.clipped.shape[1]),
+        "constant_light": constant,
+        "bend": bent,
+    }
+
+
+def squared_residual(samples: Samples, predicted: Predicted) -> NDArray[np.float32]:
+    """Mean squared residual of rows at their samples that count and do not clip, (m,)."""
+    counted = samples.counted & ~samples.clipped
+    left = (samples.values - predicted.atoms - predicted.background) * counted
+    with np.errstate(invalid="ignore", divide="ignore"):
+        return np.asarray((left**2).sum(axis=1) / counted.sum(axis=1), np.float32)
+
+
+def constant_light(samples: Samples, predicted: Predicted) -> NDArray[np.float64]:
+    """The share of each row's mean sample that does not follow the brightness of patterns, (m,).
+
+    A background that is constant in truth is predicted to vary with the patterns. This leaves
+    residuals in proportion, beside those that the atoms can explain. NaN for rows that show
+    nothing.
+    """
+    counted = samples.counted & ~samples.clipped
+    background = predicted.background.astype(np.float64)
+    left = _centred(samples.values - predicted.atoms - background, counted)
+    direct = _centred(predicted.atoms, counted)
+    mean = predicted.brightness.mean()
+    # One unit of the background at mean brightness.
+    level = background.mean(axis=1, keepdims=True)
+    if predicted.brightness.std() > _ALIKE * mean:
+        shape = np.broadcast_to(predicted.brightness / mean, background.shape)
+    else:
+        shape = background / np.where(level > 0, level, np.nan)
+    unit = _without(_centred(shape, counted), direct)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        slope = (left * unit).sum(axis=1) / (unit**2).sum(axis=1)
+        mean = (samples.values * samples.counted).sum(axis=1) / samples.counted.sum(axis=1)
+        # No more was taken for a background than there is.
+        most = level.ravel() / mean
+        return np.where(level.ravel() > 0, np.clip(-slope / mean, -most, most), 0 * mean)
+
+
+def bend(samples: Samples, predicted: Predicted) -> NDArray[np.float64]:
+    """How far residuals bend with the prediction, relative to the row's contrast, (m,).
+
+    Below 0 where bright samples are darker than predicted, as through a gamma curve or beyond an
+    unknown clip level. NaN for rows that show nothing.
+    """
+    counted = samples.counted & ~samples.clipped
+    whole = predicted.atoms.astype(np.float64) + predicted.background
+    left = _centred(samples.values - whole, counted)
+    linear = _centred(whole, counted)
+    square = _without(_centred(linear**2, counted), linear)
+    contrast = np.sqrt((_centred(samples.values, counted) ** 2).sum(axis=1))
+    with np.errstate(invalid="ignore", divide="ignore"):
+        along = (left * square).sum(axis=1) / np.sqrt((square**2).sum(axis=1))
+        return np.where(counted.sum(axis=1) >= _FEWEST, along / contrast, np.nan)
+
+
+def only_bounded(samples: Samples, pixels: csr_array, patterns: PatternSet) -> NDArray[np.bool_]:
+    """Whether rows clip in every photograph that shows their strongest projector pixel, (m,).
+
+    Its light has a lower bound only, however well the other photographs are predicted.
+    """
+    entries = np.diff(pixels.indptr)
+    lit = np.flatnonzero(entries)
+    bounded = np.zeros(len(entries), bool)
+    if not len(lit):
+        return bounded
+    strongest = strongest_entries(pixels)[lit]
+    used, place = np.unique(strongest, return_inverse=True)
+    shown = patterns.columns(used).T
+    shown = (shown >= shown.max(axis=1, keepdims=True) / 2)[place]
+    some = samples.rows(lit)
+    seen = (shown & some.counted & ~some.clipped).any(axis=1)
+    bounded[lit] = ~seen & (shown & some.counted & some.clipped).any(axis=1)
+    return bounded
+
+
+def _centred(values: NDArray[np.floating], counted: NDArray[np.bool_]) -> NDArray[np.float64]:
+    """Values less their means over the samples that count, 0 elsewhere."""
+    number = np.maximum(counted.sum(axis=1, keepdims=True), 1)
+    mean = (values * counted).sum(axis=1, keepdims=True, dtype=np.float64) / number
+    return np.asarray((values - mean) * counted)
+
+
+def _without(values: NDArray[np.float64], other: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Rows less the part along other rows."""
+    length = np.maximum((other**2).sum(axis=1, keepdims=True), 1e-30)
+    return np.asarray(values - other * (values * other).sum(axis=1, keepdims=True) / length)
+
+
+# Rows of an estimate, evenly spread, that are checked against all atoms. Chosen by hand: few enough
+# to cost little next to the estimate.
+SAMPLED = 256
+# A correlation may exceed its bound by this share, which is ten times the relative gap of the rows.
+SLACK = 0.01
+# Rows whose correlations with all atoms a thread holds in memory together.
+_ROWS_TOGETHER = 3
+
+
+def sampled_rows(start: int, stop: int, count: int) -> NDArray[np.int64]:
+    """The rows among start..stop of `count` that are checked."""
+    step = max(1, count // SAMPLED)
+    index = np.arange(start, stop)
+    return index[index % step == step // 2]
+
+
+def certified_everywhere(
+    solver: RowSolver, weighted: WeightedRows, solved: Result, rows: NDArray[np.int64]
+) -> NDArray[np.bool_]:
+    """Whether no other atom, at the penalty 2 lambda, would enter each of the n `rows`, (n,).
+
+    This is the optimality condition of a row's weighted problem: the correlation of an atom with
+    the row's residual does not exceed its penalty.
+    """
+    limit = 2 * weighted.problem.regularization * (1 + SLACK)
+    shown, unseen = _residuals(solver, weighted, solved, rows)
+    parts = [(solver.atoms.prepared, shown)]
+    if unseen is not None:
+        parts.append((solver.unseen.prepared, unseen))
+
+    def none_exceeds(first: int) -> list[bool]:
+        some = [(prepared, e[first : first + _ROWS_TOGETHER]) for prepared, e in parts]
+        return [
+            not (sum(prepared.columns(near) @ e[i] for prepared, e in some) > limit).any()
+            # Scores of 16 bits bound the correlations; few may exceed the limit.
+            for i, near in enumerate(_core.may_exceed(some, limit))
+        ]
+
+    with ThreadPoolExecutor(solver.solver.threads or core_threads()) as pool:
+        holds = chain.from_iterable(pool.map(none_exceeds, range(0, len(rows), _ROWS_TOGETHER)))
+        return np.fromiter(holds, np.bool_, len(rows))
+
+
+def _residuals(
+    solver: RowSolver, weighted: WeightedRows, solved: Result, rows: NDArray[np.int64]
+) -> tuple[NDArray[np.float64], NDArray[np.float64] | None]:
+    """Weighted residuals of some rows, under the patterns shown and under the unseen ones."""
+    problem, pseudo = weighted.problem, weighted.pseudo_samples
+    count = problem.patterns.count
+    coefficients = csr_array(solved.coefficients[rows])
+    light: NDArray[Any] = solved.background[rows][:, None] * weighted.background[rows]
+    light = light + solved.cells[rows] @ weighted.cells.means
+    samples = problem.observed.at(rows).astype(np.float64)
+    predicted = _under(solver.atoms, coefficients) + light[:, :count]
+    term = Fidelity(solver.solver.fidelity).term
+    shown = samples.weights * term.residual(predicted, samples)
+    if pseudo is None:
+        return shown, None
+    unseen = _under(solver.unseen, coefficients) + light[:, count:]
+    both = np.concatenate([predicted, unseen], axis=1)
+    further = pseudo.weights[rows] * (pseudo.values[rows] - both)
+    return shown + further[:, :count], np.ascontiguousarray(further[:, count:])
+
+
+def _under(atoms: AtomPatterns, rows: csr_array) -> NDArray[np.float64]:
+    """The samples of rows of atoms under the patterns, (n, K)."""
+    used, place = np.unique(rows.indices, return_inverse=True)
+    own = csr_array((rows.data, place, rows.indptr), shape=(rows.shape[0], len(used)))
+    return np.asarray(own @ atoms.prepared.columns(used).astype(np.float64))

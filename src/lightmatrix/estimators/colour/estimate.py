@@ -32,9 +32,8 @@ from lightmatrix.outputs.writing import check_output
 from lightmatrix.patterns.colour import ColourPatterns
 from lightmatrix.progress_bar import progress_bar
 from lightmatrix.solvers.loop import Progress
-from lightmatrix.store.colour_stores import save_colour
-from lightmatrix.transport.colour import ColourTransport
-from lightmatrix.transport.matrix import LightTransport
+from lightmatrix.store.zarr_store import save_colour
+from lightmatrix.transport.matrix import ColourTransport, LightTransport
 
 # Grey patterns from which the geometry is found without the others. Fewer show where most camera
 # pixels look, but not all. The usual mixing is the better start then (docs/colour.md).

@@ -30,7 +30,7 @@ from lightmatrix.estimators.workers.worker import (
     solve_tile,
 )
 from lightmatrix.store import Checkpoint
-from lightmatrix.store.tiles import Span, tile_name
+from lightmatrix.store.checkpoint import Span, tile_name
 
 if TYPE_CHECKING:
     from distributed import Client, Future

@@ -24,8 +24,7 @@ from lightmatrix.estimators.work import SolveTile, Work
 from lightmatrix.estimators.workers.pickling import unpack_work
 from lightmatrix.resources.memory import available_bytes
 from lightmatrix.resources.threads import core_threads
-from lightmatrix.store.checkpoint import fingerprint_token
-from lightmatrix.store.tiles import Span, read_tile, tile_name, write_tile
+from lightmatrix.store.checkpoint import Span, fingerprint_token, read_tile, tile_name, write_tile
 from lightmatrix.transport.sparse_rows import SparseRows
 
 # The file of the packed estimate in the folder of the running results.

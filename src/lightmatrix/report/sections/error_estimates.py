@@ -9,7 +9,7 @@ from lightmatrix.report.facts import Facts
 from lightmatrix.report.image_data import difference_image, image_of_map, pattern_image, photograph
 from lightmatrix.report.validation import Validation
 from lightmatrix.reprs import shown_value
-from lightmatrix.transport.labels import labelled
+from lightmatrix.transport.matrix import labelled
 
 # The page shows this many of the unseen photographs.
 _COMPARED = 2

@@ -12,7 +12,7 @@ from lightmatrix.report.facts import Facts
 from lightmatrix.report.image_data import difference_image, image_of_map, pattern_image, photograph
 from lightmatrix.report.validation import Validation
 from lightmatrix.reprs import shown_value
-from lightmatrix.transport.labels import labelled
+from lightmatrix.transport.matrix import labelled
 
 _SHOWN = ("disc", "stripes")
 # White is this quantile of the true image, and the scale of its difference does not end below this

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import json
 import os
 import socket
 import stat
-import sys
 import tempfile
 from pathlib import Path
 
@@ -15,17 +13,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-import lightmatrix as lm
 from lightmatrix.errors import OutputError
-from lightmatrix.outputs import targets
-from lightmatrix.outputs.kinds import IMAGE, MAT, NPZ
-from lightmatrix.outputs.markers import FileKind, FolderKind, OutputKind
+from lightmatrix.outputs.kinds import IMAGE, MAT, NPZ, FileKind, FolderKind, OutputKind
 from lightmatrix.outputs.writing import atomic_folder, check_output
-from tests.helpers.systems import PIPES
-
-if sys.platform != "win32":
-    pass
 from tests.helpers.outputs import CAPTURE, TEXT, interrupted, snapshot, write
+from tests.helpers.systems import PIPES
 
 
 def test_folders_are_replaced_whole(tmp_path: Path) -> None:
@@ -46,7 +38,7 @@ def test_folders_are_replaced_whole(tmp_path: Path) -> None:
 
 PLACES = st.sampled_from(["", "images", "images/more", "new/er"])
 NAMES = st.sampled_from(["photo.jpg", "0.png ", "capture.json~", ".hidden", "\udcff", "[/x]"])
-CHANGES = st.sampled_from(["add", "link", "folder link", "pipe", "edit", "unmark", "nothing"])
+CHANGES = st.sampled_from(["add", "link", "folder link", "pipe", "longer", "unmark", "nothing"])
 
 
 @PIPES
@@ -69,7 +61,7 @@ def test_a_folder_with_anything_foreign_in_it_is_left_alone(
             path.symlink_to(target / "images")
         elif change == "pipe":
             os.mkfifo(path)
-        elif change == "edit":
+        elif change == "longer":
             (target / "capture.json").write_text("edited by hand")
         elif change == "unmark":
             (target / ".lightmatrix").unlink()
@@ -81,45 +73,6 @@ def test_a_folder_with_anything_foreign_in_it_is_left_alone(
         with pytest.raises(OutputError, match="lightmatrix"):
             write(target, "new", overwrite=True)
         assert snapshot(Path(folder)) == before
-
-
-@pytest.mark.parametrize("name", ["capture.json", "images/0.png"])
-def test_an_edit_that_keeps_the_size_is_not_lost(tmp_path: Path, name: str) -> None:
-    target = tmp_path / "capture"
-    write(target)
-    (target / name).write_text("new")
-    before = snapshot(tmp_path)
-    with pytest.raises(OutputError, match=f"{name} in it was changed since lightmatrix wrote it"):
-        write(target, "won", overwrite=True)
-    assert snapshot(tmp_path) == before
-    (target / name).write_text("old")
-    write(target, "won", overwrite=True)
-
-
-def test_folders_whose_marker_has_no_digests_are_replaced(tmp_path: Path) -> None:
-    target = tmp_path / "capture"
-    write(target)
-    marker = target / ".lightmatrix"
-    content = json.loads(marker.read_text())
-    del content["digests"]
-    marker.write_text(json.dumps(content))
-    write(target, "new", overwrite=True)
-    assert (target / "capture.json").read_text() == "new"
-
-
-def test_an_edited_attribute_of_a_packed_capture_is_not_lost(tmp_path: Path) -> None:
-    path = tmp_path / "capture.zarr"
-    capture = lm.simulate("metal", lm.BernoulliPatterns((64, 64), 2), exposure=0.8)
-    lm.pack(capture, path)
-    header = path / "zarr.json"
-    text = header.read_text()
-    assert text.count("0.8") > 0
-    header.write_text(text.replace("0.8", "0.7"))
-    with pytest.raises(OutputError, match=r"zarr\.json in it was changed"):
-        lm.pack(capture, path, overwrite=True)
-    assert "0.7" in header.read_text()
-    header.write_text(text)
-    lm.pack(capture, path, overwrite=True)
 
 
 def test_a_file_that_comes_while_the_new_folder_is_made_is_not_lost(tmp_path: Path) -> None:
@@ -197,7 +150,7 @@ def test_devices_pipes_and_sockets_stay(
     Path("link").symlink_to("special")
     before = snapshot(tmp_path)
     for name in ("special", "link"):
-        with pytest.raises(OutputError, match=what):
+        with pytest.raises(OutputError, match="a device, a pipe or a socket"):
             check_output(name, kind, overwrite=True)
     with pytest.raises(OutputError, match=r"is not a folder|Not a directory"):
         check_output("special/a", kind)
@@ -205,17 +158,13 @@ def test_devices_pipes_and_sockets_stay(
 
 
 def test_places_that_are_never_replaced(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    for name in ("here", "home", "disk", "other"):
+    for name in ("here", "home", "other"):
         write(tmp_path / name / "in")
         (tmp_path / f"to {name}").symlink_to(name)
     monkeypatch.chdir(tmp_path / "here" / "in")
     for name in ("HOME", "USERPROFILE"):  # POSIX and Windows look for it here.
         monkeypatch.setenv(name, str(tmp_path / "home" / "in"))
-    mounts = tmp_path / "mountinfo"
-    disk = str(tmp_path / "disk" / "in" / "a b").replace(" ", "\\040")
-    mounts.write_text(f"36 35 98:0 / {disk} rw - ext3 /dev/x rw\n")
-    monkeypatch.setattr(targets, "_MOUNTS", mounts)
-    words = {"here": "the current folder", "home": "the home folder", "disk": "disk is mounted"}
+    words = {"here": "the current folder", "home": "the home folder"}
     for name, reason in words.items():
         for path in (tmp_path / name / "in", tmp_path / name, tmp_path / f"to {name}"):
             with pytest.raises(OutputError, match=reason):
@@ -224,7 +173,12 @@ def test_places_that_are_never_replaced(tmp_path: Path, monkeypatch: pytest.Monk
         with pytest.raises(OutputError, match="never replaced"):
             check_output(text, CAPTURE, overwrite=True)
     check_output(tmp_path / "other" / "in", CAPTURE, overwrite=True)
-    assert os.path.ismount("/")
+    (tmp_path / "other" / "in" / "disk").mkdir()
+    disk = str(tmp_path / "other" / "in" / "disk")
+    monkeypatch.setattr(os.path, "ismount", lambda place: str(place) == disk)
+    for name in ("other/in", "other/in/disk"):
+        with pytest.raises(OutputError, match=r"disk is mounted|holds disk"):
+            check_output(tmp_path / name, CAPTURE, overwrite=True)
 
 
 def test_links_are_followed_to_their_end(tmp_path: Path) -> None:

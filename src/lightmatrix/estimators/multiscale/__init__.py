@@ -1,1 +1,0 @@
-"""The multi-scale estimate: projector blocks first, then the pixels that matter."""
