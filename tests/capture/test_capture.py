@@ -339,7 +339,7 @@ def test_a_capture_is_written_whole_or_not_at_all(tmp_path: Path) -> None:
         write_capture(tmp_path / "c", SETS[0], iter([frames[0], frames[1][1:]]), sensor=sensor)
     assert not list(tmp_path.iterdir())
     write_capture(tmp_path / "c", SETS[0], frames, sensor=sensor)
-    with pytest.raises(OutputError, match="--overwrite"):
+    with pytest.raises(OutputError, match="overwrite=True"):
         write_capture(tmp_path / "c", SETS[0], frames, sensor=sensor)
     write_capture(tmp_path / "c", SETS[0], frames[::-1], sensor=sensor, overwrite=True)
     np.testing.assert_array_equal(Capture.open(tmp_path / "c").frame(0), frames[-1])

@@ -8,7 +8,7 @@ import sys
 import pytest
 
 from lightmatrix.cli import LEAST_ADDRESS_SPACE
-from lightmatrix.cli.failures import report
+from lightmatrix.cli.app import report
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="limits of Linux")
 

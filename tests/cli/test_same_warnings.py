@@ -12,7 +12,7 @@ import lightmatrix as lm
 from benchmarks import frame_checks
 from lightmatrix.capture.folder import write_capture
 from lightmatrix.cli import main
-from lightmatrix.cli.failures import as_options
+from lightmatrix.cli.terminal import as_options
 from lightmatrix.errors import LightMatrixError
 
 # The kind of finding that names each fault of the frame checks; an order is refused.

@@ -314,7 +314,7 @@ def test_writing_refuses_what_is_no_image(tmp_path: Path) -> None:
 def test_an_existing_output_needs_overwrite(tmp_path: Path) -> None:
     file = tmp_path / "a.png"
     write_image(file, np.zeros((2, 2)))
-    with pytest.raises(OutputError, match="--overwrite"):
+    with pytest.raises(OutputError, match="overwrite=True"):
         write_image(file, np.ones((2, 2)))
     assert read_image(file).max() == 0
     write_image(file, np.ones((2, 2)), overwrite=True)

@@ -62,7 +62,7 @@ def test_the_group_is_zarr_version_3_with_a_format_version(tmp_path: Path) -> No
 def test_an_existing_matrix_needs_overwrite(tmp_path: Path) -> None:
     path = tmp_path / "scene.zarr"
     store.save(path, transport(seed=1))
-    with pytest.raises(OutputError, match="--overwrite"):
+    with pytest.raises(OutputError, match="overwrite=True"):
         store.save(path, transport(seed=2))
     assert_same(store.open(path), transport(seed=1))
     store.save(path, transport(seed=2), overwrite=True)
@@ -260,7 +260,7 @@ def test_tiles_of_other_settings_are_neither_used_nor_lost(tmp_path: Path) -> No
 def test_a_complete_output_needs_overwrite_and_stays_until_replaced(tmp_path: Path) -> None:
     path = tmp_path / "scene.zarr"
     store.save(path, transport(seed=5))
-    with pytest.raises(OutputError, match="--overwrite"):
+    with pytest.raises(OutputError, match="overwrite=True"):
         run(path)
     with pytest.raises(KeyboardInterrupt):
         run(path, fail_at=8, overwrite=True)

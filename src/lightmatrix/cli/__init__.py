@@ -7,7 +7,9 @@ moment. `main` imports the rest.
 from __future__ import annotations
 
 import gc
+import importlib
 import os
+import signal
 import sys
 
 from lightmatrix.resources.allocator import keep_freed_memory
@@ -34,12 +36,9 @@ def main(argv: list[str] | None = None) -> int:
     """
     try:
         # Imported here, because the import takes long enough for a Ctrl-C.
-        from lightmatrix.cli.stops import quiet_stops
+        from lightmatrix.cli.app import run
 
-        with quiet_stops():
-            from lightmatrix.cli.app import run
-
-            return run(sys.argv[1:] if argv is None else argv)
+        return run(sys.argv[1:] if argv is None else argv)
     except KeyboardInterrupt:
         sys.stderr.write("stopped\n")
         return 130
@@ -52,12 +51,29 @@ def console() -> None:
         keep_freed_memory()
         gc.set_threshold(NEW_OBJECTS)
         os.environ.setdefault("OPENBLAS_THREAD_TIMEOUT", IDLE_CYCLES)
-        code = 3 if _lacks_address_space() else main()
+        code = 3
+        if not _lacks_address_space():
+            _load()
+            code = main()
     except KeyboardInterrupt:
         code = 130
     # Python would look for garbage once more, for .15 s, in memory that the system frees anyway.
     gc.freeze()
     sys.exit(code)
+
+
+def _load() -> None:
+    """Load the commands; a Ctrl-C meanwhile ends the process at once, for nothing is written yet.
+
+    Python's own handler raises KeyboardInterrupt, which callbacks of the import system lose one
+    time in a hundred. Ignored interrupts, as in background jobs of a shell, stay ignored.
+    """
+    usual = signal.getsignal(signal.SIGINT) is signal.default_int_handler
+    if usual:
+        signal.signal(signal.SIGINT, signal.SIG_DFL)
+    importlib.import_module("lightmatrix.cli.app")
+    if usual:
+        signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 def _lacks_address_space() -> bool:

@@ -1,15 +1,22 @@
-"""All commands, in the order and under the headings of `lightmatrix --help`; and how they run."""
+"""All commands under the headings of `lightmatrix --help`; how they run, and how they end.
+
+Whatever ends a command becomes one message on standard error and an exit code, in `report`.
+"""
 
 from __future__ import annotations
 
+import errno
 import functools
 import io
 import os
 import re
 import sys
+import traceback
 import warnings
 from collections.abc import Callable
-from typing import Annotated, Any
+from contextlib import suppress
+from difflib import get_close_matches
+from typing import Annotated, Any, TextIO
 
 import typer
 from typer.core import TyperCommand, TyperGroup
@@ -18,7 +25,7 @@ import lightmatrix as lm
 from lightmatrix.cli.calibrate import calibrate
 from lightmatrix.cli.capture import capture
 from lightmatrix.cli.check import check
-from lightmatrix.cli.claims import outputs
+from lightmatrix.cli.claims import FinishedError, is_stop, lacks_memory, outputs
 from lightmatrix.cli.compensate import compensate
 from lightmatrix.cli.convert import convert
 from lightmatrix.cli.decode import decode
@@ -26,7 +33,6 @@ from lightmatrix.cli.demo import demo
 from lightmatrix.cli.estimate import estimate
 from lightmatrix.cli.evaluate import evaluate
 from lightmatrix.cli.export import export
-from lightmatrix.cli.failures import as_options, report
 from lightmatrix.cli.info import info
 from lightmatrix.cli.pack import pack
 from lightmatrix.cli.patterns import patterns
@@ -39,11 +45,15 @@ from lightmatrix.cli.scenes import scenes
 from lightmatrix.cli.separate import separate
 from lightmatrix.cli.show import show
 from lightmatrix.cli.simulate import simulate
-from lightmatrix.cli.terminal import say, warn
+from lightmatrix.cli.terminal import as_options, say, warn
 from lightmatrix.cli.triangulate import triangulate
 from lightmatrix.cli.view import view
-from lightmatrix.errors import LightMatrixWarning
+from lightmatrix.errors import LightMatrixError, LightMatrixWarning
 
+# Exit codes. 70 is EX_SOFTWARE of sysexits.h, and 130 what shells give for Ctrl-C.
+BAD, NO_MEMORY, BUG, STOPPED = 2, 3, 70, 130
+# If this variable is set, a bug prints its traceback.
+DEBUG = "LIGHTMATRIX_DEBUG"
 # A shell sets this variable to ask for the words that can come next.
 COMPLETION = "_LIGHTMATRIX_COMPLETE"
 # Commands by stage of the work.
@@ -183,3 +193,84 @@ def _show_warning(
 ) -> None:
     if issubclass(category, LightMatrixWarning):
         warn(as_options(f"warning: {message}"), style="yellow")
+
+
+def report(error: BaseException) -> int:
+    """Print what went wrong as one message, and return the exit code."""
+    if isinstance(error, BrokenPipeError):
+        # The reader, such as `head`, has read enough.
+        _give_up(sys.stdout)
+        return 0
+    code, lines = _explain(error)
+    try:
+        for number, line in enumerate(lines):
+            warn(line if number == 0 else f"  {line}", "red" if number == 0 and code else None)
+    except (OSError, ValueError):
+        # Without standard error only the exit code is left. Python must not try to write the rest
+        # of its buffer when it exits.
+        _give_up(sys.stderr)
+    return code
+
+
+def _explain(error: BaseException) -> tuple[int, list[str]]:
+    if is_stop(error):
+        return STOPPED, ["; ".join(["stopped", *getattr(error, "__notes__", [])])]
+    if isinstance(error, LightMatrixError):
+        hint = as_options(error.hint or "")
+        return BAD, [f"error: {error.message}", *([hint] if hint else [])]
+    if isinstance(error, typer.TyperException):
+        message, hint = _usage_error(error)
+        return BAD, [f"error: {message}", hint]
+    if isinstance(error, FinishedError):
+        code, what = (0, str(error)) if error.enough else (NO_MEMORY, f"error: {error}")
+        return code, [what, "`lightmatrix info` shows it"]
+    if lacks_memory(error):
+        return NO_MEMORY, [
+            "error: not enough memory",
+            "use a smaller size, --memory or --tile-rows",
+        ]
+    if isinstance(error, OSError) and str(error).startswith("cannot start"):
+        return NO_MEMORY, [f"error: {error}", "free some memory, or lower RAYON_NUM_THREADS"]
+    # Errors of a stream, such as a full disk behind standard output, are no bug.
+    of_streams = {errno.ENOSPC, errno.EIO, errno.EBADF, errno.EDQUOT, errno.EFBIG}
+    if isinstance(error, OSError) and error.filename is None and error.errno in of_streams:
+        _give_up(sys.stdout)
+        why = error.strerror or str(error)
+        hint = "free some space, or redirect the output elsewhere"
+        return BAD, [f"error: standard output cannot be written ({why})", hint]
+    if isinstance(error, OSError) and error.filename is not None:
+        hint = "check the name, its permissions and the free space"
+        return BAD, [f"error: {error.filename}: {error.strerror or error}", hint]
+    # Our libraries read these variables when pictures are drawn, and refuse them so.
+    for name in ("MPLBACKEND", "SOURCE_DATE_EPOCH") if isinstance(error, ValueError) else ():
+        if os.environ.get(name) and repr(os.environ[name]) in str(error):
+            message = f"the environment variable {name} cannot be {os.environ[name]!r}"
+            return BAD, [f"error: {message}", f"unset {name}, which lightmatrix does not need"]
+    if os.environ.get(DEBUG):
+        with suppress(OSError, ValueError):
+            traceback.print_exception(error)
+    text = " ".join(str(error).split())
+    return BUG, [
+        f"internal error: {type(error).__name__}: {text}",
+        f"this is a bug of lightmatrix; please report it with the command and with {DEBUG}=1 set",
+    ]
+
+
+def _usage_error(error: typer.TyperException) -> tuple[str, str]:
+    """What is wrong with the arguments; and what the user probably meant, or where to look."""
+    message = error.format_message().replace("Value error, ", "")
+    context = getattr(error, "ctx", None)
+    hint = f"see `{context.command_path if context else 'lightmatrix'} --help`"
+    choice = re.search(r"'([^']*)' is not one of (.*)", message)
+    if choice:
+        near = get_close_matches(choice[1], re.findall(r"'([^']*)'", choice[2]), n=1)
+        hint = f"did you mean {near[0]}? {hint}" if near else hint
+    return message, hint
+
+
+def _give_up(stream: TextIO) -> None:
+    """Drop what the stream still holds, so that Python does not complain when it exits."""
+    with suppress(OSError, ValueError):
+        null = os.open(os.devnull, os.O_WRONLY)
+        os.dup2(null, stream.fileno())
+        os.close(null)

@@ -24,8 +24,7 @@ from lightmatrix.cli.options import (
     RigName,
     Seed,
 )
-from lightmatrix.cli.stages import stages
-from lightmatrix.cli.terminal import progress, say, show_json
+from lightmatrix.cli.terminal import progress, say, show_json, stages
 from lightmatrix.outputs.kinds import LIVE_CAPTURE, STORE
 
 

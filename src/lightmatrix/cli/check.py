@@ -6,10 +6,9 @@ from typing import TYPE_CHECKING
 
 import typer
 
-from lightmatrix.cli.failures import as_options
 from lightmatrix.cli.options import Json
 from lightmatrix.cli.source import Source, with_source
-from lightmatrix.cli.terminal import say, show_json
+from lightmatrix.cli.terminal import as_options, say, show_json
 
 if TYPE_CHECKING:
     from lightmatrix import Finding

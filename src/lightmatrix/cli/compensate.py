@@ -23,8 +23,7 @@ from lightmatrix.cli.options import (
     Store,
     primaries,
 )
-from lightmatrix.cli.stages import stages
-from lightmatrix.cli.terminal import progress, say, show_json
+from lightmatrix.cli.terminal import progress, say, show_json, stages
 from lightmatrix.errors import InputError
 
 

@@ -20,8 +20,7 @@ from lightmatrix.cli.options import (
     RigFile,
     RigName,
 )
-from lightmatrix.cli.stages import stages
-from lightmatrix.cli.terminal import say, show_json
+from lightmatrix.cli.terminal import say, show_json, stages
 
 app = typer.Typer(
     help="Measure a projector and a camera.",

@@ -7,9 +7,10 @@ from __future__ import annotations
 
 import json
 import math
+import re
 import sys
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import ExitStack, contextmanager
 from typing import Any
 
 from rich.console import Console
@@ -17,18 +18,6 @@ from rich.table import Table
 
 from lightmatrix.progress_bar import progress_bar, visible
 from lightmatrix.reprs import shown_value
-
-
-class Stopped(KeyboardInterrupt):
-    """Ctrl-C; its text says what is kept."""
-
-
-class FinishedError(Exception):
-    """The output is complete (all of it if `enough`), but memory ended in describing it."""
-
-    def __init__(self, message: str, enough: bool) -> None:
-        super().__init__(message)
-        self.enough = enough
 
 
 class _Plain(Console):
@@ -42,6 +31,17 @@ class _Plain(Console):
 
 
 _out, _err = _Plain(), _Plain(stderr=True)
+
+
+def as_options(text: str) -> str:
+    """The text with each parameter of a function, such as overwrite=True, as the option it is."""
+
+    def option(match: re.Match[str]) -> str:
+        name, value = match[1].replace("_", "-"), match[2].strip("\"'")
+        return {"True": f"--{name}", "False": f"--no-{name}"}.get(value, f"--{name} {value}")
+
+    # What is no parameter has blanks around =, or other characters.
+    return re.sub(r"""(?<![\w/.-])([a-z]+(?:_[a-z]+)*)=("[^"]*"|\w[\w.,:/]*\w|\w)""", option, text)
 
 
 def say(text: str, style: str | None = None) -> None:
@@ -90,6 +90,44 @@ def progress(what: str, unit: str) -> Iterator[Any]:
         return
     with progress_bar(what, unit, _err) as step:
         yield step
+
+
+class Stages:
+    """Progress of a rig, one bar at a time for measuring and photographing; made by `stages`."""
+
+    def __init__(self, shown: ExitStack) -> None:
+        self._shown = shown
+        self._title = ""
+        self._bar: Callable[..., None]
+        self._begin("looking at the rig", "looks")
+
+    def measured(self, part: str, done: int, total: int) -> None:
+        """Progress of measuring a part of the rig."""
+        self._update(f"measuring {part}", "looks", done, total)
+        if done == total:
+            self._begin("looking at the rig", "looks")
+
+    def photographed(self, step: Any) -> None:
+        """Progress of a capture after a frame, a `lightmatrix.live.session.Step`."""
+        note = f"{100 * step.clipped:.1f} % clipped, {step.check}"
+        self._update("photographing", "frames", step.done, step.total, note)
+
+    def _update(self, title: str, unit: str, done: int, total: int, note: str = "") -> None:
+        if title != self._title:
+            self._begin(title, unit)
+        self._bar(done, total, note)
+
+    def _begin(self, title: str, unit: str) -> None:
+        # Two bars at once would overwrite each other.
+        self._shown.close()
+        self._title, self._bar = title, self._shown.enter_context(progress(title, unit))
+
+
+@contextmanager
+def stages() -> Iterator[Stages]:
+    """Show bars with rate and time left on a terminal, and nothing elsewhere."""
+    with ExitStack() as shown:
+        yield Stages(shown)
 
 
 def _jsonable(value: Any) -> Any:

@@ -99,7 +99,7 @@ class RunningResults:
                 differences = setting_differences(before, settings)
             raise OutputError(
                 f"{running.path}: holds {contents} ({differences})",
-                hint="continue with those settings, add --overwrite to begin anew, or choose "
+                hint="continue with those settings, pass overwrite=True to begin anew, or choose "
                 "another output",
             )
         running.discard()

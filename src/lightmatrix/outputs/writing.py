@@ -48,7 +48,7 @@ def check_output(path: str | Path, kind: OutputKind, *, overwrite: bool = False)
         if os.path.lexists(target) and kind.check_replaceable(output, target) and not overwrite:
             raise OutputError(
                 f"{output}: exists already",
-                hint="add --overwrite to replace it, or choose a new name",
+                hint="pass overwrite=True to replace it, or choose a new name",
             )
         if kind.running:
             check_running(target, kind.running)
