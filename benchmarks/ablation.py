@@ -6,7 +6,6 @@ python -m benchmarks.ablation --side 64 --rigs sharp "blur 2"
 
 from __future__ import annotations
 
-import argparse
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import replace
@@ -16,10 +15,10 @@ from unittest.mock import patch
 
 import numpy as np
 from numpy.typing import NDArray
-from rich.console import Console
-from rich.table import Table
 from scipy.sparse import csr_array
 
+from experiments.harness import Row, show
+from experiments.harness import options as options_of
 from experiments.measured_scene import SCENES
 from experiments.rigs import RIGS, Case, rig_capture, rig_truth
 from lightmatrix.estimators.coherent import neighbourhood, schedule
@@ -92,23 +91,18 @@ def errors(case: Case) -> Iterator[tuple[str, float]]:
 
 def main() -> None:
     """Measure and print the table."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = options_of("benchmarks.ablation", __doc__)
     parser.add_argument("--patterns", type=int, default=32)
     parser.add_argument("--side", type=int, default=128)
     parser.add_argument("--rigs", nargs="+", choices=RIGS, default=USUAL_RIGS)
     arguments = parser.parse_args()
     columns = [(scene, rig) for rig in arguments.rigs for scene in SCENES]
-    table = Table(title=f"Relative error of T, {arguments.patterns} patterns")
-    table.add_column("")
+    rows: list[Row] = [{"": name} for name in WITHOUT]
     for scene, rig in columns:
-        table.add_column(f"{scene}\n{rig}", justify="right")
-    lines: dict[str, list[str]] = {name: [] for name in WITHOUT}
-    for scene, rig in columns:
-        for name, error in errors(Case(scene, rig, arguments.patterns, side=arguments.side)):
-            lines[name].append(f"{error:.4f}")
-    for name, values in lines.items():
-        table.add_row(name, *values)
-    Console(width=160).print(table)
+        case = Case(scene, rig, arguments.patterns, side=arguments.side)
+        for row, (_, error) in zip(rows, errors(case), strict=True):
+            row[f"{scene}\n{rig}"] = error
+    show(f"Relative error of T, {arguments.patterns} patterns", rows)
 
 
 if __name__ == "__main__":

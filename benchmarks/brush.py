@@ -10,7 +10,6 @@ pixel each time, as a painting hand does.
 
 from __future__ import annotations
 
-import argparse
 import json
 import time
 from collections.abc import Iterable
@@ -19,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import lightmatrix as lm
+from experiments.harness import options as options_of
 
 # Both ways agree within this share of the brightest sample: they add float32 values in different
 # orders.
@@ -29,7 +29,7 @@ _COMPARED = 4
 
 def main(arguments: list[str] | None = None) -> None:
     """Measure, and print a line of JSON: milliseconds."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.brush", description=__doc__)
+    parser = options_of("benchmarks.brush", __doc__)
     parser.add_argument("matrix", help="a .zarr folder with an index of its columns")
     parser.add_argument("--side", type=int, default=21)
     parser.add_argument("--strokes", type=int, default=120)

@@ -9,11 +9,11 @@ every fifth row) or coherent (of whole frames).
 
 from __future__ import annotations
 
-import argparse
-
 import numpy as np
 
 from benchmarks.plan_calibration import SCENES, SIZE, photograph, some_rows
+from experiments.harness import markdown
+from experiments.harness import options as options_of
 from lightmatrix.camera import noise
 from lightmatrix.estimators.coherent.estimator import CoherentEstimator
 from lightmatrix.estimators.plain import PlainEstimator
@@ -38,7 +38,7 @@ PLANS: dict[str, list[tuple[float, float]]] = {
 
 def main() -> None:
     """Print a table in Markdown: a row for each plan, a column for each scene."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = options_of("benchmarks.exposures", __doc__)
     parser.add_argument("--noise", type=float, default=noise.USUAL_NOISE)
     parser.add_argument("--estimator", choices=("plain", "coherent"), default="plain")
     parser.add_argument("--plans", nargs="+", default=tuple(PLANS), choices=tuple(PLANS))
@@ -50,9 +50,9 @@ def main() -> None:
     noise.MISFIT = arguments.misfit
     size, scenes = (arguments.size, arguments.size), arguments.scenes
     patterns = BernoulliPatterns(size, 64)
-    print("| exposures | " + " | ".join(scenes) + " |\n" + "|---" * (len(scenes) + 1) + "|")
+    lines = []
     for name in arguments.plans:
-        cells = []
+        cells = [name]
         for scene in scenes:
             known = truth(scene, size)
             levels = known.matrix.sum(axis=1)
@@ -65,7 +65,8 @@ def main() -> None:
             estimator = plain if arguments.estimator == "plain" else CoherentEstimator()
             error = relative_error(estimator.estimate(capture), known.transport())
             cells.append(f"{error:.3f} ({100 * clipped:.1f} %)")
-        print(f"| {name} | " + " | ".join(cells) + " |", flush=True)
+        lines.append(cells)
+    print(markdown(["exposures", *scenes], lines))
 
 
 if __name__ == "__main__":

@@ -12,8 +12,6 @@ to change there, before the camera, or else to the levels of its frames.
 
 from __future__ import annotations
 
-import argparse
-import json
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -22,13 +20,15 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from experiments.harness import markdown, write_json
+from experiments.harness import options as options_of
 from lightmatrix.camera.sensor import Sensor
 from lightmatrix.capture.capture import Capture
 from lightmatrix.diagnosis.all_checks import check_capture
 from lightmatrix.diagnosis.counts import missing_places
 from lightmatrix.diagnosis.finding import Finding
 from lightmatrix.diagnosis.survey import Survey
-from lightmatrix.files.pillow_images import decode_image, encode_image
+from lightmatrix.files.images import decode_image, encode_image
 from lightmatrix.patterns.bits import BernoulliPatterns
 from lightmatrix.patterns.pattern_set import PatternSet
 from lightmatrix.simulation import library
@@ -191,7 +191,7 @@ FAULTS: dict[str, Callable[[Draw, np.random.Generator], tuple[list[Finding], boo
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = options_of("benchmarks.frame_checks", __doc__)
     parser.add_argument("--draws", type=int, default=20, help="captures that get every fault")
     parser.add_argument("--intact", type=int, default=200, help="captures without fault")
     parser.add_argument("--seed", type=int, default=0)
@@ -203,7 +203,7 @@ def main() -> None:
     accused = intact(options.intact, options.seed + 1000, options.verbose)
     print(f"{accused} of {options.intact} intact captures were accused")
     if options.output:
-        options.output.write_text(json.dumps({"rows": rows, "accused": accused}, indent=2) + "\n")
+        write_json(options.output, {"rows": rows, "accused": accused})
 
 
 def faulty(number: int, seed: int, verbose: bool = False) -> list[dict[str, object]]:
@@ -241,15 +241,14 @@ def intact(number: int, seed: int, verbose: bool = False) -> int:
 
 def table(rows: list[dict[str, object]]) -> str:
     """Named of tried, by fault and scene."""
-    lines = ["| fault | " + " | ".join(library.BUNDLED) + " | all |"]
-    lines.append("|---|" + "---|" * (len(library.BUNDLED) + 1))
+    lines = []
     for fault in FAULTS:
-        cells = []
+        cells = [fault]
         for scene in (*library.BUNDLED, None):
             some = [r for r in rows if r["fault"] == fault and scene in (r["scene"], None)]
             cells.append(f"{sum(bool(r['named']) for r in some)} of {len(some)}")
-        lines.append(f"| {fault} | " + " | ".join(cells) + " |")
-    return "\n".join(lines)
+        lines.append(cells)
+    return markdown(["fault", *library.BUNDLED, "all"], lines)
 
 
 if __name__ == "__main__":

@@ -11,7 +11,6 @@ of the projector pixel that a lit camera pixel sees, independently of T.
 
 from __future__ import annotations
 
-import argparse
 from pathlib import Path
 from typing import Any
 
@@ -20,8 +19,9 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
 import lightmatrix as lm
+from experiments.harness import options as options_of
 from lightmatrix.estimators.coherent.neighbourhood import strongest_entries
-from lightmatrix.files.image_stack import ImageStack
+from lightmatrix.files.stacks import ImageStack
 
 # Frames 0 to 19 are ten column bits, the most significant first, each followed by its inverse;
 # frames 20 to 39 are ten row bits.
@@ -68,11 +68,7 @@ def compared(stored: lm.StoredTransport, photographs: NDArray[np.float32]) -> di
 
 def main(arguments: list[str] | None = None) -> None:
     """Compare, and print the shares."""
-    parser = argparse.ArgumentParser(
-        prog="python -m benchmarks.gray_decoding",
-        description=__doc__,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
+    parser = options_of("benchmarks.gray_decoding", __doc__)
     parser.add_argument("matrix", type=Path, help="a store of an estimate at full size")
     parser.add_argument("photographs", type=Path, help="the folder of its 42 photographs")
     options = parser.parse_args(arguments)

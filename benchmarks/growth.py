@@ -12,7 +12,6 @@ A size is camera:projector, each a side or ROWSxCOLS; 1024x1024:768x1024 is a me
 
 from __future__ import annotations
 
-import argparse
 import json
 import os
 import sys
@@ -24,6 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import lightmatrix as lm
+from experiments.harness import options as options_of
 
 Shape = tuple[int, int]
 SIZES = ("128:128", "192:384", "384:192", "384:384", "384:768", "576:384")
@@ -31,7 +31,7 @@ SIZES = ("128:128", "192:384", "384:192", "384:384", "384:768", "576:384")
 
 def main(arguments: list[str] | None = None) -> None:
     """Measure, and print a line of JSON for each size and one for the fit."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.growth", description=__doc__)
+    parser = options_of("benchmarks.growth", __doc__)
     usual = list(map(size, SIZES))
     parser.add_argument("--sizes", nargs="+", type=size, default=usual, metavar="SIZE")
     parser.add_argument("--count", type=int, default=64)

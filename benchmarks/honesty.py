@@ -22,11 +22,11 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import numpy as np
-from rich.console import Console
-from rich.table import Table
 
 import lightmatrix as lm
 from benchmarks.synthetic_captures import DAMAGES, PATTERNS, SCENES, SyntheticCapture, draw
+from experiments.harness import Row, show, write_json
+from experiments.harness import options as options_of
 from lightmatrix.diagnosis.finding import NOTES
 from lightmatrix.evaluation.metrics import relative_error
 from lightmatrix.pictures.style import COLOURS, figure, fix_ticks, save
@@ -225,26 +225,17 @@ def worst(results: Sequence[Outcome], most: int = 20) -> list[Outcome]:
     return sorted(tested, key=badness, reverse=True)[:most]
 
 
-def table(results: Sequence[Outcome], title: str) -> Table:
-    """Some outcomes, one a line."""
-    shown = Table(title=title)
-    for name in ("no.", "scene", "patterns", "damage", "size", "true", "stated", "verdict"):
-        shown.add_column(name)
-    shown.add_column("findings", overflow="fold")
-    for each in results:
-        case = each.case
-        errors = ("-" if value is None else f"{value:.3f}" for value in (each.true, each.stated))
-        shown.add_row(
-            str(case.number),
-            case.scene,
-            case.patterns,
-            case.damage,
-            str(case.size),
-            *errors,
-            each.level,
-            ", ".join(each.findings),
-        )
-    return shown
+def described(outcome: Outcome) -> Row:
+    """An outcome as a row of a table."""
+    case = outcome.case
+    return {
+        "no.": case.number,
+        **{name: getattr(case, name) for name in ("scene", "patterns", "damage", "size")},
+        "true": outcome.true,
+        "stated": outcome.stated,
+        "verdict": outcome.level,
+        "findings": ", ".join(outcome.findings),
+    }
 
 
 def draw_figure(results: Sequence[Outcome], folder: Path) -> None:
@@ -304,7 +295,7 @@ def chosen_cases(options: argparse.Namespace) -> list[Case]:
 
 
 def main(arguments: list[str] | None = None) -> None:
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.honesty", description=__doc__)
+    parser = options_of("benchmarks.honesty", __doc__)
     parser.add_argument("--quick", action="store_true", help=f"{QUICK_CASES} small cases")
     parser.add_argument("--cases", type=int, default=320)
     parser.add_argument("--seed", type=int, default=0)
@@ -316,11 +307,10 @@ def main(arguments: list[str] | None = None) -> None:
     options.out.mkdir(parents=True, exist_ok=True)
     results = outcomes(chosen_cases(options), options.out / "cases.jsonl", options.processes)
     numbers = summary(results)
-    console = Console(width=130)
     for name, value in numbers.items():
-        console.print(f"{name:45} {value:g}")
-    console.print(table(worst(results), "The worst cases"))
-    (options.out / "summary.json").write_text(json.dumps(numbers, indent=2) + "\n")
+        print(f"{name:45} {value:g}")
+    show("The worst cases", [described(each) for each in worst(results)])
+    write_json(options.out / "summary.json", numbers)
     draw_figure(results, options.out)
 
 

@@ -10,7 +10,7 @@ continues.
 
 from __future__ import annotations
 
-import argparse
+import itertools
 import json
 import time
 from dataclasses import replace
@@ -20,6 +20,8 @@ from typing import Any
 import numpy as np
 from scipy.sparse import csr_array
 
+from experiments.harness import markdown
+from experiments.harness import options as options_of
 from lightmatrix.camera.exposure_sequence import exposure_sequence
 from lightmatrix.camera.sensor import Sensor
 from lightmatrix.capture.capture import Capture
@@ -49,7 +51,7 @@ ROW_STEP = 5
 
 def main() -> None:
     """Run the missing cases and write the table."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = options_of("benchmarks.plan_calibration", __doc__)
     parser.add_argument("--output", type=Path, default=TABLE)
     parser.add_argument("--scenes", nargs="+", default=SCENES)
     parser.add_argument("--estimators", nargs="+", default=("plain", "coherent"))
@@ -65,25 +67,22 @@ def main() -> None:
     rows: list[dict[str, Any]] = (
         json.loads(arguments.output.read_text())["rows"] if arguments.output.exists() else []
     )
-    for estimator in arguments.estimators:
-        for scene in arguments.scenes:
-            for count in arguments.counts:
-                for patterns in arguments.patterns:
-                    for exposure in arguments.exposures:
-                        for density in arguments.densities:
-                            case = {
-                                "estimator": estimator,
-                                "scene": scene,
-                                "frames": count,
-                                "patterns": patterns,
-                                "exposures": exposure,
-                                "density": density,
-                            }
-                            if (patterns == "mix" and count < 64) or _known(rows, case):
-                                continue
-                            rows.append({**case, **run(**case)})
-                            print(rows[-1], flush=True)
-                            _write(arguments.output, rows)
+    wanted = (
+        arguments.estimators,
+        arguments.scenes,
+        arguments.counts,
+        arguments.patterns,
+        arguments.exposures,
+        arguments.densities,
+    )
+    names = ("estimator", "scene", "frames", "patterns", "exposures", "density")
+    for values in itertools.product(*wanted):
+        case = dict(zip(names, values, strict=True))
+        if (case["patterns"] == "mix" and case["frames"] < 64) or _known(rows, case):
+            continue
+        rows.append({**case, **run(**case)})
+        print(rows[-1], flush=True)
+        _write(arguments.output, rows)
 
 
 def _known(rows: list[dict[str, Any]], case: dict[str, Any]) -> bool:
@@ -99,14 +98,15 @@ def _write(path: Path, rows: list[dict[str, Any]]) -> None:
 def show(rows: list[dict[str, Any]]) -> None:
     """Print the table in Markdown: a row for each plan, a column for each scene."""
     plans = ("estimator", "frames", "patterns", "exposures", "density")
-    print("| " + " | ".join((*plans, *SCENES)) + " |\n" + "|---" * (len(plans) + 3) + "|")
     table: dict[tuple[Any, ...], dict[str, str]] = {}
     for row in rows:
         cell = f"{row['relative_error']:.3f} / {row['relighting_error']:.3f}"
         table.setdefault(tuple(row[key] for key in plans), {})[row["scene"]] = cell
-    for plan, cells in sorted(table.items()):
-        values = [str(value) for value in plan] + [cells.get(scene, "") for scene in SCENES]
-        print("| " + " | ".join(values) + " |")
+    lines = (
+        [*map(str, plan), *(cells.get(scene, "") for scene in SCENES)]
+        for plan, cells in sorted(table.items())
+    )
+    print(markdown([*plans, *SCENES], lines))
 
 
 def run(

@@ -12,7 +12,6 @@ cameras and projectors. `--old` fits and compares earlier measurements.
 
 from __future__ import annotations
 
-import argparse
 import json
 import subprocess
 import sys
@@ -26,6 +25,7 @@ from scipy.optimize import linprog, nnls
 
 import lightmatrix as lm
 from benchmarks.growth import command_cost
+from experiments.harness import options as options_of
 from lightmatrix.estimators import cost_model
 from lightmatrix.simulation.procedural_scene import ProceduralScene
 
@@ -197,7 +197,7 @@ def _words(row: dict[str, Any]) -> str:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
+    parser = options_of("benchmarks.resource_estimate", __doc__)
     parser.add_argument("--quick", action="store_true", help="small cases only")
     parser.add_argument("--make", nargs=2, metavar=("CASE", "FOLDER"))
     parser.add_argument("--estimate", nargs=2, metavar=("METHOD", "FOLDER"))

@@ -11,7 +11,6 @@ of each method. It takes a minute and needs the extra `response`.
 
 from __future__ import annotations
 
-import argparse
 import itertools
 from collections.abc import Callable, Sequence
 from typing import Any
@@ -21,6 +20,8 @@ from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
 
 import lightmatrix as lm
+from experiments.harness import markdown
+from experiments.harness import options as options_of
 
 Curve = Callable[[NDArray[np.float64]], NDArray[np.float64]]
 TIMES: list[float] = [0.125, 0.25, 0.5, 1, 2, 4, 8]
@@ -98,16 +99,17 @@ def largest_error(curve: Curve, method: str, times: Sequence[float], seeds: int)
 
 def main() -> None:
     """Print the table in Markdown."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = options_of("benchmarks.response_curves", __doc__)
     parser.add_argument("--seeds", type=int, default=3)
     parser.add_argument("--exposures", default=",".join(map(str, TIMES)))
     arguments = parser.parse_args()
     times = [float(text) for text in arguments.exposures.split(",")]
     methods = ("debevec", "robertson") if len(times) >= 5 else ("debevec",)
-    print(f"| curve of the camera | {' | '.join(methods)} |\n|---{'|---' * len(methods)}|")
+    lines = []
     for name, curve in CURVES.items():
         shares = (100 * largest_error(curve, each, times, arguments.seeds) for each in methods)
-        print(f"| {name} | {' | '.join(f'{share:.1f}' for share in shares)} |", flush=True)
+        lines.append([name, *(f"{share:.1f}" for share in shares)])
+    print(markdown(["curve of the camera", *methods], lines))
 
 
 if __name__ == "__main__":

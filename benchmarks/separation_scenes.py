@@ -14,7 +14,7 @@ from dataclasses import replace
 import numpy as np
 
 import lightmatrix as lm
-from experiments.uses_separation import separation_rows
+from experiments.uses import separation_rows
 from lightmatrix.simulation.geometry import Mesh, turn
 from lightmatrix.simulation.scenes import BUILDERS
 from lightmatrix.simulation.scenes import scene as bundled

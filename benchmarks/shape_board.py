@@ -16,7 +16,6 @@ to `capture_4/`. Four tables:
 
 from __future__ import annotations
 
-import argparse
 import os
 import resource
 import subprocess
@@ -32,6 +31,7 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
 import lightmatrix as lm
+from experiments.harness import options as options_of
 
 BOARD, SQUARE, POSES = (9, 7), 75.0, 5
 # A camera pixel is lit if white exceeds black by this share of the clip level. Chosen by hand.
@@ -145,11 +145,7 @@ def large_map() -> None:
 
 def main(arguments: list[str] | None = None) -> None:
     """Measure, and print the figures."""
-    parser = argparse.ArgumentParser(
-        prog="python -m benchmarks.shape_board",
-        description=__doc__,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
+    parser = options_of("benchmarks.shape_board", __doc__)
     parser.add_argument("board", type=Path, help="the folder of patterns and captures")
     options = parser.parse_args(arguments)
     large_map()

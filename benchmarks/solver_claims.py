@@ -7,9 +7,9 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.solver_rows import REGULARIZATION
+from benchmarks.solver_speed import REGULARIZATION
+from experiments.harness import Row
 
-Row = dict[str, Any]
 # Largest time of a whole frame of 16,384 rows by number of patterns, in seconds, on two cores with
 # AVX-512. All limits here were set as aims before the solver was written.
 FRAME_SECONDS = {256: 1.5, 1024: 5.0}

@@ -1,23 +1,31 @@
-"""The measurements of `python -m benchmarks`: whole frames, passes, scaling, agreement."""
+"""The measurements of `python -m benchmarks`: problems, whole frames, passes, scaling."""
 
 from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from functools import partial
+from functools import cache, partial
+from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
-from benchmarks import solver_reference, solver_rows
+from benchmarks import solver_reference
+from experiments.harness import Row, best_seconds
+from lightmatrix.camera.samples import Samples
+from lightmatrix.evaluation.metrics import benchmark_exposure
+from lightmatrix.patterns.bits import BernoulliPatterns
 from lightmatrix.patterns.hadamard import HadamardPatterns
 from lightmatrix.patterns.pattern_set import PatternSet
+from lightmatrix.simulation import library
+from lightmatrix.simulation.irradiance import irradiance
+from lightmatrix.simulation.truth import Truth
 from lightmatrix.solvers import ActiveSet, Fidelity, Problem, Result, SaturationADMM, solve
 from lightmatrix.solvers.active_set import prepared
 from lightmatrix.solvers.problem import objective
 
-Row = dict[str, Any]
 # Number of rows of a timed correlation pass: full batches of every kernel.
 PASS_ROWS = 96
 
@@ -26,14 +34,73 @@ Clock = Callable[[], float]
 WALL, CORE = time.perf_counter, time.process_time
 
 
+SCENES = ("l_objects", "gripper", "metal")
+SIZE = (128, 128)
+# Standard deviation of the noise, as a share of the clip level.
+NOISE = 0.003
+BITS = 8
+# lambda as a share of the clip level, for every number of patterns: twice the default.
+REGULARIZATION = 0.32
+
+
+@cache
+def exposed_truth(name: str, folder: Path | None = None) -> csr_array:
+    """T of a scene at 128 x 128, times the benchmark exposure. Rendered on first use."""
+    truth = library.truth(name, SIZE) if folder is None else Truth.load(folder / f"{name}.npz")
+    return truth.matrix * np.float32(benchmark_exposure(truth.transport()))
+
+
+@cache
+def bernoulli(count: int, shape: tuple[int, int] = SIZE) -> BernoulliPatterns:
+    return BernoulliPatterns(shape, count, seed=1)
+
+
+def photographed(
+    matrix: csr_array,
+    patterns: PatternSet,
+    *,
+    clip: bool = True,
+    regularization: float = REGULARIZATION,
+    seed: int = 0,
+) -> Problem:
+    """The problem of the rows of an exposed T: noise, clipping (optional) and 8 bits."""
+    light = irradiance(csr_array(matrix, dtype=np.float32), patterns)
+    noise = np.random.default_rng(seed).normal(0, NOISE, light.shape)
+    levels = np.rint((light + noise) * (2**BITS - 1))
+    samples: NDArray[Any] = np.clip(levels, 0, None) / (2**BITS - 1)
+    if clip:
+        samples = np.minimum(samples, 1)
+    clipped = samples >= 1 if clip else np.zeros(samples.shape, bool)
+    ones = np.ones(patterns.count, np.float32)
+    return Problem(patterns, Samples(samples.astype(np.float32), clipped, ones), regularization)
+
+
+def spread(problem: Problem, rows: int) -> Problem:
+    """The problem of some rows, evenly spread over the frame."""
+    return problem.take(np.unique(np.linspace(0, problem.rows - 1, rows).astype(np.int64)))
+
+
+def synthetic_truth(rows: int, pixels: int, seed: int = 0) -> csr_array:
+    """Rows of three direct entries and a hundred weak ones, with the benchmark exposure."""
+    rng = np.random.default_rng(seed)
+    direct, tail = 3, 100
+    columns = rng.integers(0, pixels, (rows, direct + tail))
+    values = np.empty(columns.shape, np.float32)
+    values[:, :direct] = rng.random((rows, direct)) * rng.lognormal(-1.5, 0.8, (rows, 1))
+    values[:, direct:] = rng.exponential(1e-3, (rows, tail))
+    matrix = csr_array(
+        (values.ravel(), (np.repeat(np.arange(rows), direct + tail), columns.ravel())),
+        shape=(rows, pixels),
+    )
+    matrix.sum_duplicates()
+    level = np.quantile(matrix.max(axis=1).toarray(), 0.8)
+    return matrix / np.float32(level)
+
+
 def best_of(repeats: int, run: Callable[[], Any], clock: Clock = WALL) -> tuple[float, Any]:
     """The least time of several runs, and the last result."""
-    best = np.inf
-    for _ in range(repeats):
-        started = clock()
-        result = run()
-        best = min(best, clock() - started)
-    return best, result
+    results: list[Any] = []
+    return best_seconds(lambda: results.append(run()), repeats, clock), results[-1]
 
 
 def sgemm_seconds(patterns: PatternSet, rows: int, repeats: int = 5, clock: Clock = WALL) -> float:
@@ -85,7 +152,7 @@ def on_one_core(problem: Problem) -> Row:
 
 def agreement(problem: Problem, rows: int) -> Row:
     """Compare certified objectives with a long, independent float64 solve."""
-    problem = solver_rows.spread(problem, rows)
+    problem = spread(problem, rows)
     rough, fine = solve(problem, ActiveSet()), solve(problem, ActiveSet(tolerance=1e-6))
     dense = problem.patterns.dense().astype(np.float64)
     beyond, differences, reference_gaps = [], [], []
@@ -109,8 +176,8 @@ def agreement(problem: Problem, rows: int) -> Row:
 
 def passes(count: int, repeats: int = 7) -> list[Row]:
     """Time a correlation pass for each instruction set and for Hadamard patterns, against SGEMM."""
-    shape = solver_rows.SIZE
-    bits = solver_rows.bernoulli(count)
+    shape = SIZE
+    bits = bernoulli(count)
     sets: list[tuple[str, PatternSet, str | None]] = [
         (f"tables, {name}", bits, name) for name in ("portable", "avx2", "avx512")
     ]
@@ -141,18 +208,18 @@ def scaling(sizes: tuple[int, ...], counts: tuple[int, ...], rows: int) -> list[
     """The cost of synthetic rows by projector size and number of patterns, on one core."""
     table = []
     for size in sizes:
-        truth = solver_rows.synthetic_truth(rows, size * size)
+        truth = synthetic_truth(rows, size * size)
         for count in counts:
-            problem = solver_rows.photographed(truth, solver_rows.bernoulli(count, (size, size)))
+            problem = photographed(truth, bernoulli(count, (size, size)))
             table.append(_scaling_row(problem, size))
     return table
 
 
 def scaling_rows(size: int, count: int, rows: tuple[int, ...]) -> list[Row]:
     """The cost of a row by number of rows, on one core."""
-    truth = solver_rows.synthetic_truth(max(rows), size * size)
-    patterns = solver_rows.bernoulli(count, (size, size))
-    problem = solver_rows.photographed(truth, patterns)
+    truth = synthetic_truth(max(rows), size * size)
+    patterns = bernoulli(count, (size, size))
+    problem = photographed(truth, patterns)
     return [_scaling_row(problem.take(np.arange(n)), size) for n in rows]
 
 
@@ -172,7 +239,7 @@ def _scaling_row(problem: Problem, size: int) -> Row:
 
 def against_saturation_admm(problem: Problem, rows: int, share: float = 1e-3) -> Row:
     """Time until Saturation ADMM's mean objective is within `share` of the optimum, on one core."""
-    problem = solver_rows.spread(problem, rows)
+    problem = spread(problem, rows)
     seconds, exact = best_of(3, lambda: solve(problem, ActiveSet(threads=1)), CORE)
     for iterations in (50, 100, 200, 400, 800, 1600):
         solver = SaturationADMM(Fidelity.ONE_SIDED, max_iterations=iterations, tolerance=1e-9)

@@ -15,14 +15,9 @@ estimates have, and a background of 8 x 8 cells.
 
 from __future__ import annotations
 
-import argparse
 import json
 import tempfile
-import time
-from collections.abc import Callable
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
-from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
@@ -32,6 +27,8 @@ from scipy.optimize import lsq_linear
 
 import lightmatrix as lm
 from benchmarks.growth import Shape, command_cost, size
+from experiments.harness import best_seconds, elsewhere
+from experiments.harness import options as options_of
 from lightmatrix.uses.compensation import compensator
 
 SIZES = ("64:64", "128:128", "1024x1024:768x1024")
@@ -41,12 +38,12 @@ _GRID = (8, 8)
 
 def main(arguments: list[str] | None = None) -> None:
     """Compare the answers, then print a line of JSON for each size."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.uses_at_scale", description=__doc__)
+    parser = options_of("benchmarks.uses_at_scale", __doc__)
     usual = list(map(size, SIZES))
     parser.add_argument("--sizes", nargs="+", type=size, default=usual, metavar="SIZE")
     parser.add_argument("--repeats", type=int, default=5, help="of each time; the best counts")
     options = parser.parse_args(arguments)
-    print(json.dumps({"differences": _elsewhere(checked)}), flush=True)
+    print(json.dumps({"differences": elsewhere(checked)}), flush=True)
     for camera, projector in options.sizes:
         measured = {"camera": camera, "projector": projector}
         measured |= costs(camera, projector, options.repeats)
@@ -102,7 +99,7 @@ def costs(camera: Shape, projector: Shape, repeats: int) -> dict[str, Any]:
     """Seconds of functions in memory, and seconds and memory of commands."""
     with tempfile.TemporaryDirectory() as folder:
         place = Path(folder)
-        results = _elsewhere(_in_memory, camera, projector, repeats, place)
+        results = elsewhere(_in_memory, camera, projector, repeats, place)
         scene, wanted = place / "scene.zarr", place / "wanted.npy"
         commands: dict[str, tuple[str | Path, ...]] = {
             "compensate": ("compensate", scene, wanted, "-o", place / "pattern.png"),
@@ -130,31 +127,15 @@ def _in_memory(camera: Shape, projector: Shape, repeats: int, place: Path) -> di
     arrays = known.sparse.data, known.sparse.indices, known.sparse.indptr, known.background
     return {
         "entries_per_row": known.sparse.nnz / known.shape[0],
-        "reading_s": _best(
+        "reading_s": best_seconds(
             lambda: [part.view(np.uint32).sum(dtype=np.uint32) for part in arrays], repeats
         ),
-        "product_s": _best(lambda: known @ light, repeats),
-        "transposed_s": _best(lambda: known.T @ image, repeats),
-        f"{IMAGES}_products_s": _best(lambda: known @ many, repeats),
-        "compensate_s": _best(lambda: lm.compensate(known, wanted), repeats),
-        "video_s": _best(lambda: lm.compensate_video(known, frames), 1),
+        "product_s": best_seconds(lambda: known @ light, repeats),
+        "transposed_s": best_seconds(lambda: known.T @ image, repeats),
+        f"{IMAGES}_products_s": best_seconds(lambda: known @ many, repeats),
+        "compensate_s": best_seconds(lambda: lm.compensate(known, wanted), repeats),
+        "video_s": best_seconds(lambda: lm.compensate_video(known, frames), 1),
     }
-
-
-def _best(task: Callable[[], Any], repeats: int) -> float:
-    """The best of some runs, in seconds of one processor core."""
-    seconds = []
-    for _ in range(repeats):
-        started = time.process_time()
-        task()
-        seconds.append(time.process_time() - started)
-    return min(seconds)
-
-
-def _elsewhere(task: Callable[..., Any], *arguments: Any) -> Any:
-    """The result of a function in another process, so that this one stays small."""
-    with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as other:
-        return other.submit(task, *arguments).result()
 
 
 if __name__ == "__main__":

@@ -11,7 +11,6 @@ machine it bounds what two workers would gain on two idle cores.
 
 from __future__ import annotations
 
-import argparse
 import json
 import os
 import tempfile
@@ -23,6 +22,7 @@ import numpy as np
 import psutil
 
 import lightmatrix as lm
+from experiments.harness import options as options_of
 from lightmatrix.estimators.choice import choose_estimator
 from lightmatrix.estimators.workers.pool import DaskPool
 from lightmatrix.estimators.workers.startup import dask_pool
@@ -30,7 +30,7 @@ from lightmatrix.estimators.workers.startup import dask_pool
 
 def main(arguments: list[str] | None = None) -> None:
     """Measure, and print a line of JSON for each kind of estimate."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.workers", description=__doc__)
+    parser = options_of("benchmarks.workers", __doc__)
     for name, value in (("camera", 256), ("projector", 256), ("count", 64), ("repeats", 3)):
         parser.add_argument(f"--{name}", type=int, default=value)
     options = parser.parse_args(arguments)

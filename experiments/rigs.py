@@ -13,7 +13,6 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import spearmanr
 
-from experiments.colour_rigs import COLOUR_RIGS, colour_capture
 from experiments.harness import Experiment, Measured, Row, all_rows, means
 from experiments.measured_scene import SCENES
 from experiments.responses import S_CURVE, camera_of, photographed
@@ -29,17 +28,61 @@ from lightmatrix.evaluation.judgement import OwnError
 from lightmatrix.evaluation.metrics import squared_errors
 from lightmatrix.files.colours import COLOURS as PRIMARIES
 from lightmatrix.patterns.bits import BernoulliPatterns
-from lightmatrix.patterns.colour import ColourPatterns
+from lightmatrix.patterns.colour import ColourPatterns, colour_bernoulli
 from lightmatrix.pictures.style import COLOURS, figure, fix_ticks, save
 from lightmatrix.planning.plan import plan
 from lightmatrix.simulation import library
 from lightmatrix.simulation.binning import binned
-from lightmatrix.simulation.colour import of_primary
+from lightmatrix.simulation.colour import in_all_primaries, of_primary
 from lightmatrix.simulation.other_cameras import depth_blur, mapped, seen
 from lightmatrix.simulation.realism import defocus, varying_defocus
-from lightmatrix.simulation.simulate import simulate
+from lightmatrix.simulation.simulate import SimulatedCapture, simulate
 from lightmatrix.simulation.truth import Truth
 from lightmatrix.transport.matrix import LightTransport
+
+# "Tinted" surfaces have a random colour in each square of this many camera pixels.
+SQUARE = 8
+# How much of red, green and blue light the surface passes on that tints global light.
+OTHER_SURFACE = (0.3, 1.0, 0.6)
+
+
+def tinted(truth: Truth, other: bool = False) -> Truth:
+    """T of a colour projector, with surfaces of random colours.
+
+    With `other`, all global light is tinted once more, by a colour that direct light never has.
+    """
+    wide = in_all_primaries(truth)
+    rows, cols, channels = wide.camera_shape
+    squares = np.random.default_rng(5).uniform(
+        0.25, 1, (-(-rows // SQUARE), -(-cols // SQUARE), channels)
+    )
+    surface = np.kron(squares, np.ones((SQUARE, SQUARE, 1)))[:rows, :cols].reshape(-1)
+    of_global = np.tile(OTHER_SURFACE if other else np.ones(channels), rows * cols)
+    entries = np.diff(wide.matrix.indptr)
+    direct = wide.direct_data * np.repeat(surface, entries)
+    rest = (wide.matrix.data - wide.direct_data) * np.repeat(surface * of_global, entries)
+    data = (direct + rest).astype(np.float32)
+    return replace(wide, matrix=wide.with_data(data), direct_data=direct.astype(np.float32))
+
+
+# From T of a grey scene to that of a colour projector and camera, and whether some photographs are
+# grey: half of them, at most 16.
+COLOUR_RIGS: dict[str, tuple[Callable[[Truth], Truth], bool]] = {
+    "colour": (in_all_primaries, True),
+    "colour, none grey": (in_all_primaries, False),
+    "colour, tinted surfaces": (tinted, True),
+    "colour, tinted global light": (lambda truth: tinted(truth, other=True), True),
+}
+
+
+def colour_capture(
+    truth: Truth, count: int, exposure: float | str, *, grey: bool = True, seed: int = 0
+) -> SimulatedCapture:
+    """`count` photographs of a colour projector, some of them under grey patterns."""
+    rows, wide = truth.projector_shape
+    patterns = colour_bernoulli((rows, wide // 3), count, grey=None if grey else 0, seed=seed)
+    return simulate(truth, patterns, exposure=exposure, seed=seed)
+
 
 SIDE = 128
 COUNTS = (16, 32, 64)

@@ -24,7 +24,7 @@ from lightmatrix.diagnosis.refusals import refuse_unordered, refuse_unusable
 from lightmatrix.errors import InputError
 from lightmatrix.estimators.automatic_regularization import automatic_regularization
 from lightmatrix.estimators.coherent.estimator import CoherentEstimator
-from lightmatrix.files.image_stack import ImageStack
+from lightmatrix.files.stacks import ImageStack
 from lightmatrix.solvers.active_set import ActiveSet
 from lightmatrix.solvers.problem import Problem, Result
 

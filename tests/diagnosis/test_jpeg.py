@@ -13,7 +13,7 @@ from scipy.fft import dctn, idctn
 import lightmatrix as lm
 from lightmatrix.diagnosis import jpeg
 from lightmatrix.diagnosis.survey import Survey
-from lightmatrix.files.pillow_images import decode_image, encode_image
+from lightmatrix.files.images import decode_image, encode_image
 from lightmatrix.patterns.bits import BernoulliPatterns
 
 K = 12

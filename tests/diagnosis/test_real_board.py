@@ -19,8 +19,8 @@ from lightmatrix.diagnosis.counts import missing_places
 from lightmatrix.diagnosis.finding import KINDS
 from lightmatrix.diagnosis.inverse_pairs import Pairs
 from lightmatrix.diagnosis.survey import Survey
-from lightmatrix.files.image_stack import ImageStack
-from lightmatrix.files.pillow_images import decode_image, encode_image
+from lightmatrix.files.images import decode_image, encode_image
+from lightmatrix.files.stacks import ImageStack
 
 WINDOW = Path(__file__).parents[1] / "data" / "graycode-board"
 BOARD = Path(os.environ.get("LIGHTMATRIX_BOARD", WINDOW))

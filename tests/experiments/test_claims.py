@@ -13,8 +13,7 @@ import lightmatrix as lm
 from experiments import few_patterns, fig6, rigs, shape
 from experiments.measured_scene import THREE_EXPOSURES, MeasuredScene
 from experiments.rigs import rig_capture, rig_truth
-from experiments.uses_compensation import compensation_rows
-from experiments.uses_separation import separation_rows
+from experiments.uses import compensation_rows, separation_rows
 from lightmatrix.estimators.coherent.estimator import CoherentEstimator
 from lightmatrix.evaluation.metrics import relative_error
 from lightmatrix.simulation import library

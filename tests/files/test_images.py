@@ -1,30 +1,36 @@
-"""Image files come back as they were stored; broken ones are named, never guessed at."""
+"""Image files come back as they were stored; damaged and misleading ones are refused by name."""
 
 from __future__ import annotations
 
+import io
+import os
 import struct
+import subprocess
 import sys
+import warnings
 import zlib
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 import tifffile
-from hypothesis import given, settings
-from hypothesis import strategies as st
 from numpy.typing import NDArray
 from PIL import Image
 
+import lightmatrix as lm
 from lightmatrix.errors import InputError, OutputError
-from lightmatrix.files import png, reading
-from lightmatrix.files.image_stack import ImageStack, list_images, nonlinear_tag
-from lightmatrix.files.images import read_grey, read_image, write_image
+from lightmatrix.files import reading
+from lightmatrix.files.images import encode_image, read_grey, read_image, write_image
+from lightmatrix.files.stacks import list_images, nonlinear_tag
 from tests.helpers.limits import largest_file
-from tests.helpers.systems import LIMITS
+from tests.helpers.systems import LIMITS, PIPES
 
-if sys.platform != "win32":
-    pass
+SHAPES = {"grey": (24, 31), "colour": (24, 31, 3)}
+# Channels of PNG files by their kind of colour.
+LEVELS = np.arange(12, dtype=np.uint8).reshape(3, 4) * np.uint8(20)
+CHANNELS = {0: 1, 2: 3, 3: 1, 4: 2, 6: 4}
 
 
 def noise(shape: tuple[int, ...], dtype: Any, seed: int = 0) -> NDArray[Any]:
@@ -32,6 +38,41 @@ def noise(shape: tuple[int, ...], dtype: Any, seed: int = 0) -> NDArray[Any]:
     if np.dtype(dtype).kind == "f":
         return generator.random(shape).astype(dtype)
     return generator.integers(0, np.iinfo(dtype).max, shape, dtype, endpoint=True)
+
+
+def picture(shape: tuple[int, ...], dtype: Any, seed: int = 0) -> NDArray[Any]:
+    """Smooth with a little noise, so that it compresses as photographs do."""
+    generator = np.random.default_rng(seed)
+    ramp = np.add.outer(np.arange(shape[0]), np.arange(shape[1])).astype(float)
+    image = ramp.reshape(*shape[:2], *([1] * (len(shape) - 2))) * 1000 + generator.integers(
+        0, 90, shape
+    )
+    return (image % np.iinfo(dtype).max).astype(dtype)
+
+
+def flip(file: Path, bit: int) -> None:
+    data = bytearray(file.read_bytes())
+    data[bit // 8] ^= 1 << (bit % 8)
+    file.write_bytes(data)
+
+
+def a_png(shape: tuple[int, int], bits: int, colour: int, pixels: bytes, **more: Any) -> bytes:
+    """A PNG file of deflated lines, with further chunks; `interlaced` is the last of its header."""
+    header = struct.pack(
+        ">IIBBBBB", shape[1], shape[0], bits, colour, 0, 0, more.pop("interlaced", 0)
+    )
+    chunks = {"IHDR": header, **more, "IDAT": pixels, "IEND": b""}
+    data = b"\x89PNG\r\n\x1a\n"
+    for name, content in chunks.items():
+        body = name.encode() + content
+        data += struct.pack(">I", len(content)) + body + struct.pack(">I", zlib.crc32(body))
+    return data
+
+
+def lines(image: NDArray[Any]) -> bytes:
+    rows = len(image)
+    data = image.astype(image.dtype.newbyteorder(">")).reshape(rows, -1).view(np.uint8)
+    return np.column_stack([np.zeros(rows, np.uint8), data]).tobytes()
 
 
 @pytest.mark.parametrize("suffix", [".png", ".tif", ".tiff", ".npy"])
@@ -64,31 +105,26 @@ def test_float_images_as_png_use_the_full_range_and_cut_off(tmp_path: Path) -> N
     np.testing.assert_array_equal(read_image(tmp_path / "b.png"), [[0, 32768, 65535, 65535, 0]])
 
 
-@given(st.integers(1, 9), st.integers(1, 9), st.integers(0, 4), st.integers(0, 2**31))
-@settings(max_examples=60, deadline=None)
-def test_every_line_filter_of_16_bit_colour_png(rows: int, cols: int, kind: int, seed: int) -> None:
-    """Filter lines by the specification's definition, pixel by pixel, and decode them."""
-    image = noise((rows, cols, 3), np.uint16, seed)
-    plain = image.astype(">u2").view(np.uint8).reshape(rows, cols * 6).astype(int)
-    lines = np.zeros((rows, 1 + cols * 6), np.uint8)
-    for r in range(rows):
-        lines[r, 0] = (kind + r) % 5
-        for c in range(cols * 6):
-            left = plain[r, c - 6] if c >= 6 else 0
-            up = plain[r - 1, c] if r else 0
-            corner = plain[r - 1, c - 6] if r and c >= 6 else 0
-            nearest = min((left, up, corner), key=lambda v: abs(left + up - corner - v))
-            predicted = (0, left, up, (left + up) // 2, nearest)[lines[r, 0]]
-            lines[r, 1 + c] = (plain[r, c] - predicted) % 256
-    header = struct.pack(">IIBBBBB", cols, rows, 16, 2, 0, 0, 0)
-    data = png.write_chunks((b"IHDR", header), (b"IDAT", zlib.compress(lines.tobytes())))
-    chunks = png.read_chunks(data)
-    assert png.read_png_header(chunks).is_deep_colour
-    # As a whole, and some lines at a time, each of which needs the line before it.
-    for at_once in (1 << 25, 12 * cols + 2):
-        with pytest.MonkeyPatch.context() as patch:
-            patch.setattr(png, "_DECODED_AT_ONCE", at_once)
-            np.testing.assert_array_equal(png.decode_deep_colour(chunks), image)
+def test_patterns_are_read_over_the_full_range(tmp_path: Path) -> None:
+    write_image(tmp_path / "a.png", np.array([[0, 51, 255]], np.uint8))
+    np.testing.assert_allclose(read_grey(tmp_path / "a.png"), [[0, 0.2, 1]], rtol=1e-6)
+    write_image(tmp_path / "b.tif", np.array([[0, 65535]], np.uint16))
+    np.testing.assert_allclose(read_grey(tmp_path / "b.tif"), [[0, 1]])
+    write_image(tmp_path / "c.png", np.full((2, 2, 3), 255, np.uint8))
+    np.testing.assert_allclose(read_grey(tmp_path / "c.png"), np.ones((2, 2)))
+
+
+def test_black_and_white_and_opaque_alpha(tmp_path: Path) -> None:
+    grey = noise((4, 6), np.uint8)
+    opaque = np.dstack([grey, grey, grey, np.full_like(grey, 255)])
+    Image.fromarray(opaque).save(tmp_path / "opaque.png")
+    np.testing.assert_array_equal(read_image(tmp_path / "opaque.png"), opaque[..., :3])
+    opaque[0, 0, 3] = 7
+    Image.fromarray(opaque).save(tmp_path / "clear.png")
+    with pytest.raises(InputError, match="transparent"):
+        read_image(tmp_path / "clear.png")
+    Image.fromarray(grey > 99).save(tmp_path / "bits.png")
+    np.testing.assert_array_equal(read_image(tmp_path / "bits.png"), (grey > 99) * np.uint8(255))
 
 
 def test_a_palette_counts_as_the_colours_that_it_becomes(
@@ -103,17 +139,237 @@ def test_a_palette_counts_as_the_colours_that_it_becomes(
         read_image(tmp_path / "a.bmp")
 
 
-def test_black_and_white_and_opaque_alpha(tmp_path: Path) -> None:
-    grey = noise((4, 6), np.uint8)
-    opaque = np.dstack([grey, grey, grey, np.full_like(grey, 255)])
-    Image.fromarray(opaque).save(tmp_path / "opaque.png")
-    np.testing.assert_array_equal(read_image(tmp_path / "opaque.png"), opaque[..., :3])
-    opaque[0, 0, 3] = 7
-    Image.fromarray(opaque).save(tmp_path / "clear.png")
-    with pytest.raises(InputError, match="transparent"):
-        read_image(tmp_path / "clear.png")
-    Image.fromarray(grey > 99).save(tmp_path / "bits.png")
-    np.testing.assert_array_equal(read_image(tmp_path / "bits.png"), (grey > 99) * np.uint8(255))
+@pytest.mark.parametrize("name", ["a.PNG", "a.TIF", "a.NPY", "a.Tiff"])
+def test_endings_in_capitals_are_endings(tmp_path: Path, name: str) -> None:
+    image = picture((5, 6), np.uint16)
+    write_image(tmp_path / name, image)
+    np.testing.assert_array_equal(read_image(tmp_path / name), image)
+    assert [entry.name for entry in tmp_path.iterdir()] == [name]
+
+
+# ---- PNG
+
+
+@pytest.mark.parametrize(("bits", "colour"), [(8, 0), (8, 2), (16, 0), (16, 2), (16, 4), (16, 6)])
+def test_checksums_of_pixels_are_verified(tmp_path: Path, bits: int, colour: int) -> None:
+    """The chunk's checksum fits, the one of the pixel data within it does not."""
+    channels = CHANNELS[colour]
+    image = picture((9, 8, channels), np.uint8 if bits == 8 else np.uint16)
+    if colour > 3:
+        image[..., -1] = 65535
+    packed = zlib.compress(lines(image))
+    file = tmp_path / "a.png"
+    file.write_bytes(a_png((9, 8), bits, colour, packed))
+    expected = image[..., 0] if channels < 3 else image[..., :3]
+    np.testing.assert_array_equal(read_image(file), expected)
+    for wrong in (
+        packed[:-1] + bytes([packed[-1] ^ 1]),
+        packed[:-4],
+        zlib.compress(lines(image)[:-1]),
+        b"",
+    ):
+        file.write_bytes(a_png((9, 8), bits, colour, wrong))
+        with pytest.raises(InputError, match="cannot be read as an image, damaged"):
+            read_image(file)
+
+
+def test_checksums_of_all_chunks_are_verified(tmp_path: Path) -> None:
+    """A bit of the palette changes colours, and of the header the size, without harm to pixels."""
+    data = a_png((9, 8), 8, 3, zlib.compress(bytes(9 * 9)), PLTE=bytes(range(256)) * 3)
+    file = tmp_path / "a.png"
+    file.write_bytes(data)
+    assert read_image(file).shape == (9, 8, 3)
+    for at in (data.index(b"PLTE") + 4, data.index(b"IHDR") + 8):
+        file.write_bytes(data)
+        flip(file, 8 * at)
+        with pytest.raises(InputError, match=r"CRC error|announces"):
+            read_image(file)
+
+
+@pytest.mark.parametrize(
+    ("bits", "colour"), [(1, 0), (2, 0), (4, 0), (1, 3), (2, 3), (4, 3), (8, 3)]
+)
+def test_few_bits_and_palettes(tmp_path: Path, bits: int, colour: int) -> None:
+    """Grey of fewer bits reaches over the full range; entries of a palette are colours."""
+    index = np.arange(8)[None] % 2**bits
+    shown = np.unpackbits(index[..., None].astype(np.uint8), axis=-1)[..., -bits:]
+    pixels = zlib.compress(b"\0" + np.packbits(shown).tobytes())
+    palette = np.arange(3 * 2**bits, dtype=np.uint16).astype(np.uint8) if colour else None
+    more = {} if palette is None else {"PLTE": palette.tobytes()}
+    (tmp_path / "a.png").write_bytes(a_png((1, 8), bits, colour, pixels, **more))
+    expected = index * (255 // (2**bits - 1)) if palette is None else palette.reshape(-1, 3)[index]
+    np.testing.assert_array_equal(read_image(tmp_path / "a.png"), expected)
+    # One level, or entry of the palette, stands for transparent pixels, which have levels too.
+    more["tRNS"] = b"\0\1" if palette is None else b"\0\x80"
+    (tmp_path / "a.png").write_bytes(a_png((1, 8), bits, colour, pixels, **more))
+    np.testing.assert_array_equal(read_image(tmp_path / "a.png"), expected)
+
+
+@pytest.mark.parametrize(("bits", "colour"), [(8, 0), (16, 0), (16, 2)])
+def test_interlaced_png_is_read_whole(tmp_path: Path, bits: int, colour: int) -> None:
+    """Written pass by pass as the specification says."""
+    for rows, cols in ((1, 1), (3, 2), (5, 9), (8, 8)):
+        image = picture((rows, cols, CHANNELS[colour]), np.uint8 if bits == 8 else np.uint16)
+        starts = [(0, 0, 8, 8), (0, 4, 8, 8), (4, 0, 8, 4), (0, 2, 4, 4)]
+        starts += [(2, 0, 4, 2), (0, 1, 2, 2), (1, 0, 2, 1)]
+        passes = (np.ascontiguousarray(image[r::down, c::across]) for r, c, down, across in starts)
+        packed = zlib.compress(b"".join(lines(part) for part in passes if part.size))
+        file = tmp_path / "a.png"
+        file.write_bytes(a_png((rows, cols), bits, colour, packed, interlaced=1))
+        np.testing.assert_array_equal(read_image(file), image if colour else image[..., 0])
+        file.write_bytes(a_png((rows, cols), bits, colour, packed[:-2], interlaced=1))
+        with pytest.raises(InputError, match="damaged"):
+            read_image(tmp_path / "a.png")
+
+
+@pytest.mark.parametrize("chunks", [{"sBIT": b"\x0c"}, {"gAMA": struct.pack(">I", 45455)}])
+def test_tags_change_no_levels(tmp_path: Path, chunks: dict[str, bytes]) -> None:
+    image = picture((5, 6), np.uint16)
+    (tmp_path / "a.png").write_bytes(a_png((5, 6), 16, 0, zlib.compress(lines(image)), **chunks))
+    np.testing.assert_array_equal(read_image(tmp_path / "a.png"), image)
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "tag"),
+    [
+        ("sRGB", b"\0", "tagged sRGB"),
+        ("iCCP", b"display\0\0", "tagged with a colour profile"),
+        ("cICP", bytes(4), "tagged with a video colour space"),
+        ("gAMA", struct.pack(">I", 45455), "tagged with gamma 2.2"),
+        ("gAMA", struct.pack(">I", 100000), None),
+        ("tEXt", b"Comment\0sRGB", None),
+    ],
+)
+def test_tags_of_png_files(tmp_path: Path, name: str, content: bytes, tag: str | None) -> None:
+    file = tmp_path / "a.png"
+    file.write_bytes(a_png((2, 2), 8, 0, zlib.compress(bytes(6)), **{name: content}))
+    assert nonlinear_tag(file) == tag
+    file.write_bytes(file.read_bytes()[:40])
+    nonlinear_tag(file)
+    assert nonlinear_tag(tmp_path / "a.tif") is None
+    assert nonlinear_tag(tmp_path / "a.JPG") == "JPEG"
+
+
+# ---- TIFF
+
+
+def patched(source: Path, target: Path, tag: str, value: int) -> None:
+    """A TIFF file with another first value of a tag."""
+    with tifffile.TiffFile(source) as tiff:
+        entry = tiff.pages.first.tags[tag]
+        at, form = entry.valueoffset, {3: "<H", 4: "<I"}[int(entry.dtype)]
+    data = bytearray(source.read_bytes())
+    data[at : at + struct.calcsize(form)] = struct.pack(form, value)
+    target.write_bytes(data)
+
+
+COMPRESSIONS = (None, "zlib", "lzw", "packbits", "lzma", "zstd")
+WAYS: tuple[dict[str, Any], ...] = (
+    {"tile": (16, 16)}, {"rowsperstrip": 7}, {"rowsperstrip": 7, "predictor": True},
+    {"byteorder": ">"}, {"bigtiff": True},
+)  # fmt: skip
+
+
+@pytest.mark.parametrize("how", WAYS, ids=str)
+@pytest.mark.parametrize("compression", COMPRESSIONS)
+@pytest.mark.parametrize("dtype", [np.uint8, np.uint16, np.float32])
+def test_ways_to_store_tiff(
+    tmp_path: Path, dtype: Any, compression: str | None, how: dict[str, Any]
+) -> None:
+    """They come back as stored, and are refused where a strip or tile is cut."""
+    if "predictor" in how and compression in (None, "packbits"):
+        pytest.skip("there is none")
+    file, bad = tmp_path / "a.tif", tmp_path / "bad.tif"
+    for shape in ((1, 1), (20, 30, 3), (20, 30)):
+        image = picture(shape, np.uint8).astype(dtype)
+        colours = "rgb" if len(shape) == 3 else "minisblack"
+        tifffile.imwrite(file, image, compression=compression, photometric=colours, **how)
+        read = read_image(file)
+        assert read.dtype == dtype
+        np.testing.assert_array_equal(read, image)
+    if how.keys() & {"byteorder", "bigtiff"}:
+        return
+    part = "Tile" if "tile" in how else "Strip"
+    for count in (0, 1):
+        patched(file, bad, f"{part}ByteCounts", count)
+        with pytest.raises(InputError, match="damaged or truncated"):
+            read_image(bad)
+    patched(file, bad, f"{part}Offsets", 60000)
+    with pytest.raises(InputError, match="damaged or truncated"):
+        read_image(bad)
+
+
+def test_planes_of_tiff_are_put_together(tmp_path: Path) -> None:
+    image = picture((20, 3, 3), np.uint16)
+    planes = np.moveaxis(image, -1, 0)
+    for compression in COMPRESSIONS:
+        tifffile.imwrite(
+            tmp_path / "a.tif", planes, photometric="rgb", planarconfig="separate",
+            compression=compression, rowsperstrip=7,
+        )  # fmt: skip
+        np.testing.assert_array_equal(read_image(tmp_path / "a.tif"), image)
+
+
+@pytest.mark.parametrize("bits", [1, 12, 16])
+def test_packed_and_inverted_levels_of_tiff(tmp_path: Path, bits: int) -> None:
+    levels = picture((9, 18), np.uint16) & (2**bits - 1)
+    stored = levels.astype(bool) if bits == 1 else levels
+    more: dict[str, Any] = {"bitspersample": bits} if bits == 12 else {}
+    shown = levels * 255 if bits == 1 else levels
+    top = shown.max() if bits == 1 else 2**bits - 1
+    for photometric, expected in (("minisblack", shown), ("miniswhite", top - shown)):
+        tifffile.imwrite(tmp_path / "a.tif", stored, photometric=photometric, **more)
+        np.testing.assert_array_equal(read_image(tmp_path / "a.tif"), expected)
+
+
+@pytest.mark.parametrize("shape", [(40, 50), (40, 50, 3)])
+def test_jpeg_in_tiff(tmp_path: Path, shape: tuple[int, ...]) -> None:
+    image = np.add.outer(np.arange(40), 2 * np.arange(50)).astype(np.uint8)
+    image = image if len(shape) == 2 else np.dstack([image, image[::-1], image // 2])
+    ways: list[dict[str, Any]] = [{}, {"rowsperstrip": 16}, {"tile": (16, 16)}]
+    for how in ways:
+        tifffile.imwrite(
+            tmp_path / "a.tif", image, compression="jpeg",
+            photometric="rgb" if len(shape) == 3 else "minisblack", **how,
+        )  # fmt: skip
+        difference = np.abs(read_image(tmp_path / "a.tif").astype(int) - image)
+        # JPEG fills tiles beyond the image with black, which shows at the edge.
+        assert np.median(difference) <= 1
+        assert difference.mean() < 3
+    part = "TileByteCounts"
+    with tifffile.TiffFile(tmp_path / "a.tif") as tiff:
+        count = tiff.pages.first.databytecounts[0]
+    patched(tmp_path / "a.tif", tmp_path / "bad.tif", part, count - 9)
+    with pytest.raises(InputError, match="not whole"):
+        read_image(tmp_path / "bad.tif")
+
+
+def test_what_tiff_may_hold_besides(tmp_path: Path) -> None:
+    palette = np.arange(3 * 256, dtype=np.uint16).reshape(3, 256) * 80
+    grey, file = picture((9, 8), np.uint8), tmp_path / "a.tif"
+    cases: list[tuple[str, Any, dict[str, Any]]] = [
+        ("has a palette", grey, {"photometric": "palette", "colormap": palette}),
+        ("has colours of kind 5", picture((9, 8, 4), np.uint8), {"photometric": "separated"}),
+        ("compression 34933 is not read", grey, {"compression": "png"}),
+        ("has 4 bits a value", grey % 16, {"bitspersample": 4, "photometric": "minisblack"}),
+        ("holds", np.zeros((4, 9, 8), np.uint16), {"imagej": True}),
+    ]
+    for message, pixels, how in cases:
+        tifffile.imwrite(file, pixels, **how)
+        with pytest.raises(InputError, match=message):
+            read_image(file)
+
+
+@pytest.mark.parametrize("orientation", range(1, 9))
+def test_the_orientation_tag_turns_no_tiff(tmp_path: Path, orientation: int) -> None:
+    """Whichever library reads it."""
+    for compression in ("raw", "tiff_lzw", "packbits", "tiff_adobe_deflate"):
+        file = tmp_path / f"{compression}.tif"
+        Image.fromarray(LEVELS).save(file, compression=compression, tiffinfo={274: orientation})
+        np.testing.assert_array_equal(lm.read_image(file), LEVELS, err_msg=compression)
+
+
+# ---- PGM, JPEG
 
 
 def test_pgm_levels_come_back_as_stored(tmp_path: Path) -> None:
@@ -134,40 +390,147 @@ def test_pgm_levels_come_back_as_stored(tmp_path: Path) -> None:
             read_image(tmp_path / "c.pgm")
 
 
-def test_grey_images_in_three_channels_are_read_as_one(tmp_path: Path) -> None:
-    frames = [noise((12, 10), np.uint8) // (k + 1) for k in range(5)]
-    frames[0][:] = 0
-    for k, frame in enumerate(frames):
-        write_image(tmp_path / f"{k}.png", np.repeat(frame[..., None], 3, axis=2))
-    stack = ImageStack.open(tmp_path)
-    assert stack.shape == (12, 10)
-    np.testing.assert_array_equal(list(stack.select([3, 1])), [frames[3], frames[1]])
-    # One in colour among those that were not looked at.
-    coloured = np.repeat(frames[2][..., None], 3, axis=2)
-    coloured[0, 0] = 1, 2, 3
-    write_image(tmp_path / "2.png", coloured, overwrite=True)
-    with pytest.raises(InputError, match=r"2\.png: is in colour"):
-        list(ImageStack.open(tmp_path))
-    write_image(tmp_path / "4.png", coloured, overwrite=True)
-    assert ImageStack.open(tmp_path).shape == (12, 10, 3)
+def test_printing_colours_are_refused(tmp_path: Path) -> None:
+    data = io.BytesIO()
+    # Full black, which was taken for an opaque alpha channel.
+    image = Image.new("CMYK", (8, 8), (0, 200, 100, 255))
+    image.save(data, "JPEG")
+    (tmp_path / "a.jpg").write_bytes(data.getvalue())
+    with pytest.raises(lm.InputError, match="printing colours"):
+        lm.read_image(tmp_path / "a.jpg")
 
 
-def test_compressed_and_big_endian_tiff(tmp_path: Path) -> None:
-    image = noise((20, 30), np.uint16)
-    tifffile.imwrite(tmp_path / "zip.tif", image, compression="zlib")
-    tifffile.imwrite(tmp_path / "big.tif", image, byteorder=">")
-    for name in ("zip.tif", "big.tif"):
-        np.testing.assert_array_equal(read_image(tmp_path / name), image)
-        assert read_image(tmp_path / name).dtype == np.uint16
+# ---- damage
 
 
-def test_patterns_are_read_over_the_full_range(tmp_path: Path) -> None:
-    write_image(tmp_path / "a.png", np.array([[0, 51, 255]], np.uint8))
-    np.testing.assert_allclose(read_grey(tmp_path / "a.png"), [[0, 0.2, 1]], rtol=1e-6)
-    write_image(tmp_path / "b.tif", np.array([[0, 65535]], np.uint16))
-    np.testing.assert_allclose(read_grey(tmp_path / "b.tif"), [[0, 1]])
-    write_image(tmp_path / "c.png", np.full((2, 2, 3), 255, np.uint8))
-    np.testing.assert_allclose(read_grey(tmp_path / "c.png"), np.ones((2, 2)))
+@pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
+@pytest.mark.parametrize("kind", SHAPES)
+@pytest.mark.parametrize("suffix", [".png", ".npy"])
+def test_a_flipped_bit_is_noticed_or_does_not_matter(
+    tmp_path: Path, suffix: str, kind: str, dtype: Any
+) -> None:
+    """PNG has checksums; npy has none for its values, but its header is held to its size."""
+    image = picture(SHAPES[kind], dtype)
+    write_image(tmp_path / f"whole{suffix}", image)
+    data = (tmp_path / f"whole{suffix}").read_bytes()
+    last = 8 * len(data) if suffix == ".png" else 8 * 128
+    for bit in np.random.default_rng(1).integers(0, last, 60):
+        file = tmp_path / f"flipped{suffix}"
+        file.write_bytes(data)
+        flip(file, int(bit))
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            try:
+                read = read_image(file)
+            except InputError:
+                continue
+        if suffix == ".png":
+            np.testing.assert_array_equal(read, image)
+        else:
+            assert read.size * read.itemsize == image.size * image.itemsize
+
+
+BOMB = """
+import resource, sys
+resource.setrlimit(resource.RLIMIT_AS, (3 << 30, 3 << 30))
+from lightmatrix.errors import InputError
+from lightmatrix.files.images import read_image
+try:
+    read_image(sys.argv[1])
+except InputError as error:
+    print(error.message)
+# The peak of this program alone; getrusage tells that of the one it was started from.
+status = open('/proc/self/status').read()
+print(status.split('VmHWM:')[1].split()[0])
+"""
+
+
+def bombs(folder: Path) -> Iterable[tuple[Path, str]]:
+    """Small files that announce, or hold, far more than an image."""
+    deflater = zlib.compressobj(9)
+    zeros = b"".join([deflater.compress(bytes(1 << 20)) for _ in range(600)] + [deflater.flush()])
+    for bits, colour in ((16, 2), (8, 0)):
+        (folder / f"huge{bits}.png").write_bytes(a_png((30000, 30000), bits, colour, zeros))
+        yield folder / f"huge{bits}.png", "announces 30000 x 30000"
+        # The rest behind the last pixel is not kept.
+        (folder / f"small{bits}.png").write_bytes(a_png((10, 10), bits, colour, zeros))
+        yield folder / f"small{bits}.png", ""
+    tifffile.imwrite(folder / "a.tif", np.zeros((64, 64), np.uint8), compression="zlib")
+    with tifffile.TiffFile(folder / "a.tif") as tiff:
+        page = tiff.pages.first
+        offset = page.dataoffsets[0]
+        tall = [page.tags[name].valueoffset for name in ("ImageWidth", "ImageLength")]
+        at, kind = (page.tags[name].valueoffset for name in ("StripByteCounts", "Compression"))
+    data = bytearray((folder / "a.tif").read_bytes())
+    wide = encode_image(np.zeros((9000, 9000), np.uint8), "jpeg")
+    for name, compression, strip, words in (
+        ("zlib", 8, zeros, "truncated"),
+        ("packbits", 32773, b"\x81\0" * (1 << 22), "truncated"),
+        ("jpeg", 7, wide, "of another size"),
+    ):
+        bomb = data[:offset] + strip
+        bomb[at : at + 4] = struct.pack("<I", len(strip))
+        bomb[kind : kind + 2] = struct.pack("<H", compression)
+        (folder / f"{name}.tif").write_bytes(bomb)
+        yield folder / f"{name}.tif", words
+    for at in tall:
+        data[at : at + 4] = struct.pack("<I", 60000)
+    (folder / "huge.tif").write_bytes(data)
+    yield folder / "huge.tif", "announces 60000 x 60000"
+    tifffile.imwrite(folder / "tile.tif", np.zeros((64, 64), np.uint8), tile=(64, 64))
+    for name in ("TileWidth", "TileLength"):
+        patched(folder / "tile.tif", folder / "tile.tif", name, 60000)
+    yield folder / "tile.tif", "announces 60000 x 60000"
+    header = b"{'descr': '<f4', 'fortran_order': False, 'shape': (99999, 99999)}".ljust(117) + b"\n"
+    (folder / "huge.npy").write_bytes(b"\x93NUMPY\x01\x00" + struct.pack("<H", 118) + header)
+    yield folder / "huge.npy", "its size does not fit its header"
+
+
+def test_what_is_too_large_is_refused_before_it_is_inflated(tmp_path: Path) -> None:
+    for file, message in bombs(tmp_path):
+        done = subprocess.run(
+            [sys.executable, "-c", BOMB, str(file)], capture_output=True, text=True, check=False
+        )
+        assert message in done.stdout, (file, done.stdout, done.stderr)
+        peak = int(done.stdout.split()[-1])
+        assert peak < 500 << 10, f"{file.name} took {peak >> 10} MiB"
+
+
+def test_other_formats_under_a_wrong_name_are_refused(tmp_path: Path) -> None:
+    image = picture((9, 8), np.uint8)
+    for kind, wrong in (("jpeg", ".png"), ("png", ".jpg"), ("bmp", ".jpeg"), ("gif", ".bmp")):
+        data = encode_image(image, kind)
+        (tmp_path / f"a{wrong}").write_bytes(data)
+        with pytest.raises(InputError, match=r"not a (PNG|JPEG|BMP) file"):
+            read_image(tmp_path / f"a{wrong}")
+
+
+@pytest.mark.parametrize("value", [1e300, -1e39, np.nan, np.inf])
+def test_values_beyond_single_precision(tmp_path: Path, value: float) -> None:
+    image = np.zeros((3, 4))
+    image[1, 2] = value
+    np.save(tmp_path / "a.npy", image)
+    with pytest.raises(InputError, match=r"the value at \(1, 2\) is"):
+        read_image(tmp_path / "a.npy")
+    with pytest.raises(InputError, match="not finite"):
+        write_image(tmp_path / "b.npy", image)
+
+
+@PIPES
+def test_only_regular_files_are_read(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "pipe.png")
+    (tmp_path / "link.png").symlink_to(tmp_path / "nowhere.png")
+    (tmp_path / "device.png").symlink_to("/dev/zero")
+    for name, message in (
+        ("pipe.png", "is a pipe or device"),
+        ("device.png", "is a pipe or device"),
+        ("link.png", "is a link that leads nowhere"),
+    ):
+        with pytest.raises(InputError, match=message):
+            read_image(tmp_path / name)
+    write_image(tmp_path / "1.png", np.zeros((2, 2), np.uint8))
+    with pytest.raises(InputError, match="is a"):
+        list_images(tmp_path)
 
 
 def truncated(path: Path, share: float = 0.6) -> None:
@@ -227,7 +590,7 @@ def test_bad_files_are_named(bad_files: Path, name: str) -> None:
     assert "index out of range" not in caught.value.message
 
 
-@pytest.mark.parametrize("share", [0.3, 0.5, 0.7, 0.9, 0.99])
+@pytest.mark.parametrize("share", [0.3, 0.7, 0.99])
 @pytest.mark.parametrize("suffix", [".png", ".tif", ".npy"])
 def test_no_truncation_is_read_as_an_image(tmp_path: Path, suffix: str, share: float) -> None:
     file = tmp_path / f"image{suffix}"
@@ -237,68 +600,142 @@ def test_no_truncation_is_read_as_an_image(tmp_path: Path, suffix: str, share: f
         read_image(file)
 
 
-def test_natural_order_and_passed_over_files(tmp_path: Path) -> None:
-    names = ["frame_10.png", "frame_2.png", "frame_1.png", "Frame_3.png"]
-    for name in [*names, ".hidden.png"]:
-        write_image(tmp_path / name, noise((2, 2), np.uint8))
-    (tmp_path / "notes.txt").write_text("passed over")
-    names = [path.name for path in list_images(tmp_path)]
-    assert names == ["frame_1.png", "frame_2.png", "Frame_3.png", "frame_10.png"]
+@pytest.fixture
+def forbid(monkeypatch: pytest.MonkeyPatch) -> Any:
+    """Makes a file unreadable, for root too, whom the system lets read anything."""
+    usual = Path.open
+
+    def forbidden(file: Path) -> None:
+        def opened(path: Path, *arguments: Any, **more: Any) -> Any:
+            if path == file:
+                raise PermissionError(13, "Permission denied", str(path))
+            return usual(path, *arguments, **more)
+
+        access = os.access
+        monkeypatch.setattr(os, "access", lambda path, mode: path != file and access(path, mode))
+        monkeypatch.setattr(Path, "open", opened)
+
+    return forbidden
 
 
-def test_folders_that_are_no_stacks(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="no such folder"):
-        list_images(tmp_path / "nothing")
-    (tmp_path / "clip.mp4").touch()
-    with pytest.raises(InputError, match=r"holds no images, only \.mp4 files"):
-        list_images(tmp_path)
-    with pytest.raises(InputError, match="is a file, not a folder"):
-        list_images(tmp_path / "clip.mp4")
-    write_image(tmp_path / "a.png", noise((2, 2), np.uint8))
-    write_image(tmp_path / "a.tif", noise((2, 2), np.uint8))
-    with pytest.raises(InputError, match=r"several formats \(\.png, \.tif\)"):
-        list_images(tmp_path)
+def test_an_image_that_may_not_be_read(tmp_path: Path, forbid: Any) -> None:
+    lm.write_image(tmp_path / "a.png", np.eye(4, dtype=np.uint8))
+    forbid(tmp_path / "a.png")
+    with pytest.raises(lm.InputError, match=r"a\.png: cannot be read \(Permission denied") as error:
+        lm.read_image(tmp_path / "a.png")
+    assert "permissions" in (error.value.hint or "")
 
 
-def test_a_stack_has_one_shape_and_type(tmp_path: Path) -> None:
-    images = [noise((3, 4), np.uint8, seed) for seed in range(3)]
-    for k, image in enumerate(images):
-        write_image(tmp_path / f"{k}.png", image)
-    stack = ImageStack.open(tmp_path)
-    assert (stack.count, stack.shape, stack.dtype.name) == (3, (3, 4), "uint8")
-    np.testing.assert_array_equal(list(stack), images)
-    np.testing.assert_array_equal(stack.select([2, 0]).read(0), images[2])
-    write_image(tmp_path / "1.png", noise((4, 3), np.uint8), overwrite=True)
-    with pytest.raises(InputError, match=r"1\.png: is 4 x 3, but 0\.png is 3 x 4"):
-        stack.read(1)
-    write_image(tmp_path / "1.png", noise((3, 4), np.uint16), overwrite=True)
-    with pytest.raises(InputError, match=r"1\.png: is uint16, but 0\.png is uint8"):
-        stack.read(1)
+@pytest.mark.parametrize("name", ["zarr.json", "data/zarr.json", "data/c/0"])
+def test_a_store_that_may_not_be_read(tmp_path: Path, forbid: Any, name: str) -> None:
+    lm.save(tmp_path / "s.zarr", lm.truth("metal").transport())
+    forbid(tmp_path / "s.zarr" / name)
+    with pytest.raises(lm.InputError, match="Permission denied") as error:
+        lm.open(tmp_path / "s.zarr")
+    assert name in error.value.message
+    assert "permissions" in (error.value.hint or "")
+    assert "damaged" not in error.value.message
 
 
-def with_chunk(path: Path, name: bytes, content: bytes) -> None:
-    data = path.read_bytes()
-    chunk = struct.pack(">I", len(content)) + name + content
-    chunk += struct.pack(">I", zlib.crc32(name + content))
-    path.write_bytes(data[:33] + chunk + data[33:])
+# ---- meaning
 
 
-@pytest.mark.parametrize(
-    ("name", "content", "tag"),
-    [
-        (b"sRGB", b"\0", "tagged sRGB"),
-        (b"gAMA", struct.pack(">I", 45455), "tagged with gamma 2.2"),
-        (b"gAMA", struct.pack(">I", 100000), None),
-        (b"tEXt", b"Comment\0linear", None),
-    ],
-)
-def test_tags_of_png_files(tmp_path: Path, name: bytes, content: bytes, tag: str | None) -> None:
-    file = tmp_path / "a.png"
-    write_image(file, noise((2, 2), np.uint8))
-    with_chunk(file, name, content)
-    assert nonlinear_tag(file) == tag
-    assert nonlinear_tag(tmp_path / "a.tif") is None
-    assert nonlinear_tag(tmp_path / "a.JPG") == "JPEG"
+def test_a_single_pattern_of_fewer_bits_is_warned_of(tmp_path: Path) -> None:
+    lm.write_image(tmp_path / "a.png", np.arange(35, 256, 20, dtype=np.uint16).reshape(3, 4))
+    with pytest.warns(lm.LightMatrixWarning, match="16 bits, but no level above 255"):
+        lm.read_grey(tmp_path / "a.png")
+
+
+def photographs(folder: Path, count: int = 8) -> lm.Capture:
+    """A capture whose frames lie as PNG files in `folder`."""
+    capture = lm.simulate("metal", lm.BernoulliPatterns((64, 64), count))
+    for k in range(count):
+        lm.write_image(folder / f"{k}.png", capture.frame(k))
+    return capture
+
+
+def test_a_jpeg_is_no_mask(tmp_path: Path) -> None:
+    capture = photographs(tmp_path / "photos")
+    mask = np.full((64, 64), 255, np.uint8)
+    mask[10:23, 11:25] = 0
+    Image.fromarray(mask).save(tmp_path / "mask.jpg", quality=80)
+    assert (np.asarray(Image.open(tmp_path / "mask.jpg"))[10:23, 11:25] > 0).any()
+    settings = lm.ReadSettings(mask=tmp_path / "mask.jpg")
+    with pytest.raises(lm.InputError, match="is a JPEG, whose compression"):
+        lm.Capture.from_folders(capture.patterns, tmp_path / "photos", settings)
+    # One that compression left as it was.
+    Image.fromarray(np.full((64, 64), 255, np.uint8)).save(tmp_path / "white.jpg", quality=95)
+    settings = lm.ReadSettings(mask=tmp_path / "white.jpg")
+    read = lm.Capture.from_folders(capture.patterns, tmp_path / "photos", settings)
+    assert read.mask is not None
+    assert read.mask.all()
+
+
+@pytest.mark.parametrize("white", [255, 1023, 4095, 16383])
+@pytest.mark.parametrize("form", ["npy", "folder"])
+def test_patterns_of_fewer_bits_in_16_are_refused(tmp_path: Path, white: int, form: str) -> None:
+    bits = lm.BernoulliPatterns((8, 8), 4).images(0, 4)
+    levels = (bits * white).astype(np.uint16)
+    if form == "npy":
+        place = tmp_path / "patterns.npy"
+        np.save(place, levels)
+    else:
+        place = tmp_path / "patterns"
+        for k, image in enumerate(levels):
+            lm.write_image(place / f"{k}.png", image)
+    with pytest.raises(lm.InputError, match=f"16 bits, but no level above {white}") as refused:
+        lm.read_patterns(place)
+    assert "8 bits" in (refused.value.hint or "")
+
+
+def test_dark_patterns_of_16_bits_and_of_float_are_read(tmp_path: Path) -> None:
+    bits = lm.BernoulliPatterns((8, 8), 4).images(0, 4)
+    np.save(tmp_path / "half.npy", (bits * 32768).astype(np.uint16))
+    half = lm.read_patterns(tmp_path / "half.npy").images(0, 4)
+    np.testing.assert_allclose(half, bits * np.float32(32768 / 65535))
+    np.save(tmp_path / "dark.npy", (bits * np.float32(0.01)).astype(np.float32))
+    dark = lm.read_patterns(tmp_path / "dark.npy").images(0, 4)
+    np.testing.assert_allclose(dark, bits * np.float32(0.01))
+
+
+def masked(values: NDArray[Any]) -> NDArray[Any]:
+    wrapped: NDArray[Any] = np.ma.MaskedArray(values)
+    wrapped[..., 0] = np.ma.masked
+    return wrapped
+
+
+def test_masked_values_are_refused(tmp_path: Path) -> None:
+    capture = lm.simulate("metal", lm.BernoulliPatterns((64, 64), 8))
+    frames = np.stack([capture.frame(k) for k in range(8)])
+    with pytest.raises(lm.InputError, match=r"frames with \d+ masked values"):
+        lm.Capture.from_arrays(capture.patterns, masked(frames), capture.decoder)
+    mask = masked(np.ones((64, 64), bool))
+    with pytest.raises(lm.InputError, match=r"a mask with 64 masked values"):
+        lm.Capture.from_arrays(capture.patterns, frames, capture.decoder, mask=mask)
+    with pytest.raises(lm.InputError, match=r"patterns with \d+ masked values"):
+        lm.ImagePatterns(masked(np.ones((4, 8, 8), np.float32)))
+    # Without a masked value it is an array like any other.
+    plain = np.ma.MaskedArray(frames)
+    read = lm.Capture.from_arrays(capture.patterns, plain, capture.decoder)
+    np.testing.assert_array_equal(read.samples().values, capture.samples().values)
+
+
+def test_lights_and_patterns_must_be_finite_and_whole(tmp_path: Path) -> None:
+    transport = lm.truth("metal").transport()
+    lm.save(tmp_path / "s.zarr", transport)
+    lights = np.ones(transport.camera_shape, np.float32)
+    broken = lights.copy()
+    broken[3, 4] = np.nan
+    for matrix in (transport, lm.StoredTransport.open(tmp_path / "s.zarr")):
+        with pytest.raises(lm.InputError, match="camera lights that are not all finite"):
+            matrix.dual(broken)
+        with pytest.raises(lm.InputError, match="camera lights with 64 masked values"):
+            matrix.dual(masked(lights))
+        with pytest.raises(lm.InputError, match="a pattern with 64 masked values"):
+            matrix.relight(masked(np.ones(transport.projector_shape)))
+
+
+# ---- writing
 
 
 def test_writing_refuses_what_is_no_image(tmp_path: Path) -> None:

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 import lightmatrix as lm
 from lightmatrix.cli import main
 from lightmatrix.errors import InputError, MissingExtraError
-from lightmatrix.files.exposure_time import exposure_time
+from lightmatrix.files.extras import exposure_time
 from tests.helpers.camera_files import SECONDS, black_image, write_arw, write_nef
 
 pytest.importorskip("rawpy")

@@ -8,14 +8,16 @@ from typing import Any
 import numpy as np
 import pytest
 import tifffile
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from numpy.typing import NDArray
 from PIL import Image
 
 import lightmatrix as lm
 from lightmatrix.cli import main
 from lightmatrix.errors import InputError
-from lightmatrix.files.image_stack import ImageStack
-from lightmatrix.files.pages import pages
+from lightmatrix.files.images import write_image
+from lightmatrix.files.stacks import ImageStack, list_images, pages
 
 PATTERNS = lm.BernoulliPatterns((8, 8), 12)
 
@@ -40,6 +42,7 @@ def save(file: Path, images: NDArray[Any], how: str = "") -> Path:
             "shaped": {"truncate": True},
             "big": {"bigtiff": True, "metadata": None},
             "deflate": {"compression": "zlib"},
+            "predicted": {"compression": "lzw", "predictor": True, "bigtiff": True},
             "swapped": {"byteorder": ">", "metadata": None},
         }
         options = kinds[how]
@@ -51,7 +54,8 @@ def save(file: Path, images: NDArray[Any], how: str = "") -> Path:
     ("name", "how"),
     [
         ("s.npy", ""), ("s.npy", "fortran"), ("s.npz", ""), ("s.tif", ""), ("s.TIFF", "imagej"),
-        ("s.tif", "shaped"), ("s.tif", "big"), ("s.tif", "deflate"), ("s.tif", "swapped"),
+        ("s.tif", "shaped"), ("s.tif", "big"), ("s.tif", "deflate"), ("s.tif", "predicted"),
+        ("s.tif", "swapped"),
     ],
 )  # fmt: skip
 @pytest.mark.parametrize("dtype", [np.uint8, np.uint16, np.float32])
@@ -207,3 +211,84 @@ def test_a_page_is_named_by_its_number(tmp_path: Path) -> None:
     stack = pages(save(tmp_path / "s.tif", noise(np.uint8)))
     assert str(stack[3]) == f"{tmp_path}/s.tif, image 3"
     assert ImageStack.open(tmp_path / "s.tif").name(3) == "s.tif, image 3"
+
+
+@pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
+def test_a_stack_in_which_0_is_white_is_turned_back(tmp_path: Path, dtype: type) -> None:
+    levels = np.arange(12, dtype=np.uint8).reshape(3, 4) * np.uint8(20)
+    stack: NDArray[Any] = np.stack([levels, levels[::-1]]).astype(dtype)
+    top = np.iinfo(dtype).max
+    tifffile.imwrite(tmp_path / "s.tif", top - stack, photometric="miniswhite", truncate=True)
+    with tifffile.TiffFile(tmp_path / "s.tif") as tiff:
+        assert (len(tiff.pages), tiff.series[0].shape) == (1, (2, 3, 4))
+    frames = ImageStack.open(tmp_path / "s.tif")
+    np.testing.assert_array_equal([frames.read(0), frames.read(1)], stack)
+
+
+def test_grey_images_in_three_channels_are_read_as_one(tmp_path: Path) -> None:
+    frames = [noise(np.uint8, (12, 10)) // (k + 1) for k in range(5)]
+    frames[0][:] = 0
+    for k, frame in enumerate(frames):
+        write_image(tmp_path / f"{k}.png", np.repeat(frame[..., None], 3, axis=2))
+    stack = ImageStack.open(tmp_path)
+    assert stack.shape == (12, 10)
+    np.testing.assert_array_equal(list(stack.select([3, 1])), [frames[3], frames[1]])
+    # One in colour among those that were not looked at.
+    coloured = np.repeat(frames[2][..., None], 3, axis=2)
+    coloured[0, 0] = 1, 2, 3
+    write_image(tmp_path / "2.png", coloured, overwrite=True)
+    with pytest.raises(InputError, match=r"2\.png: is in colour"):
+        list(ImageStack.open(tmp_path))
+    write_image(tmp_path / "4.png", coloured, overwrite=True)
+    assert ImageStack.open(tmp_path).shape == (12, 10, 3)
+
+
+def test_natural_order_and_passed_over_files(tmp_path: Path) -> None:
+    names = ["frame_10.png", "frame_2.png", "frame_1.png", "Frame_3.png"]
+    for name in [*names, ".hidden.png"]:
+        write_image(tmp_path / name, noise(np.uint8, (2, 2)))
+    (tmp_path / "notes.txt").write_text("passed over")
+    names = [path.name for path in list_images(tmp_path)]
+    assert names == ["frame_1.png", "frame_2.png", "Frame_3.png", "frame_10.png"]
+
+
+def test_folders_that_are_no_stacks(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="no such folder"):
+        list_images(tmp_path / "nothing")
+    (tmp_path / "clip.mp4").touch()
+    with pytest.raises(InputError, match=r"holds no images, only \.mp4 files"):
+        list_images(tmp_path)
+    with pytest.raises(InputError, match="is a file, not a folder"):
+        list_images(tmp_path / "clip.mp4")
+    write_image(tmp_path / "a.png", noise(np.uint8, (2, 2)))
+    write_image(tmp_path / "a.tif", noise(np.uint8, (2, 2)))
+    with pytest.raises(InputError, match=r"several formats \(\.png, \.tif\)"):
+        list_images(tmp_path)
+
+
+def test_a_stack_has_one_shape_and_type(tmp_path: Path) -> None:
+    images = [noise(np.uint8, (3, 4), seed) for seed in range(3)]
+    for k, image in enumerate(images):
+        write_image(tmp_path / f"{k}.png", image)
+    stack = ImageStack.open(tmp_path)
+    assert (stack.count, stack.shape, stack.dtype.name) == (3, (3, 4), "uint8")
+    np.testing.assert_array_equal(list(stack), images)
+    np.testing.assert_array_equal(stack.select([2, 0]).read(0), images[2])
+    write_image(tmp_path / "1.png", noise(np.uint8, (4, 3)), overwrite=True)
+    with pytest.raises(InputError, match=r"1\.png: is 4 x 3, but 0\.png is 3 x 4"):
+        stack.read(1)
+    write_image(tmp_path / "1.png", noise(np.uint16, (3, 4)), overwrite=True)
+    with pytest.raises(InputError, match=r"1\.png: is uint16, but 0\.png is uint8"):
+        stack.read(1)
+
+
+@given(st.lists(st.text(st.sampled_from("0a1²٣Ⅷ_"), min_size=1, max_size=4), unique=True))
+@settings(max_examples=40, deadline=None)
+def test_any_digits_may_stand_in_names(
+    tmp_path_factory: pytest.TempPathFactory, names: list[str]
+) -> None:
+    folder = tmp_path_factory.mktemp("names")
+    write_image(folder / "0.png", np.zeros((2, 2), np.uint8), overwrite=True)
+    for name in names:
+        write_image(folder / f"{name}.png", np.zeros((2, 2), np.uint8), overwrite=True)
+    assert ImageStack.open(folder).count == len({"0", *names})

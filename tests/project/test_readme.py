@@ -50,8 +50,8 @@ def test_readme_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def _own_photographs(folder: Path) -> None:
-    from lightmatrix.files.image_stack import list_images
     from lightmatrix.files.images import read_image
+    from lightmatrix.files.stacks import list_images
 
     total = np.zeros((32, 32))
     paths = list_images(folder / "capture" / "images")

@@ -32,9 +32,6 @@ from tests.helpers.stores import (
 )
 from tests.helpers.systems import LIMITS, SIGNALS
 
-if sys.platform != "win32":
-    pass
-
 
 @pytest.mark.parametrize("camera", [(5, 4), (3, 2, 3), (1, 1)])
 @pytest.mark.parametrize("density", [0.2, 0.0])
@@ -50,13 +47,6 @@ def test_a_matrix_comes_back_from_disk(
         np.testing.assert_array_equal(read.diagnostics[name], values)
         assert read.diagnostics[name].dtype == values.dtype
     assert [entry.name for entry in tmp_path.iterdir()] == ["scene.zarr"]
-
-
-def test_the_group_is_zarr_version_3_with_a_format_version(tmp_path: Path) -> None:
-    store.save(tmp_path / "scene.zarr", transport())
-    header = json.loads((tmp_path / "scene.zarr" / "zarr.json").read_text())
-    assert header["zarr_format"] == 3
-    assert header["attributes"]["version"] == 1
 
 
 def test_an_existing_matrix_needs_overwrite(tmp_path: Path) -> None:
@@ -218,9 +208,10 @@ import os, signal, sys
 import numpy as np
 sys.path.insert(0, {tests!r})
 from tests.helpers import stores
-save = np.savez
+save, tiles = np.savez, []
 def half(path, **arrays):
-    if "rows-16-20" in str(path):
+    tiles.append(path)
+    if len(tiles) == 3:
         save(path, **arrays)
         os.truncate(path, 100)
         os.kill(os.getpid(), signal.SIGKILL)

@@ -374,33 +374,6 @@ def test_a_checked_matrix_is_safe(seed: int) -> None:
 # ---- running results
 
 
-def overwrite_tile(file: Path, **change: Any) -> None:
-    save(file, content(file) | change)
-
-
-@pytest.mark.parametrize(
-    "change",
-    [
-        {"indices": np.full(70, 10**6, np.int32)},
-        {"indptr": np.arange(9)[::-1]},
-        {"shape": np.array(3)},
-        {"shape": np.array([9, 42])},
-        {"background": np.full((8, 6), np.nan, np.float32)},
-        {"diagnostic_gap": np.zeros(3)},
-        {"data": np.array([{}], object)},
-    ],
-)
-def test_a_tile_that_contradicts_itself_is_solved_again(
-    tmp_path: Path, change: dict[str, Any]
-) -> None:
-    path = tmp_path / "scene.zarr"
-    with pytest.raises(KeyboardInterrupt):
-        run(path, fail_at=16)
-    overwrite_tile(tmp_path / "scene.zarr.partial" / "rows-0-8.npz", **change)
-    assert run(path) == 8
-    assert_same(store.open(path), transport())
-
-
 def test_flipped_bits_in_tiles_and_what_is_remembered(tmp_path: Path) -> None:
     path = tmp_path / "scene.zarr"
     whole = transport()

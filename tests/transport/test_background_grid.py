@@ -9,7 +9,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 import scipy.sparse
-from scipy.io import loadmat
 from scipy.sparse import csr_array
 
 from lightmatrix import store
@@ -18,9 +17,7 @@ from lightmatrix.errors import InputError
 from lightmatrix.evaluation.metrics import relative_error, squared_errors
 from lightmatrix.files.images import read_image, write_image
 from lightmatrix.simulation.truth import Truth
-from lightmatrix.store import Checkpoint
 from lightmatrix.transport.matrix import LightTransport
-from lightmatrix.transport.sparse_rows import SparseRows
 
 PROJECTOR, CAMERA, GRID = (50, 37), (6, 7), (16, 16)
 PIXELS, ROWS = 50 * 37, 42
@@ -45,50 +42,6 @@ def dense(fine: LightTransport) -> np.ndarray:
         count = (rows == i).sum() * (cols == j).sum()
         result[inside] += (fine.background[:, 16 * i + j] / count)[:, None, None]
     return result.reshape(ROWS, PIXELS)
-
-
-def test_every_view(fine: LightTransport, dense: np.ndarray) -> None:
-    random = np.random.default_rng(0)
-    patterns = random.random((3, *PROJECTOR))
-    images = fine.relight(patterns).reshape(3, -1)
-    np.testing.assert_allclose(images, patterns.reshape(3, -1) @ dense.T, rtol=1e-4)
-    lights = random.random(CAMERA)
-    np.testing.assert_allclose(fine.dual(lights).ravel(), dense.T @ lights.ravel(), rtol=1e-4)
-    np.testing.assert_allclose(fine.row(2, 3).ravel(), dense[17], rtol=1e-5)
-    np.testing.assert_allclose(fine.column(49, 36).ravel(), dense[:, -1], rtol=1e-5)
-    whole = fine.to_matrix(dense_background=True)
-    np.testing.assert_allclose(whole.toarray(), dense, rtol=1e-5)
-    assert fine.to_matrix() is fine.sparse
-
-
-def test_store_and_checkpoint(fine: LightTransport, tmp_path: Path) -> None:
-    store.save(tmp_path / "one.zarr", fine)
-    with Checkpoint.open(tmp_path / "two.zarr", {"a": 1}) as running:
-        for start, stop in ((0, 20), (20, 42)):
-            part = SparseRows(fine.sparse, fine.background).rows(slice(start, stop))
-            running.write(start, stop, part)
-        running.finish(camera_shape=CAMERA, projector_shape=PROJECTOR, background_grid=GRID)
-    for name in ("one", "two"):
-        saved = store.open(tmp_path / f"{name}.zarr")
-        assert saved.background_grid == GRID
-        np.testing.assert_array_equal(saved.background, fine.background)
-        np.testing.assert_array_equal(saved.sparse.toarray(), fine.sparse.toarray())
-
-
-def test_exchange(fine: LightTransport, dense: np.ndarray, tmp_path: Path) -> None:
-    store.export(tmp_path / "apart.npz", fine)
-    back = store.import_npz(tmp_path / "apart.npz")
-    assert back.background_grid == GRID
-    np.testing.assert_array_equal(back.background, fine.background)
-    store.export(tmp_path / "whole.npz", fine, dense_background=True)
-    loaded = scipy.sparse.load_npz(tmp_path / "whole.npz").toarray()
-    np.testing.assert_allclose(loaded, dense, rtol=1e-5)
-    store.export(tmp_path / "whole.mat", fine, dense_background=True)
-    np.testing.assert_allclose(loadmat(tmp_path / "whole.mat")["T"].toarray(), dense, rtol=1e-5)
-    store.export(tmp_path / "apart.mat", fine)
-    content = loadmat(tmp_path / "apart.mat")
-    assert content["background_grid"].ravel().tolist() == [16, 16]
-    np.testing.assert_array_equal(content["background"], fine.background)
 
 
 def test_commands(

@@ -16,8 +16,8 @@ from lightmatrix.camera.raw_levels import range_end
 from lightmatrix.capture.frames import Frames, level_blocks
 from lightmatrix.capture.settings import ReadSettings
 from lightmatrix.errors import InputError, warn
-from lightmatrix.files.image_stack import ImageStack, nonlinear_tag
 from lightmatrix.files.images import HIGHEST_LEVELS, is_grey, read_image
+from lightmatrix.files.stacks import ImageStack, nonlinear_tag
 from lightmatrix.patterns.pattern_set import PatternSet
 
 # Endings of JPEG files.

@@ -29,10 +29,9 @@ from lightmatrix.capture.packed import FORMAT as PACKED_FORMAT
 from lightmatrix.capture.packed import is_packed, read_packed
 from lightmatrix.capture.settings import ReadSettings
 from lightmatrix.errors import InputError, warn
-from lightmatrix.files.image_stack import ImageStack
 from lightmatrix.files.images import READABLE, fill_image
 from lightmatrix.files.json_files import errors_naming
-from lightmatrix.files.pages import is_stack
+from lightmatrix.files.stacks import ImageStack, is_stack
 from lightmatrix.files.zarr_arrays import read_attributes
 from lightmatrix.outputs.kinds import CAPTURE
 from lightmatrix.outputs.writing import atomic_folder

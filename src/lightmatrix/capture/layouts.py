@@ -17,9 +17,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from lightmatrix.errors import InputError
-from lightmatrix.files.image_stack import list_images
 from lightmatrix.files.images import READABLE
 from lightmatrix.files.reading import read_text
+from lightmatrix.files.stacks import list_images
 
 # CompenNet's pictures lie up to four folders above those of a setup: light, position, surface, cam.
 _LEVELS_UP = 4

@@ -29,7 +29,7 @@ from lightmatrix.capture.packed import (
     VERSION,
 )
 from lightmatrix.errors import InputError
-from lightmatrix.files.zarr_arrays import create_array, write_array
+from lightmatrix.files.zarr_arrays import create_array, write_parts
 from lightmatrix.outputs.kinds import PACKED_CAPTURE
 from lightmatrix.outputs.writing import atomic_folder, check_output
 from lightmatrix.patterns.pattern_set import PatternSet
@@ -189,8 +189,7 @@ def write_packed(
         for strip in strips(rows):
             frames[:, top : top + strip.shape[1]] = strip
             top += strip.shape[1]
-        for name, values in _small_arrays(patterns, decoder, shape, mask).items():
-            write_array(group, name, values)
+        write_parts(group, [_small_arrays(patterns, decoder, shape, mask)])
         content = {
             "format": FORMAT,
             "version": VERSION,

@@ -12,7 +12,7 @@ from lightmatrix.camera.samples import Samples
 from lightmatrix.capture.decoding import check_depth, make_decoder
 from lightmatrix.capture.settings import ReadSettings
 from lightmatrix.errors import InputError
-from lightmatrix.files.image_stack import ImageStack
+from lightmatrix.files.stacks import ImageStack
 
 # A white frame is refused if its bright pixels are below this share of the clip level. Chosen by
 # hand: so little is black level and noise rather than light.

@@ -16,8 +16,7 @@ from lightmatrix.diagnosis.finding import Finding
 from lightmatrix.diagnosis.pattern_faults import check_distinguishable
 from lightmatrix.diagnosis.survey import Survey
 from lightmatrix.errors import InputError
-from lightmatrix.files.image_stack import ImageStack
-from lightmatrix.files.pages import Page
+from lightmatrix.files.stacks import ImageStack, Page
 from lightmatrix.patterns.pattern_set import PatternSet
 
 

@@ -1,36 +1,32 @@
-"""Image files: 8/16-bit PNG, TIFF and npy, grey or colour, one image a file.
+"""Image files: PNG, TIFF, npy, EXR, raw, JPEG, BMP and PGM, grey or colour, one image a file.
 
 Pixels stay as they were stored (uint8, uint16 or float32); `lightmatrix.camera` says what they
-mean. Stacks of images are in `image_stack.py`.
+mean. `stacks.py` reads many images. libpng (by imagecodecs) reads PNG and verifies its checksums,
+since Pillow verifies none of the pixels and reads 16-bit colour as 8 bits without a word.
 """
 
 from __future__ import annotations
 
 import io
 import math
+import re
 import struct
-import threading
-import warnings
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+import imagecodecs
 import numpy as np
 import tifffile
 from numpy.typing import NDArray
 from PIL import Image, UnidentifiedImageError
 
 from lightmatrix.errors import InputError, LightMatrixError, warn
-from lightmatrix.files import png
 from lightmatrix.files.colours import COLOURS
-from lightmatrix.files.exr import read_exr, write_exr
+from lightmatrix.files.extras import RAW, read_exr, read_raw, write_exr
 from lightmatrix.files.numpy_files import as_float32, read_npy
-from lightmatrix.files.pgm import read_pgm
-from lightmatrix.files.pillow_images import decode_image, encode_image
-from lightmatrix.files.raw import RAW, read_raw
 from lightmatrix.files.reading import check_image_size, regular_file
-from lightmatrix.files.tiff import read_tiff
 from lightmatrix.outputs.kinds import IMAGE
 from lightmatrix.outputs.writing import atomic_file
 from lightmatrix.ranges import real_array
@@ -42,8 +38,25 @@ FORMATS = "PNG, TIFF, npy, EXR, DNG and other raw files, JPEG, BMP or PGM"
 DISPLAY_GAMMA = 2.2
 # The highest levels of images of 8, 10, 12 and 14 bits, whose files may have 16.
 HIGHEST_LEVELS = (255, 1023, 4095, 16383)
-# Filters of warnings belong to the whole process, in which several threads may read images.
-_filters = threading.Lock()
+_PNG = b"\x89PNG\r\n\x1a\n"
+# Channels of a PNG file by its kind of colour: grey, RGB, palette, which becomes RGB, and the first
+# two with an alpha channel.
+_PNG_CHANNELS = {0: 1, 2: 3, 3: 3, 4: 2, 6: 4}
+# Compressions of TIFF, by their number in its specification. All are decoded into as many bytes as
+# the image needs, while images within an image may announce any size; only JPEG is told its size.
+_JPEG = 7
+_COMPRESSIONS = {
+    1: "none", 2: "CCITT", 3: "CCITT", 4: "CCITT", 5: "LZW", _JPEG: "JPEG", 8: "deflate",
+    32773: "PackBits", 32946: "deflate", 34925: "LZMA", 50000: "Zstandard",
+}  # fmt: skip
+# Photometric interpretations of TIFF: white is 0, black is 0, RGB, and the mosaics of raw files, in
+# which each pixel is one sample; a palette; and YCbCr, which the decoder of JPEG turns into RGB.
+_INVERTED, _PALETTE, _YCBCR = 0, 3, 6
+_PHOTOMETRIC = (_INVERTED, 1, 2, 32803, 34892)
+_BITS = (1, 8, 10, 12, 14, 16, 32, 64)
+_ONE_IMAGE = "save one image a file, or give this file in place of the folder, as a stack"
+# A number in the header of a PGM file, after white space and comments.
+_NUMBER = re.compile(rb"(?:\s+|#[^\n\r]*[\n\r])+(\d{1,9})")
 
 
 def read_image(path: str | Path, *, mosaic: bool = False) -> NDArray[Any]:
@@ -253,12 +266,8 @@ def fill_image(path: Path, image: NDArray[Any], *, bits: int = 8, missing: bool 
     elif suffix in (".tif", ".tiff"):
         tifffile.imwrite(path, pixels, photometric="rgb" if pixels.ndim == 3 else "minisblack")
     else:
-        levels = _to_levels(pixels, bits)
-        if levels.ndim == 3 and levels.dtype == np.uint16:
-            png.write_deep_colour(path, levels)
-        else:
-            # Encoded in memory first: Pillow fails twice if the disk is full.
-            path.write_bytes(encode_image(levels, "png"))
+        # Encoded in memory first, so that a full disk is noticed once.
+        path.write_bytes(imagecodecs.png_encode(np.ascontiguousarray(_to_levels(pixels, bits))))
 
 
 def _check_file(file: Path) -> None:
@@ -276,61 +285,189 @@ def _check_file(file: Path) -> None:
 
 def _read_png(file: Path) -> NDArray[Any]:
     data = file.read_bytes()
-    chunks = png.read_chunks(data)
-    header = png.read_png_header(chunks)
-    check_image_size(file, (header.rows, header.cols, png.CHANNELS[header.colour]))
-    if header.is_deep_colour:
-        return png.decode_deep_colour(chunks)
-    # Pillow stops at the last pixel and does not verify the checksum behind it.
-    png.verify_pixels(chunks.get(b"IDAT", b""), header.inflated_bytes)
-    pixels = header.rows * header.cols
-    if header.colour == png.PALETTE:
-        # Pillow turns indices into colours, and indices without a colour into black.
-        png.verify_indices(_read_by_pillow(data, pixels, mode="P"), chunks.get(b"PLTE", b""))
-    return _read_by_pillow(data, pixels)
+    if not data.startswith(_PNG) or data[12:16] != b"IHDR":
+        raise ValueError("not a PNG file")
+    cols, rows, _, colour = struct.unpack_from(">IIBB", data, 16)
+    check_image_size(file, (rows, cols, _PNG_CHANNELS.get(colour, 1)))
+    image: NDArray[Any] = imagecodecs.png_decode(data)
+    # libpng adds an alpha channel where one colour stands for transparent pixels, whose levels
+    # are in the file all the same.
+    return image[..., :-1] if colour < 4 and image.shape[2:] in ((2,), (4,)) else image
 
 
-def _read_jpeg(file: Path) -> NDArray[Any]:
-    return _read_signed(file, b"\xff\xd8\xff", "JPEG")
+def png_chunks(data: bytes) -> dict[bytes, bytes]:
+    """The chunks of a PNG file before its pixels, by name, without a look at their checksums."""
+    chunks: dict[bytes, bytes] = {}
+    at = len(_PNG)
+    while data.startswith(_PNG) and at + 8 <= len(data) and b"IDAT" not in chunks:
+        length, name = struct.unpack_from(">I4s", data, at)
+        chunks[name] = data[at + 8 : at + 8 + length]
+        at += 12 + length
+    return chunks
 
 
-def _read_bmp(file: Path) -> NDArray[Any]:
-    return _read_signed(file, b"BM", "BMP")
+def _by_pillow(signature: bytes, kind: str) -> Callable[[Path], NDArray[Any]]:
+    """The reader of a format that Pillow decodes, if the file begins like that format."""
+
+    def read(file: Path) -> NDArray[Any]:
+        data = file.read_bytes()
+        if not data.startswith(signature):
+            raise ValueError(f"not a {kind} file")
+        with Image.open(io.BytesIO(data)) as opened:
+            cols, rows = opened.size
+            # An image with a palette becomes one of three channels.
+            channels = 3 if opened.mode == "P" else len(opened.getbands())
+            check_image_size(file, (rows, cols, channels))
+            if opened.mode == "CMYK":
+                raise InputError(
+                    f"{file}: has printing colours (CMYK)", hint="save it in grey or RGB"
+                )
+        return decode_image(data)
+
+    return read
 
 
-def _read_signed(file: Path, signature: bytes, kind: str) -> NDArray[Any]:
-    """Read an image only if it begins like the format of its name."""
+def decode_image(source: bytes | Path) -> NDArray[Any]:
+    """The pixels of an image as Pillow decodes it, (rows, cols[, channels]), palettes as colours.
+
+    Pillow may raise nearly anything if the image is damaged.
+    """
+    with Image.open(io.BytesIO(source) if isinstance(source, bytes) else source) as opened:
+        palette = opened.palette if opened.mode == "P" else None
+        return np.array(opened if palette is None else opened.convert(palette.mode))
+
+
+def encode_image(pixels: NDArray[Any], kind: str, **options: Any) -> bytes:
+    """An image as the bytes of a file of some kind, such as "webp", with options of Pillow."""
+    stream = io.BytesIO()
+    Image.fromarray(pixels).save(stream, kind, **options)
+    return stream.getvalue()
+
+
+def _read_tiff(file: Path) -> NDArray[Any]:
+    with tifffile.TiffFile(file) as tiff:
+        if len(tiff.pages) != 1:
+            raise InputError(f"{file}: holds {len(tiff.pages)} pages", hint=_ONE_IMAGE)
+        page = tiff.pages.first
+        check_image_size(file, page.shape)
+        # ImageJ and tifffile write many images behind the description of one.
+        if (tiff.is_imagej or tiff.is_shaped) and tiff.series[0].size != page.size:
+            raise InputError(f"{file}: holds several images", hint=_ONE_IMAGE)
+        return read_page(file, page)
+
+
+def read_page(file: Path, page: tifffile.TiffPage) -> NDArray[Any]:
+    """Read a page of an open TIFF file as it lies there, with 0 for black.
+
+    The tag of an orientation is not followed: a camera that writes it into some frames only would
+    move these against the others.
+    """
+    check_page(file, page)
+    # Frames are read by several threads already.
+    image = np.asarray(page.asarray(maxworkers=1))
+    if page.axes == "SYX":
+        image = np.moveaxis(image, 0, -1)
+    return turned_back(image, page.bitspersample) if is_inverted(page) else image
+
+
+def is_inverted(page: tifffile.TiffPage) -> bool:
+    """Whether 0 stands for white."""
+    return page.photometric == _INVERTED and page.dtype is not None and page.dtype.kind in "bu"
+
+
+def turned_back(image: NDArray[Any], bits: int) -> NDArray[Any]:
+    """The levels of an inverted image of some bits, with 0 for black."""
+    return np.asarray(image ^ image.dtype.type(2**bits - 1))
+
+
+def check_page(file: Path, page: tifffile.TiffPage) -> None:
+    """Refuse a page whose size, colours, axes or depth are not read, or which is not whole.
+
+    Where strips or tiles are missing, tifffile would return zeros.
+    """
+    # A tile may be larger than the image.
+    for shape in (page.shape, page.chunks):
+        check_image_size(file, shape)
+    if page.compression not in _COMPRESSIONS:
+        raise InputError(
+            f"{file}: compression {int(page.compression)} is not read",
+            hint=f"use one of {', '.join(dict.fromkeys(_COMPRESSIONS.values()))}, or PNG",
+        )
+    colours = int(page.photometric)
+    if colours not in _PHOTOMETRIC and (colours, page.compression) != (_YCBCR, _JPEG):
+        words = "a palette" if colours == _PALETTE else f"colours of kind {colours}"
+        raise InputError(f"{file}: has {words}", hint="save it in grey or RGB")
+    if page.axes not in ("YX", "YXS", "SYX"):
+        raise InputError(f"{file}: has axes {page.axes}", hint="save one image a file")
+    if page.bitspersample not in _BITS:
+        raise InputError(
+            f"{file}: has {page.bitspersample} bits a value", hint="save it with 8 or 16 bits"
+        )
+    counts, offsets = page.databytecounts, page.dataoffsets
+    if not len(counts) == len(offsets) == math.prod(page.chunked):
+        raise ValueError("strips are missing")
+    if min(counts) < 1:
+        raise ValueError("a strip of 0 bytes")
+    size = file.stat().st_size
+    if min(offsets) < 8 or any(o + n > size for o, n in zip(offsets, counts, strict=True)):
+        raise ValueError("the file ends early")
+    if page.compression == _JPEG:
+        # Its decoder takes the size from the strip, and fills up what is missing with grey.
+        cols = page.tilewidth if page.is_tiled else page.imagewidth
+        most = page.tilelength if page.is_tiled else min(page.rowsperstrip, page.imagelength)
+        with file.open("rb") as stream:
+            for offset, count in zip(offsets, counts, strict=True):
+                stream.seek(offset)
+                strip = stream.read(count)
+                with Image.open(io.BytesIO(strip)) as opened:
+                    fits = opened.width == cols and opened.height <= most
+                if not fits or b"\xff\xd9" not in strip[-3:]:
+                    raise ValueError("a strip of JPEG that is not whole, or of another size")
+
+
+def _read_pgm(file: Path) -> NDArray[Any]:
+    """Read a binary portable graymap (P5), as machine vision cameras write them.
+
+    A file of 12 bits says so by its largest level, 4095, and its levels stay as they are; other
+    readers, Pillow among them, stretch them to 65535.
+    """
     data = file.read_bytes()
-    if not data.startswith(signature):
-        raise ValueError(f"not a {kind} file")
-    with Image.open(io.BytesIO(data)) as opened:
-        cols, rows = opened.size
-        # An image with a palette becomes one of three channels.
-        channels = 3 if opened.mode == "P" else len(opened.getbands())
-        check_image_size(file, (rows, cols, channels))
-        if opened.mode == "CMYK":
-            raise InputError(f"{file}: has printing colours (CMYK)", hint="save it in grey or RGB")
-    return _read_by_pillow(data, rows * cols)
-
-
-def _read_by_pillow(data: bytes, pixels: int, mode: str | None = None) -> NDArray[Any]:
-    if pixels <= (Image.MAX_IMAGE_PIXELS or math.inf):
-        return decode_image(data, mode=mode)
-    with _filters, warnings.catch_warnings():
-        # Pillow warns of large images, whose size was checked.
-        warnings.filterwarnings("ignore", message=".*decompression bomb", category=Warning)
-        return decode_image(data, mode=mode)
+    if not data.startswith(b"P5"):
+        raise ValueError("not a binary PGM file")
+    numbers, place = [], 2
+    for _ in range(3):
+        # The next number must end within 64 KiB, comments included.
+        match = _NUMBER.match(data, place, place + (1 << 16))
+        if match is None:
+            raise ValueError("a header without width, height and largest level")
+        numbers.append(int(match[1]))
+        place = match.end()
+    cols, rows, top = numbers
+    check_image_size(file, (rows, cols))
+    if not 1 <= top <= 65535:
+        raise ValueError(f"a largest level of {top}")
+    if top < 255:
+        raise ValueError(f"its white is {top}, not 255")
+    kind = np.dtype(np.uint8 if top < 256 else ">u2")
+    # One white space stands between the header and the levels.
+    content = data[place + 1 :]
+    if not data[place : place + 1].isspace() or len(content) != rows * cols * kind.itemsize:
+        raise ValueError("more or fewer levels than its header says")
+    image = np.frombuffer(content, kind).reshape(rows, cols)
+    if int(image.max()) > top:
+        raise ValueError(f"a level above its largest one, {top}")
+    return image.astype(kind.newbyteorder("="))
 
 
 _READERS = {
     ".png": _read_png,
-    ".tif": read_tiff,
-    ".tiff": read_tiff,
+    ".tif": _read_tiff,
+    ".tiff": _read_tiff,
     ".npy": read_npy,
-    ".jpg": _read_jpeg,
-    ".jpeg": _read_jpeg,
-    ".bmp": _read_bmp,
-    ".pgm": read_pgm,
+    ".jpg": _by_pillow(b"\xff\xd8\xff", "JPEG"),
+    ".jpeg": _by_pillow(b"\xff\xd8\xff", "JPEG"),
+    ".bmp": _by_pillow(b"BM", "BMP"),
+    ".pgm": _read_pgm,
     ".exr": read_exr,
 }
 

@@ -62,14 +62,6 @@ def create_array(
     )
 
 
-def write_array(group: zarr.Group, name: str, values: NDArray[Any]) -> None:
-    """Write an array in chunks of whole rows, about a million values each."""
-    width = int(np.prod(values.shape[1:]))
-    rows = max(1, min(len(values), CHUNK // max(1, width)))
-    chunks = (rows, *values.shape[1:])
-    create_array(group, name, values.shape, values.dtype, chunks)[...] = values
-
-
 def write_parts(
     group: zarr.Group,
     parts: Iterable[Mapping[str, NDArray[Any]]],

@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lightmatrix.errors import InputError
+from lightmatrix.files.extras import load_opencv
 from lightmatrix.files.json_files import parse_json, read_json
-from lightmatrix.files.opencv import load_opencv
 from lightmatrix.files.reading import read_text
 from lightmatrix.outputs.kinds import GEOMETRY, GEOMETRY_FORMAT
 from lightmatrix.outputs.writing import atomic_file

@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 
 from lightmatrix.errors import InputError, warn
 from lightmatrix.files.colours import COLOURS
-from lightmatrix.files.image_stack import ImageStack, list_entries
 from lightmatrix.files.images import (
     HIGHEST_LEVELS,
     as_grey,
@@ -26,7 +25,7 @@ from lightmatrix.files.images import (
     read_image,
 )
 from lightmatrix.files.json_files import errors_naming, read_json
-from lightmatrix.files.pages import Page
+from lightmatrix.files.stacks import ImageStack, Page, list_entries
 from lightmatrix.outputs.kinds import PATTERNS
 from lightmatrix.outputs.writing import atomic_folder
 from lightmatrix.patterns.bits import BitPatterns

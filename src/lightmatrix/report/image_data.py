@@ -10,8 +10,7 @@ import matplotlib as mpl
 import numpy as np
 from numpy.typing import NDArray
 
-from lightmatrix.files.images import read_image
-from lightmatrix.files.pillow_images import encode_image
+from lightmatrix.files.images import encode_image, read_image
 from lightmatrix.patterns.pattern_set import block_mean
 from lightmatrix.pictures.maps import Map
 from lightmatrix.pictures.style import display

@@ -95,7 +95,12 @@ class Checkpoint:
                 overwrite=overwrite,
             )
             if not kept.has(_FINGERPRINT):
-                _write_fingerprint(kept, wanted)
+                try:
+                    with kept.keep(_FINGERPRINT) as part:
+                        part.write_text(json.dumps(wanted, indent=2))
+                except OutputError:
+                    kept.discard()
+                    raise
             return cls(Path(path), kept, _token(wanted), overwrite, claim.pop_all())
 
     def __enter__(self) -> Self:
@@ -291,12 +296,3 @@ def fingerprint_token(folder: Path) -> str | None:
 
 def _token(fingerprint: Mapping[str, Any]) -> str:
     return hashlib.sha256(json.dumps(fingerprint, sort_keys=True).encode()).hexdigest()
-
-
-def _write_fingerprint(kept: RunningResults, fingerprint: Mapping[str, Any]) -> None:
-    try:
-        with kept.keep(_FINGERPRINT) as part:
-            part.write_text(json.dumps(fingerprint, indent=2))
-    except OutputError:
-        kept.discard()
-        raise

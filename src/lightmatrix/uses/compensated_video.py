@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lightmatrix.errors import InputError
-from lightmatrix.files.image_stack import list_images
+from lightmatrix.files.stacks import list_images
 from lightmatrix.outputs.kinds import PATTERNS
 from lightmatrix.outputs.writing import check_output
 from lightmatrix.patterns.folder import write_patterns

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -9,8 +10,7 @@ import numpy as np
 import tifffile
 from numpy.typing import NDArray
 
-from lightmatrix.files.ply import fill_ply
-from lightmatrix.outputs.kinds import CLOUD, DEPTH
+from lightmatrix.outputs.kinds import CLOUD, DEPTH, PLY_MARK
 from lightmatrix.outputs.writing import atomic_file
 
 # Albedos at this quantile are shown white, as (light) ** (1 / 2.2), which screens undo.
@@ -42,7 +42,7 @@ def write_cloud(
         number = np.cumsum(known) - 1
         triangles = number[faces]
     with atomic_file(path, CLOUD, overwrite=overwrite) as part:
-        fill_ply(part, attributes, triangles)
+        _fill_ply(part, attributes, triangles)
 
 
 def write_depth(path: str | Path, depth: NDArray[np.float32], *, overwrite: bool) -> None:
@@ -59,3 +59,31 @@ def grey_levels(albedo: NDArray[np.float32]) -> NDArray[np.uint8]:
     bright = float(np.quantile(albedo, _WHITE_QUANTILE)) if albedo.size else 0.0
     share = np.clip(albedo / max(bright, 1e-12), 0, 1)
     return np.rint(255 * share ** (1 / _GAMMA)).astype(np.uint8)
+
+
+def _fill_ply(
+    path: Path, attributes: Mapping[str, NDArray[Any]], faces: NDArray[np.integer] | None = None
+) -> None:
+    """Write a PLY file (Turk 1994) in binary.
+
+    It has points, each attribute (n,) float32 or uint8, and triangles (m, 3) between them.
+    """
+    names = {"f4": "float", "u1": "uchar"}
+    columns = {name: np.asarray(values) for name, values in attributes.items()}
+    count = len(next(iter(columns.values())))
+    kinds = [(name, values.dtype.newbyteorder("<")) for name, values in columns.items()]
+    points = np.empty(count, kinds)
+    for name, values in columns.items():
+        points[name] = values
+    lines = ["ply", "format binary_little_endian 1.0", PLY_MARK, f"element vertex {count}"]
+    lines += [f"property {names[kind.str[1:]]} {name}" for name, kind in kinds]
+    if faces is not None:
+        lines += [f"element face {len(faces)}", "property list uchar int vertex_indices"]
+    with path.open("wb") as stream:
+        stream.write(("\n".join([*lines, "end_header"]) + "\n").encode("ascii"))
+        stream.write(points.tobytes())
+        if faces is not None:
+            triangles = np.empty(len(faces), [("count", "u1"), ("corners", "<i4", 3)])
+            triangles["count"] = 3
+            triangles["corners"] = faces
+            stream.write(triangles.tobytes())

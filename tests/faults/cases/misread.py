@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from lightmatrix.files.pillow_images import decode_image
+from lightmatrix.files.images import decode_image
 
 from ..case import Case, nothing
 from ..put import array, described, text

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from scipy import sparse
 from zarr.codecs import Crc32cCodec
 
-from lightmatrix.files.pillow_images import encode_image
+from lightmatrix.files.images import encode_image
 from lightmatrix.files.zarr_arrays import SMALL
 from lightmatrix.store.zarr_store import seal
 

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from scipy.optimize import isotonic_regression
 
 from lightmatrix.calibration.responses.pixel_series import TOP, PixelSeries
-from lightmatrix.files.opencv import load_opencv
+from lightmatrix.files.extras import load_opencv
 
 METHODS = ("debevec", "robertson")
 # Weight of the smoothness of Debevec's curve. tests/calibration/test_responses.py and

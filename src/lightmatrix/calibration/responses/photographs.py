@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 
 from lightmatrix.capture.frames import ArrayStack, Frames
 from lightmatrix.errors import InputError
-from lightmatrix.files.exposure_time import exposure_time
-from lightmatrix.files.image_stack import ImageStack
+from lightmatrix.files.extras import exposure_time
 from lightmatrix.files.images import read_image
+from lightmatrix.files.stacks import ImageStack
 
 Photographs = str | Path | NDArray[Any]
 

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lightmatrix.calibration.rig.homography import fit_homography, moved
-from lightmatrix.files.opencv import load_opencv
+from lightmatrix.files.extras import load_opencv
 from lightmatrix.transport.correspondence import Correspondence
 
 Shape = tuple[int, int]

@@ -16,7 +16,7 @@ from lightmatrix.calibration.rig.pose_images import pose_images
 from lightmatrix.calibration.rig.stereo import StereoFit, board_points, fit_stereo
 from lightmatrix.capture.capture import Capture, open_capture
 from lightmatrix.errors import InputError, LightMatrixWarning
-from lightmatrix.files.opencv import load_opencv
+from lightmatrix.files.extras import load_opencv
 from lightmatrix.geometry.rig_geometry import RigGeometry
 from lightmatrix.outputs.kinds import GEOMETRY
 from lightmatrix.outputs.writing import check_output

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lightmatrix.calibration.rig.board import BoardCorners
-from lightmatrix.files.opencv import load_opencv
+from lightmatrix.files.extras import load_opencv
 
 Shape = tuple[int, int]
 # A corner is left out if it is off by more than this multiple of the median, which random errors

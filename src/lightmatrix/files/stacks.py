@@ -1,0 +1,398 @@
+"""Stacks of images, read one at a time: the files of a folder in natural order, or pages of one.
+
+A file that holds several images is a TIFF of several pages, or npy or npz of (K, rows, cols[, 3]).
+A page is opened when it is read, so that a stack may be larger than memory. Only npz files, which
+may be compressed, are read at once.
+"""
+
+from __future__ import annotations
+
+import re
+import struct
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any, Protocol
+
+import numpy as np
+import tifffile
+from numpy.typing import NDArray
+
+from lightmatrix.errors import InputError
+from lightmatrix.files.images import (
+    FORMATS,
+    READABLE,
+    as_image_error,
+    as_stored,
+    check_page,
+    is_grey,
+    is_inverted,
+    png_chunks,
+    read_image,
+    read_page,
+    turned_back,
+)
+from lightmatrix.files.numpy_files import read_npy_header, read_npz
+from lightmatrix.files.reading import check_image_size, regular_file
+from lightmatrix.reprs import short_repr
+
+# Endings of files that may hold several images, and their formats in words.
+STACKS = (".tif", ".tiff", ".npy", ".npz")
+STACK_FORMATS = "a TIFF of several pages, npy or npz"
+
+
+class _Source(Protocol):
+    """A file of several images, read one at a time."""
+
+    @property
+    def count(self) -> int:
+        """Number of images."""
+
+    def read(self, index: int) -> NDArray[Any]:
+        """One image, not checked yet."""
+
+
+@dataclass(frozen=True)
+class Page:
+    """One image, number `index` from 0, of a file that holds several."""
+
+    file: Path
+    index: int
+    source: _Source = field(compare=False, repr=False)
+
+    @property
+    def name(self) -> str:
+        """How messages distinguish it from other images of its file."""
+        return f"{self.file.name}, image {self.index}"
+
+    def __str__(self) -> str:
+        return f"{self.file}, image {self.index}"
+
+    def read(self) -> NDArray[Any]:
+        """The image, as `read_image` returns one."""
+        with as_image_error(str(self)):
+            image = self.source.read(self.index)
+        return as_stored(str(self), image)
+
+
+def read_entry(entry: Path | Page, *, mosaic: bool = False) -> NDArray[Any]:
+    """An image from a file of its own or from a stack; see `read_image`."""
+    return entry.read() if isinstance(entry, Page) else read_image(entry, mosaic=mosaic)
+
+
+def is_stack(path: str | Path) -> bool:
+    """Whether a file is named like one that may hold several images."""
+    return Path(path).suffix.lower() in STACKS
+
+
+def holds_several(file: Path) -> bool:
+    """Whether an image file holds several; False also of damaged ones, which say so when read."""
+    try:
+        if file.suffix.lower() == ".npy":
+            with regular_file(file).open("rb") as stream:
+                shape = read_npy_header(stream).shape
+            return len(shape) == 4 or (len(shape) == 3 and shape[-1] > 4)
+        with tifffile.TiffFile(file) as tiff:
+            return len(tiff.pages) > 1 or _contiguous(file) is not None
+    # Libraries raise nearly anything on damaged files.
+    except Exception:
+        return False
+
+
+def pages(path: str | Path) -> list[Page]:
+    """The images of a TIFF, npy or npz; a damaged page is noticed when it is read."""
+    file = regular_file(path)
+    suffix = file.suffix.lower()
+    if suffix not in STACKS:
+        raise InputError(f"{file}: is no stack of images", hint=f"give {STACK_FORMATS}")
+    with as_image_error(str(file)):
+        source: _Source
+        if suffix == ".npz":
+            source = _Array(_single_array(file))
+        elif suffix == ".npy":
+            source = _npy(file)
+        else:
+            source = _contiguous(file) or _tiff(file)
+    return [Page(file, index, source) for index in range(source.count)]
+
+
+@dataclass(frozen=True, eq=False)
+class _Array:
+    array: NDArray[Any]
+
+    @property
+    def count(self) -> int:
+        return len(self.array)
+
+    def read(self, index: int) -> NDArray[Any]:
+        image: NDArray[Any] = self.array[index]
+        return image
+
+
+@dataclass(frozen=True, eq=False)
+class _Mapped:
+    """Images that follow each other in a file, uncompressed."""
+
+    file: Path
+    shape: tuple[int, ...]
+    dtype: np.dtype[Any]
+    offset: int
+    fortran: bool = False
+    inverted: bool = False
+
+    @property
+    def count(self) -> int:
+        return self.shape[0]
+
+    def read(self, index: int) -> NDArray[Any]:
+        order = "F" if self.fortran else "C"
+        mapped = np.memmap(self.file, self.dtype, "r", self.offset, self.shape, order)  # type: ignore[call-overload]
+        # A copy: the file must not stay open, and the image must not change with it.
+        image = np.array(mapped[index])
+        return turned_back(image, 8 * image.itemsize) if self.inverted else image
+
+
+@dataclass(frozen=True, eq=False)
+class _TiffPages:
+    """Pages of a TIFF file, each with its own description."""
+
+    file: Path
+    count: int
+
+    def read(self, index: int) -> NDArray[Any]:
+        with tifffile.TiffFile(self.file) as tiff:
+            return read_page(self.file, tiff.pages[index].aspage())
+
+
+def _npy(file: Path) -> _Mapped:
+    with file.open("rb") as stream:
+        header = read_npy_header(stream)
+        offset = stream.tell()
+    if header.bytes != file.stat().st_size - offset:
+        raise ValueError("its size does not fit its header")
+    _check_shape(file, header.shape)
+    return _Mapped(file, header.shape, header.dtype, offset, header.fortran)
+
+
+def _tiff(file: Path) -> _TiffPages:
+    with tifffile.TiffFile(file) as tiff:
+        return _TiffPages(file, len(tiff.pages))
+
+
+def _contiguous(file: Path) -> _Mapped | None:
+    """Images after the description of a single one, as ImageJ and tifffile may write them."""
+    with tifffile.TiffFile(file) as tiff:
+        page = tiff.pages.first
+        if len(tiff.pages) > 1 or not (tiff.is_imagej or tiff.is_shaped):
+            return None
+        series = tiff.series[0]
+        if series.size == page.size:
+            return None
+        check_page(file, page)
+        count, left = divmod(series.size, page.size)
+        whole_bytes = series.dtype is not None and page.bitspersample == 8 * series.dtype.itemsize
+        if series.dataoffset is None or left or series.dtype is None or not whole_bytes:
+            raise ValueError("images that do not follow one another")
+        dtype = series.dtype.newbyteorder(tiff.byteorder)
+        shape = (count, *page.shape)
+        _check_shape(file, shape)
+        if series.dataoffset + series.size * dtype.itemsize > file.stat().st_size:
+            raise ValueError("the file ends early")
+        inverted = is_inverted(page)
+        return _Mapped(file, shape, dtype, series.dataoffset, inverted=inverted)
+
+
+def _single_array(file: Path) -> NDArray[Any]:
+    """The one array of an npz file."""
+    arrays = read_npz(file)
+    if len(arrays) != 1:
+        named = ", ".join(list(arrays)[:5]) or "nothing"
+        raise InputError(
+            f"{file}: holds {len(arrays)} arrays ({named})",
+            hint="save one array of (K, rows, cols) in it, or give an npy file",
+        )
+    (array,) = arrays.values()
+    _check_shape(file, array.shape)
+    return array
+
+
+def _check_shape(file: Path, shape: Sequence[int]) -> None:
+    # A last axis of three means colours: no projector and no camera is three pixels wide.
+    fits = (len(shape) == 3 and shape[-1] != 3) or (len(shape) == 4 and shape[-1] in (1, 3))
+    if not fits or not shape[0]:
+        raise InputError(
+            f"{file}: holds an array of shape {tuple(shape)}, no stack of images",
+            hint="give (K, rows, cols), or (K, rows, cols, 3) in colour",
+        )
+    check_image_size(file, shape[1:])
+
+
+def list_images(folder: str | Path) -> list[Path]:
+    """The image files of a folder in natural order (frame 2 before frame 10), all of one format.
+
+    Hidden files and others are ignored; broken links, pipes and devices with image names refused.
+    """
+    place = Path(folder)
+    if not place.exists():
+        raise InputError(f"{place}: no such folder", hint="check the name")
+    if not place.is_dir():
+        raise InputError(
+            f"{place}: is a file, not a folder of images",
+            hint=f"give the folder that holds it, or a stack: {STACK_FORMATS}",
+        )
+    files = [entry for entry in place.iterdir() if not entry.is_dir() and entry.name[0] != "."]
+    images = sorted((file for file in files if file.suffix.lower() in READABLE), key=_natural)
+    for file in images:
+        # A link that leads nowhere is a missing frame, not a file to ignore.
+        regular_file(file)
+    if not images:
+        other = sorted({file.suffix for file in files if file.suffix})
+        only = f", only {', '.join(other)} files" if other else ""
+        raise InputError(f"{place}: holds no images{only}", hint=f"convert them to {FORMATS}")
+    suffixes = sorted({file.suffix.lower() for file in images})
+    if len(suffixes) > 1:
+        raise InputError(
+            f"{place}: holds images of several formats ({', '.join(suffixes)})",
+            hint="keep one image a frame, all in one format",
+        )
+    return images
+
+
+def list_entries(source: str | Path) -> list[Path | Page]:
+    """The images of a folder in natural order, or those of a file (or a folder's only file)."""
+    place = Path(source)
+    if is_stack(place) and not place.is_dir():
+        return list(pages(place))
+    files = list_images(place)
+    if len(files) == 1 and is_stack(files[0]) and holds_several(files[0]):
+        return list(pages(files[0]))
+    return list(files)
+
+
+def nonlinear_tag(path: str | Path | Page) -> str | None:
+    """Why a file is probably not linear: "JPEG", "tagged sRGB", ... (not gamma 1), or None."""
+    file = path.file if isinstance(path, Page) else Path(path)
+    if file.suffix.lower() in (".jpg", ".jpeg"):
+        return "JPEG"
+    if file.suffix.lower() != ".png":
+        return None
+    try:
+        chunks = png_chunks(file.read_bytes())
+    except OSError:
+        return None
+    for name, words in ((b"sRGB", "tagged sRGB"), (b"iCCP", "tagged with a colour profile")):
+        if name in chunks:
+            return words
+    if b"cICP" in chunks:
+        return "tagged with a video colour space"
+    gamma = chunks.get(b"gAMA", b"")
+    if len(gamma) == 4 and (value := struct.unpack(">I", gamma)[0]) not in (0, 100000):
+        return f"tagged with gamma {100000 / value:.2g}"
+    return None
+
+
+@dataclass(frozen=True)
+class ImageStack:
+    """Images of one shape and type, read one at a time."""
+
+    # The files, or the pages of one, in the order of the frames.
+    paths: tuple[Path | Page, ...]
+    # (rows, cols) or (rows, cols, 3) of uint8, uint16 or float32.
+    shape: tuple[int, ...]
+    dtype: np.dtype[Any]
+    # Read three equal channels, as in many grey cameras' JPEG files, as one channel.
+    grey: bool = False
+    # Read raw camera files as they are; see `read_image`.
+    mosaic: bool = False
+
+    __repr__ = short_repr
+
+    @classmethod
+    def open(
+        cls, source: str | Path | Sequence[Path | Page], *, mosaic: bool = False
+    ) -> ImageStack:
+        """Open the images of a folder (natural order), of one file, or of a list (its order).
+
+        Only the first image is checked now, the others when they are read.
+        """
+        paths = list_entries(source) if isinstance(source, (str, Path)) else list(source)
+        if not paths:
+            raise InputError("an empty list of images", hint="give at least one file")
+        first = read_entry(paths[0], mosaic=mosaic)
+        if first.ndim == 3 and _all_grey(paths):
+            return cls(tuple(paths), first.shape[:2], first.dtype, True)
+        return cls(tuple(paths), first.shape, first.dtype, mosaic=mosaic)
+
+    @property
+    def count(self) -> int:
+        """Number of images K."""
+        return len(self.paths)
+
+    def read(self, index: int) -> NDArray[Any]:
+        """Image number `index`, which must have the shape and type of the first one."""
+        path = self.paths[index]
+        image = read_entry(path, mosaic=self.mosaic)
+        if self.grey:
+            image = _one_channel(path, image)
+        if image.shape != self.shape:
+            raise InputError(
+                f"{path}: is {_words(image.shape)}, but {self.paths[0].name} is "
+                f"{_words(self.shape)}",
+                hint="all images of a folder must have one size; move others elsewhere",
+            )
+        if image.dtype != self.dtype:
+            raise InputError(
+                f"{path}: is {image.dtype}, but {self.paths[0].name} is {self.dtype}",
+                hint="save all images of a folder with the same bit depth",
+            )
+        return image
+
+    def __iter__(self) -> Iterator[NDArray[Any]]:
+        return (self.read(index) for index in range(self.count))
+
+    def name(self, index: int) -> str:
+        """The file's name."""
+        return self.paths[index].name
+
+    def select(self, index: Sequence[int]) -> ImageStack:
+        """The stack of the images with these indices."""
+        return replace(self, paths=tuple(self.paths[i] for i in index))
+
+
+def _all_grey(paths: Sequence[Path | Page]) -> bool:
+    """Whether files of three channels are grey, by four of them; single levels do not count."""
+    samples = [paths[k] for k in sorted({0, len(paths) // 3, 2 * len(paths) // 3, len(paths) - 1})]
+    varied = 0
+    for path in samples:
+        try:
+            image = read_entry(path)
+        except InputError:
+            # Reading it in its turn names the damage.
+            return False
+        if image.ndim != 3 or not is_grey(image):
+            return False
+        varied += bool(np.ptp(image) > 0)
+    return varied > len(samples) // 2
+
+
+def _one_channel(path: Path | Page, image: NDArray[Any]) -> NDArray[Any]:
+    """A grey image stored in one or three channels as one."""
+    if image.ndim == 2:
+        return image
+    if not is_grey(image):
+        raise InputError(
+            f"{path}: is in colour, but other images of the folder are grey in three channels",
+            hint="save all of them in grey, or all in colour",
+        )
+    return np.ascontiguousarray(image[..., 0])
+
+
+def _words(shape: tuple[int, ...]) -> str:
+    return f"{shape[0]} x {shape[1]}" + (f" with {shape[2]} channels" if len(shape) == 3 else "")
+
+
+def _natural(path: Path) -> tuple[list[tuple[int, int, str]], str]:
+    # Only ASCII digits count: Python takes a superscript two for a digit, too.
+    parts = re.split(r"([0-9]+)", path.name.casefold())
+    key = [(0, int(p), "") if p[0] in "0123456789" else (1, 0, p) for p in parts if p]
+    return key, path.name
