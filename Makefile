@@ -145,7 +145,7 @@ wheel-windows: install ## build a wheel for Windows and test the core under Wine
 	  --target x86_64-pc-windows-gnu --out dist/windows
 	$(BIN)/python tools/wheel_windows.py dist/windows $(if $(WINDOWS_PYTHON),--python $(WINDOWS_PYTHON))
 
-resources: test-install ## measure what estimates take of memory and time; takes half an hour
+resources: test-install ## hold the memory that estimates take against its bound; takes ten minutes
 	$(BIN)/python -m benchmarks.resource_estimate
 
 system-deps: ## install optional system packages: LLVM, a browser, screens, cameras

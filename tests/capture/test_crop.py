@@ -144,3 +144,21 @@ def test_jpeg_is_found_in_a_crop_beside_its_blocks(tmp_path: Path) -> None:
         crop=((3, 5), (58, 57)),
     )
     assert "jpeg" in [finding.kind for finding in findings]
+
+
+@pytest.mark.parametrize("block", [3, (2, 5)])
+def test_photographs_are_binned_in_strips(
+    block: int | tuple[int, int], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Which changes nothing, whatever clips, is masked, or has a black level of its own."""
+    capture = lm.simulate("metal", lm.BernoulliPatterns((64, 64), 8), exposure="0.9:0.5,0.2:0.5",
+                          ambient=0.1)  # fmt: skip
+    mask = np.random.default_rng(0).random((64, 64)) > 0.1
+    mask[:10, :10] = False
+    whole = lm.Capture(capture.patterns, capture.frames, capture.decoder, mask)
+    expected = whole.bin(camera=block).samples()
+    monkeypatch.setattr("lightmatrix.capture.reader._STRIP", 500)
+    binned = whole.bin(camera=block).samples()
+    assert expected.clipped.any()
+    for name in ("values", "clipped", "clip_level", "weights"):
+        np.testing.assert_array_equal(getattr(binned, name), getattr(expected, name))

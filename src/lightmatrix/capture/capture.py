@@ -26,7 +26,7 @@ from lightmatrix.errors import InputError
 from lightmatrix.patterns.pattern_set import PatternSet, block_size
 from lightmatrix.regions import Region
 from lightmatrix.reprs import html_table
-from lightmatrix.resources.computed_once import computed_once
+from lightmatrix.resources.threads import computed_once
 
 # Corner and shape of a rectangle of photographs, in pixels.
 Crop = tuple[tuple[int, int], tuple[int, int]]

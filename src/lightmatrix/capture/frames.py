@@ -15,7 +15,7 @@ from lightmatrix.errors import InputError
 from lightmatrix.ranges import check_finite, real_array
 from lightmatrix.regions import Region
 from lightmatrix.reprs import short_repr
-from lightmatrix.resources.work_ahead import work_ahead
+from lightmatrix.resources.threads import work_ahead
 
 # Raw levels that are read together, of all frames at some camera pixels. Chosen by hand: they take
 # 16 to 64 MB, depending on their type.

@@ -14,8 +14,8 @@ from lightmatrix.camera.decoder import Decoder
 from lightmatrix.camera.noise import frame_weights
 from lightmatrix.camera.samples import Samples, bin_samples
 from lightmatrix.capture.frames import BLOCK_LEVELS, Frames, PixelFrames, in_order
-from lightmatrix.resources.computed_once import computed_once
 from lightmatrix.resources.disk import scratch_array
+from lightmatrix.resources.threads import computed_once
 
 # Samples of one frame that are binned at a time. Chosen by hand: a whole frame of 24 megapixels
 # would take gigabytes for a moment.

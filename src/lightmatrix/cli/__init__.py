@@ -6,13 +6,12 @@ moment. `main` imports the rest.
 
 from __future__ import annotations
 
+import ctypes
 import gc
 import importlib
 import os
 import signal
 import sys
-
-from lightmatrix.resources.allocator import keep_freed_memory
 
 # Bytes of address space below which NumPy and SciPy cannot be loaded: measured with `ulimit -v` on
 # two cores, where 300 MB are too little and 400 MB are enough.
@@ -60,6 +59,28 @@ def console() -> None:
     # Python would look for garbage once more, for .15 s, in memory that the system frees anyway.
     gc.freeze()
     sys.exit(code)
+
+
+def keep_freed_memory() -> None:
+    """Let this process use the memory of freed arrays again; call it before NumPy is loaded.
+
+    Otherwise each large array of a tile is mapped anew, and the system fills its pages with zeros.
+    That took two thirds of the system's time of an estimate of 256 x 256 pixels of both. Threads
+    share a heap for each core, so that they keep no more memory than without this. Does nothing
+    where the C library is another one.
+    """
+    if sys.platform != "linux":
+        return
+    mallopt = getattr(ctypes.CDLL(None), "mallopt", None)
+    if mallopt is None:
+        return
+    # The first arguments are M_MMAP_THRESHOLD, M_TRIM_THRESHOLD and M_ARENA_MAX of malloc.h. Blocks
+    # of up to 128 MiB come from the heap, which is more than most arrays of a tile; older libraries
+    # accept 32 MiB at most, and return 0 for more.
+    any(mallopt(-3, size) for size in (128 << 20, 32 << 20))
+    # A few arrays of a tile stay at the end of the heap.
+    mallopt(-1, 256 << 20)
+    mallopt(-8, max(2, os.cpu_count() or 1))
 
 
 def _load() -> None:

@@ -22,7 +22,7 @@ from lightmatrix.cli.options import (
     size,
 )
 from lightmatrix.cli.source import Source, refuse_unknown_projector, with_source
-from lightmatrix.cli.terminal import progress, say, show_json, show_table
+from lightmatrix.cli.terminal import as_options, progress, say, show_json, show_table
 from lightmatrix.errors import InputError
 from lightmatrix.files.colours import COLOURS
 from lightmatrix.outputs.kinds import COLOUR_STORES, REPORT, STORE
@@ -378,7 +378,7 @@ def _show_resources(resources: ResourceEstimate, as_json: bool) -> None:
     free = f"{resources.available / 2**30:.3g} GiB are {whose}"
     say(f"the estimate takes {resources} ({free})", style=None if resources.fits else "yellow")
     if resources.advice:
-        say(resources.advice)
+        say(as_options(resources.advice))
 
 
 def _regularization(text: str) -> str | float:

@@ -37,11 +37,12 @@ def as_options(text: str) -> str:
     """The text with each parameter of a function, such as overwrite=True, as the option it is."""
 
     def option(match: re.Match[str]) -> str:
-        name, value = match[1].replace("_", "-"), match[2].strip("\"'")
+        name, value = match[1].replace("_", "-"), match[2].strip('"').strip("()").replace(", ", "x")
         return {"True": f"--{name}", "False": f"--no-{name}"}.get(value, f"--{name} {value}")
 
-    # What is no parameter has blanks around =, or other characters.
-    return re.sub(r"""(?<![\w/.-])([a-z]+(?:_[a-z]+)*)=("[^"]*"|\w[\w.,:/]*\w|\w)""", option, text)
+    # A name, and True, False, a text in quotes, a number, or a pair of numbers.
+    value = r'True|False|"[^"\n]*"|[0-9.]+|\([0-9]+, [0-9]+\)'
+    return re.sub(rf"(?<![\w/.-])([a-z]+(?:_[a-z]+)*)=({value})", option, text)
 
 
 def say(text: str, style: str | None = None) -> None:

@@ -25,8 +25,7 @@ from lightmatrix.diagnosis.responses.greys_from_windows import show_pictures
 from lightmatrix.diagnosis.survey import Survey, high_variance_rows
 from lightmatrix.diagnosis.wrong_frames import LIKELY, SUSPECT, check_frames, wrong_frames
 from lightmatrix.patterns.colour import ColourPatterns
-from lightmatrix.resources.blas import one_blas_thread
-from lightmatrix.resources.work_ahead import side_by_side
+from lightmatrix.resources.threads import one_blas_thread, side_by_side
 
 # Nothing is inferred from fewer frames, or from fewer camera pixels that can be predicted.
 _FEWEST_FRAMES, _FEWEST_ROWS = 12, 20

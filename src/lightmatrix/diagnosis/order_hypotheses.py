@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from lightmatrix.diagnosis.pursuit import fold_count, predict_by_pursuit
 from lightmatrix.patterns.pattern_set import PatternSet
-from lightmatrix.resources.work_ahead import work_ahead
+from lightmatrix.resources.threads import work_ahead
 
 # The scan looks at 24 to 96 rows, as many as 2.5e9 multiplications allow (about a second). A
 # displacement may begin or end at 16 places; the runs of `frame_order.py` find the exact frame.

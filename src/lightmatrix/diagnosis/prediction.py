@@ -27,8 +27,7 @@ from lightmatrix.camera.samples import Samples
 from lightmatrix.diagnosis.pursuit import best_pixels, column_scale
 from lightmatrix.diagnosis.statistics import OF_MEDIAN
 from lightmatrix.patterns.pattern_set import PatternSet
-from lightmatrix.resources.blas import one_blas_thread
-from lightmatrix.resources.work_ahead import work_ahead
+from lightmatrix.resources.threads import one_blas_thread, work_ahead
 
 # A window reaches two projector pixels to each side of its place. Light is expected to fall off
 # around the place like a Gaussian of standard deviation 1 pixel, at half the scale around the

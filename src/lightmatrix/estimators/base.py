@@ -21,8 +21,8 @@ from lightmatrix.capture.capture import Capture
 from lightmatrix.diagnosis.finding import FINDINGS
 from lightmatrix.estimators.work import TilesInMemory, Work, WorkerPool, complete
 from lightmatrix.outputs.writing import final_target
-from lightmatrix.resources.blas import one_blas_thread
 from lightmatrix.resources.disk import check_disk_space
+from lightmatrix.resources.threads import one_blas_thread
 from lightmatrix.solvers import Solver
 from lightmatrix.solvers.loop import Progress
 from lightmatrix.solvers.problem import Result, check_regularization

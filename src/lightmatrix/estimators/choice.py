@@ -27,7 +27,7 @@ from lightmatrix.estimators.multiscale import MultiScaleEstimator
 from lightmatrix.estimators.plain import PlainEstimator
 from lightmatrix.estimators.resource_estimate import ResourceEstimate, estimate_resources
 from lightmatrix.estimators.settings import EstimateSettings
-from lightmatrix.resources.blas import one_blas_thread
+from lightmatrix.resources.threads import one_blas_thread
 from lightmatrix.solvers import ActiveSet
 
 # Both ways are tried on about this many camera samples around the middle of the light: a square of
@@ -62,7 +62,7 @@ def choose_estimator(
         regularization = float(settings.regularization)
     if settings.multi_scale:
         return MultiScaleEstimator(solver, regularization, nonnegative, settings.background)
-    tile_rows = settings.tile_rows if settings.memory is None else resources.size.tile_rows
+    tile_rows = settings.tile_rows if settings.memory is None else resources.tile_rows
     row_by_row = PlainEstimator(solver, regularization, nonnegative, settings.background, tile_rows)
     if not (resources.coherent and isinstance(solver, ActiveSet)):
         return row_by_row

@@ -191,9 +191,8 @@ def estimate(
     resources = estimate_resources(capture, settings)
     if check or resources.limited:
         resources.check()
-    if resources.advice or not resources.fits:
-        less = f"\n  less: {resources.advice}" if resources.advice else ""
-        warn(f"this takes {resources}{less}")
+    elif not resources.fits:
+        warn(f"this takes {resources}\n  {resources.advice}")
     # Workers are checked before the frames are read, which takes longer.
     with open_workers(settings, resources) as pool:
         refuse_unusable(capture)

@@ -1,106 +1,189 @@
-"""The memory and time that an estimate will take, and settings that take less."""
+"""The memory that an estimate takes at most, and the order of magnitude of its time."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 from lightmatrix.capture.capture import Capture, open_capture
-from lightmatrix.capture.frames import CutFrames
 from lightmatrix.errors import InputError
 from lightmatrix.estimators.coherent.estimator import CoherentEstimator
-from lightmatrix.estimators.cost_model import EstimateSize
-from lightmatrix.estimators.machine_speed import slowness
+from lightmatrix.estimators.coherent.row_solver import coherent_row_bytes
+from lightmatrix.estimators.coherent.schedule import GROWTH, spacings
 from lightmatrix.estimators.settings import EstimateSettings
+from lightmatrix.estimators.work import TILE_BYTES
 from lightmatrix.patterns.pattern_set import ImagePatterns
 from lightmatrix.patterns.stripes import stripes_of
+from lightmatrix.resources.disk import SCRATCH_MEMORY_BYTES
 from lightmatrix.resources.memory import available_bytes
 from lightmatrix.resources.threads import core_threads
 
-# The check of the photographs reads at most this many levels of them (`_MOST_LEVELS` in
-# `diagnosis/survey.py`), and takes this many bytes of memory for each.
-_CHECKED_LEVELS, _CHECK_BYTES = 48 << 20, 12
-# Settings are proposed if they take at most this share of the free memory and this many seconds.
-# Chosen by hand: the estimate of the memory may be too low, and an hour is a bearable wait.
-_SHARE, _PATIENCE = 0.8, 3600.0
-# Longer times, in seconds, are worth a measurement of the machine's speed, which takes a tenth of a
-# second. Chosen by hand.
-_BRIEF = 15.0
-# Bin sizes that are tried for a proposal, in pixels of the present bins.
-_BLOCKS = (2, 3, 4, 5, 6, 8, 10, 12, 16, 20, 24, 32)
-# Sides and corners of proposed crops are multiples of this many pixels, so that they are easy to
-# type.
-_CROP_STEP = 16
+
+@dataclass(frozen=True)
+class _Bytes:
+    """Bytes of the arrays that a kind of estimate holds at its peak.
+
+    `python -m benchmarks.resource_estimate` measures that no estimate takes more.
+    """
+
+    # Of each projector pixel: halos, and what threads note of pixels.
+    pixel: float
+    # Of each value of a pattern: pixels and spots under it. A coherent estimate has 64 more
+    # patterns, which were never shown.
+    value: float
+    # The same of patterns with grey values, in addition.
+    grey_value: float
+    # Of each row: its entries before and after a round.
+    row: float
+    # Of each camera sample: its level, its value, and whether it clips.
+    sample: float
+
+
+_SMALL = _Bytes(2700, 35, 26, 1500, 6)
+# Where light grows from few seeds, spots are kept in half precision.
+_LARGE = _Bytes(1700, 13, 12, 100, 12)
+_ROW_BY_ROW = _Bytes(100, 19, 28, 400, 9)
+
+
+@dataclass(frozen=True)
+class _Size:
+    """How large an estimate is."""
+
+    # The camera's shape, channels last; projector pixels; patterns.
+    camera: tuple[int, ...]
+    pixels: int
+    count: int
+    grey: bool
+    coherent: bool
+    striped: bool
+    # Bytes of one row while it is solved, and whether the solver is the active set.
+    row_bytes: int
+    active_set: bool
+    # Bytes of one kept sample of a frame: 1, 2 or 4; 5 once it is binned.
+    sample_bytes: int
+    tile_bytes: int = TILE_BYTES
+
+    @property
+    def rows(self) -> int:
+        """Camera samples M."""
+        return math.prod(self.camera)
+
+    @property
+    def seed_spacing(self) -> int:
+        """Camera pixels between those that search all projector pixels."""
+        return spacings(self.camera, self.pixels, CoherentEstimator.windows)[0]
+
+    @property
+    def tile_rows(self) -> int:
+        """Rows of one tile."""
+        return max(1, self.tile_bytes // max(1, self.row_bytes))
+
+    @property
+    def temporary(self) -> int:
+        """Bytes of temporary files, which hold samples that are too many for memory."""
+        size = self.rows * self.count * self.sample_bytes
+        return size if size > SCRATCH_MEMORY_BYTES else 0
+
+    @property
+    def memory(self) -> int:
+        """Bytes of memory at its peak."""
+        each, values = _ROW_BY_ROW, self.pixels * self.count
+        if self.coherent:
+            each = _LARGE if self.seed_spacing > GROWTH.near_seeds else _SMALL
+            values = self.pixels * (self.count + 64)
+        elif self.active_set:
+            # The active set keeps this many values of patterns and no more.
+            values = min(values, 1 << 25)
+        # Stripes tell places less apart, so that coherent rows have more entries.
+        row = each.row + 1400 * (self.coherent and self.striped)
+        # The active set takes less than half of the bytes that it may take of each row.
+        share = 0.5 if self.active_set else 1.0
+        solving = (
+            each.pixel * self.pixels
+            + each.value * values
+            + each.grey_value * self.pixels * self.count * self.grey
+            + row * self.rows
+            + (each.sample + self.sample_bytes - 1) * self.rows * self.count
+            - self.temporary
+            + share * min(self.rows * self.row_bytes, self.tile_bytes)
+        )
+        # The check of the photographs reads at most 48 M levels, and takes 12 bytes for each.
+        checking = 12 * min(self.rows * self.count, 48 << 20)
+        # Python and its libraries take 170 MiB.
+        return int((170 << 20) + max(solving, checking))
+
+    @property
+    def seconds(self) -> float | None:
+        """The operations over a billion of each core a second; None where they are not known."""
+        if self.coherent:
+            # Of all rows but seeds, 0.3 % search because the light that grew onto them is wrong.
+            spacing = self.seed_spacing
+            searching = 1.0 if spacing == 1 else spacing**-2 + 0.003
+            # Ten rounds on 250 candidates, after a search of all pixels and spots.
+            each = 10 * 250 * (self.count + 64) + 20 * searching * self.pixels
+        elif self.active_set:
+            # One operation handles 64 bits, or two grey values.
+            each = 300 * self.count + self.pixels * self.count / (2 if self.grey else 64)
+        else:
+            return None
+        # Python takes two seconds to start and to check.
+        return 2 + self.rows * each / 1e9 / core_threads()
 
 
 @dataclass(frozen=True)
 class ResourceEstimate:
-    """The memory and time that an estimate will take, and settings that take less.
+    """The memory that an estimate takes at most, and the order of magnitude of its time.
 
     Parameters
     ----------
-    size : EstimateSize
-        How large the estimate is.
     memory, temporary : int
         Bytes of memory at its peak, and of temporary files.
     seconds : float, optional
-        Rough time; None for methods whose time is not known.
+        Order of magnitude of the time, from a count of operations; None where it is not known.
     available : int
         Bytes of memory that the estimate may take.
-    options : tuple of (str, EstimateSize)
-        Command-line options that take less; empty unless the estimate is too large or too slow.
+    tile_rows : int
+        Camera samples that are solved at a time.
+    coherent : bool
+        Whether camera pixels learn from their neighbours, unless photographs speak against it.
     limited : bool
         Whether a memory limit, and not the free memory, says what is available.
     workers : int
         Processes that take this memory together.
-    slowness : float
-        How many times as long this machine takes as the one that times were measured on; measured
-        only for long estimates.
+    advice : str
+        What would fit, if this does not.
 
     Examples
     --------
     >>> import lightmatrix as lm
     >>> capture = lm.simulate("metal", lm.BernoulliPatterns((64, 64), 32))
     >>> resources = lm.estimate_resources(capture)
-    >>> resources.fits, resources.memory < 2**30, resources.options
-    (True, True, ())
+    >>> resources.fits, resources.memory < 2**30
+    (True, True)
     """
 
-    size: EstimateSize
     memory: int
     temporary: int
     seconds: float | None
     available: int
-    options: tuple[tuple[str, EstimateSize], ...] = ()
+    tile_rows: int
+    coherent: bool
     limited: bool = False
     workers: int = 1
-    slowness: float = 1.0
+    advice: str = ""
 
     @property
     def fits(self) -> bool:
         """Whether there is enough memory."""
         return self.memory <= self.available
 
-    @property
-    def coherent(self) -> bool:
-        """Whether camera pixels learn from their neighbours, unless photographs speak against."""
-        return self.size.method == "coherent"
-
     def __str__(self) -> str:
-        disk = f" and {_gigabytes(self.temporary)} of temporary files" if self.temporary else ""
+        time = "" if self.seconds is None else f", and {_time(self.seconds)}"
+        disk = f", {_gigabytes(self.temporary)} of temporary files" if self.temporary else ""
         shared = f" ({self.workers} workers)" if self.workers > 1 else ""
-        return _memory_and_time(self.memory, self.seconds) + shared + disk
-
-    @property
-    def advice(self) -> str:
-        """The options in words; empty if there are none."""
-        return "; ".join(
-            f"{words} takes {_memory_and_time(size.memory, _seconds(size, self.slowness))}"
-            for words, size in self.options
-        )
+        return f"up to {_gigabytes(self.memory)} of memory{shared}{disk}{time}"
 
     def check(self) -> None:
         """Refuse an estimate that does not fit into memory.
@@ -110,15 +193,12 @@ class ResourceEstimate:
         InputError
             Saying how much memory it takes, how much there is, and what would fit.
         """
-        if self.fits:
-            return
-        size = self.size
-        raise InputError(
-            f"{size.rows:,} camera samples under {size.count} patterns of {size.pixels:,} projector"
-            f" pixels take about {_gigabytes(self.memory)} of memory, "
-            f"{_gigabytes(self.available)} are {'allowed' if self.limited else 'free'}",
-            hint=self.advice or "use a machine with more memory, or bin camera and projector",
-        )
+        if not self.fits:
+            raise InputError(
+                f"the estimate takes up to {_gigabytes(self.memory)} of memory, "
+                f"{_gigabytes(self.available)} are {'allowed' if self.limited else 'free'}",
+                hint=self.advice,
+            )
 
     def as_dict(self) -> dict[str, Any]:
         """The same, JSON-ready."""
@@ -129,21 +209,13 @@ class ResourceEstimate:
             "available_bytes": self.available,
             "fits": self.fits,
             "workers": self.workers,
-            "options": [
-                {
-                    "option": words,
-                    "memory_bytes": size.memory,
-                    "seconds": _seconds(size, self.slowness),
-                }
-                for words, size in self.options
-            ],
         }
 
 
 def estimate_resources(
     capture: Capture | str | Path, settings: EstimateSettings | None = None
 ) -> ResourceEstimate:
-    """Estimate the memory and time that an estimate will take, and what would take less.
+    """State the memory that an estimate takes at most, and the order of magnitude of its time.
 
     Parameters
     ----------
@@ -155,9 +227,8 @@ def estimate_resources(
     Returns
     -------
     ResourceEstimate
-        Memory is right within a factor of about 1.3 where camera pixels learn from their
-        neighbours, and 1.8 row by row. Time is right within about 1.3; below 15 s only on machines
-        like that of `cost_model`. For the workers of a cluster it is the memory of each.
+        Memory is a bound. The time may be wrong by a factor of three either way; the progress bar
+        knows better after the first tiles. For the workers of a cluster it is the memory of each.
 
     Raises
     ------
@@ -172,137 +243,70 @@ def estimate_resources(
     True
     """
     capture, settings = open_capture(capture), settings or EstimateSettings()
-    size = _size(capture, settings)
-    seconds, available, slow = _seconds(size), available_bytes(), 1.0
-    limit, workers = settings.memory_limit, settings.workers or 1
-    # The free memory and the speed of this machine say nothing about the machines of a cluster.
-    elsewhere = settings.cluster is not None
-    if seconds is not None and seconds > _BRIEF and not elsewhere:
-        slow = slowness()
-        seconds *= slow
-    limited = limit is not None and (elsewhere or limit < available)
-    if limit is not None:
-        available = limit if elsewhere else min(limit, available)
-        size = size.within(available // workers)
-    elif elsewhere:
-        available = size.memory
-    memory = workers * size.memory
-    fine = memory <= available and (seconds is None or seconds <= _PATIENCE)
-    options = () if fine else tuple(_options(capture, size, available // workers, slow))
-    temporary = workers * size.temporary
-    return ResourceEstimate(
-        size, memory, temporary, seconds, available, options, limited, workers, slow
-    )
-
-
-def _seconds(size: EstimateSize, slow: float = 1.0) -> float | None:
-    """Time on the threads of the core; None if it is not known."""
-    seconds = size.seconds(core_threads())
-    return None if seconds is None else slow * seconds
-
-
-def _size(capture: Capture, settings: EstimateSettings) -> EstimateSize:
-    method, row_bytes = "other", 0
-    if settings.is_coherent(capture):
-        method = "coherent"
-    elif settings.solver == "active-set" and not settings.multi_scale:
-        method = "plain"
-    else:
-        row_bytes = settings.row_solver.row_bytes(capture.count, capture.patterns.pixels)
-    patterns, frames = capture.patterns, capture.frames
-    return EstimateSize(
-        method,
+    patterns, coherent = capture.patterns, settings.is_coherent(capture)
+    row_bytes = settings.row_solver.row_bytes(capture.count, patterns.pixels)
+    size = _Size(
         capture.camera_shape,
         patterns.pixels,
         capture.count,
         isinstance(patterns, ImagePatterns) and patterns.as_bits() is None,
-        5 if capture.bin_camera != (1, 1) else frames.dtype.itemsize,
-        row_bytes,
-        _CHECK_BYTES * min(math.prod(frames.shape) * capture.count, _CHECKED_LEVELS),
-        windows=CoherentEstimator.windows,
-        striped=method == "coherent" and stripes_of(patterns) is not None,
+        coherent,
+        coherent and stripes_of(patterns) is not None,
+        coherent_row_bytes(capture.count) if coherent else row_bytes,
+        settings.solver == "active-set" and not settings.multi_scale,
+        5 if capture.bin_camera != (1, 1) else capture.frames.dtype.itemsize,
+    )
+    limit, workers = settings.memory_limit, settings.workers or 1
+    # The free memory of this machine says nothing about the machines of a cluster.
+    elsewhere = settings.cluster is not None
+    free = size.memory if elsewhere else available_bytes()
+    available = free if limit is None else limit if elsewhere else min(limit, free)
+    if limit is not None:
+        # Tiles of less than 8 MiB would leave cores without work.
+        while workers * size.memory > available and size.tile_bytes > 8 << 20:
+            size = replace(size, tile_bytes=size.tile_bytes // 2)
+    fits = workers * size.memory <= available
+    return ResourceEstimate(
+        workers * size.memory,
+        workers * size.temporary,
+        size.seconds,
+        available,
+        size.tile_rows,
+        coherent,
+        limit is not None and available == limit,
+        workers,
+        "" if fits else _advice(capture, size, available // workers),
     )
 
 
-def _options(
-    capture: Capture, size: EstimateSize, available: int, slow: float
-) -> Iterator[tuple[str, EstimateSize]]:
-    """Options that make the estimate fit: of each kind the one that loses least."""
-
-    def fine(other: EstimateSize) -> bool:
-        seconds = _seconds(other, slow)
-        patient = seconds is None or seconds <= _PATIENCE
-        return patient and other.memory <= _SHARE * available
-
-    camera, projector = capture.bin_camera, capture.bin_projector
-    rows, cols, *channels = size.camera
-    for block in _BLOCKS:
-        binned = (-(-rows // block), -(-cols // block), *channels)
-        if fine(other := replace(size, camera=binned, sample_bytes=5)):
-            yield f"--bin-camera {_block(camera, block)}", other
+def _advice(capture: Capture, size: _Size, available: int) -> str:
+    """The smallest bins of the camera, or of the projector, with which the estimate fits."""
+    fitting = []
+    for block in range(2, 33):
+        rows, cols, *channels = size.camera
+        camera = (-(-rows // block), -(-cols // block), *channels)
+        if replace(size, camera=camera, sample_bytes=5).memory <= available:
+            down, right = (block * side for side in capture.bin_camera)
+            fitting.append(f"bin_camera=({down}, {right})")
             break
-    # Crops around the middle of the image, with its proportions.
-    for step in range(1, 16):
-        share = 2 ** (-step / 2)
-        part = [max(1, int(side * share)) // _CROP_STEP * _CROP_STEP for side in (rows, cols)]
-        other = replace(size, camera=(*part, *channels))
-        if min(part) > 0 and fine(other):
-            yield f"--crop {_rectangle(capture, part)}", other
-            break
-    for block in _BLOCKS:
+    for block in range(2, 33):
         pixels = math.prod(-(-side // block) for side in capture.projector_shape)
-        if pixels > 1 and fine(other := replace(size, pixels=pixels, grey=True)):
-            yield f"--bin-projector {_block(projector, block)}", other
+        if replace(size, pixels=pixels, grey=True).memory <= available:
+            down, right = (block * side for side in capture.bin_projector)
+            fitting.append(f"bin_projector=({down}, {right})")
             break
-    if size.grey and fine(other := replace(size, grey=False)):
-        yield "patterns of black and white pixels (lightmatrix patterns bernoulli)", other
-    # Both together, with camera bins that leave about twice as many camera samples as projector
-    # pixels.
-    for block in _BLOCKS:
-        pixels = math.prod(-(-side // block) for side in capture.projector_shape)
-        most = max(2, math.ceil(math.sqrt(size.rows / max(1, 2 * pixels))))
-        binned = (-(-rows // most), -(-cols // most), *channels)
-        other = replace(size, camera=binned, pixels=pixels, grey=True, sample_bytes=5)
-        if fine(other):
-            both = f"--bin-camera {_block(camera, most)} --bin-projector"
-            yield f"{both} {_block(projector, block)}", other
-            break
-
-
-def _block(present: tuple[int, int], times: int) -> str:
-    """A bin `times` as large as the present one, as the command line writes it."""
-    rows, cols = present[0] * times, present[1] * times
-    return f"{rows}" if rows == cols else f"{rows}x{cols}"
-
-
-def _rectangle(capture: Capture, part: list[int]) -> str:
-    """A rectangle of `part` (rows, columns) of bins around the middle, as `--crop` writes it."""
-    whole, blocks = capture.frames.shape[:2], capture.bin_camera
-    shape = [min(side * block, most) for side, block, most in zip(part, blocks, whole, strict=True)]
-    corner = [
-        (most - side) // 2 // _CROP_STEP * _CROP_STEP
-        for most, side in zip(whole, shape, strict=True)
-    ]
-    if isinstance(capture.frames, CutFrames):
-        first = capture.frames.region.corner
-        corner = [own + before for own, before in zip(corner, first, strict=True)]
-    return f"{corner[0]},{corner[1]}:{shape[0]}x{shape[1]}"
-
-
-def _memory_and_time(memory: int, seconds: float | None) -> str:
-    return f"about {_gigabytes(memory)}" + ("" if seconds is None else f" and {_time(seconds)}")
+    if not fitting:
+        return "use a machine with more memory, or bin camera and projector"
+    return f"{' or '.join(fitting)} fits; or cut the camera's images to the part that matters"
 
 
 def _time(seconds: float) -> str:
-    """A time in one unit, without digits that the estimate does not support."""
-    if seconds < 10:
-        return "a few seconds"
-    if seconds < 90:
-        return f"{round(seconds, -1):.0f} s"
-    if seconds < 90 * 60:
-        return f"{seconds / 60:.0f} min"
-    hours = seconds / 3600
-    return f"{hours:.0f} h" if hours < 48 else f"{hours / 24:.0f} days"
+    """The order of magnitude of a time."""
+    words = ((10, "seconds"), (100, "about a minute"), (1500, "some minutes"))
+    for limit, word in (*words, (7200, "about an hour"), (86400, "hours")):
+        if seconds < limit:
+            return word
+    return "days"
 
 
 def _gigabytes(size: int) -> str:

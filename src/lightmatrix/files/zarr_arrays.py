@@ -27,7 +27,7 @@ from zarr.codecs import BloscCodec, Crc32cCodec
 from lightmatrix.errors import InputError
 from lightmatrix.files.json_files import parse_json
 from lightmatrix.files.reading import read_text, regular_file
-from lightmatrix.resources.work_ahead import side_by_side
+from lightmatrix.resources.threads import side_by_side
 
 HEADER = "zarr.json"
 # Values of a chunk unless the caller chooses another size.

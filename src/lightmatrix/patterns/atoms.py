@@ -19,7 +19,7 @@ from scipy.sparse import csr_array, vstack
 from lightmatrix import _core
 from lightmatrix.errors import InputError
 from lightmatrix.patterns.pattern_set import PatternSet
-from lightmatrix.resources.computed_once import computed_once
+from lightmatrix.resources.threads import computed_once
 
 # Standard deviations that a kernel reaches to each side; beyond lies 0.3 % of a Gaussian.
 _REACH = 3.0

@@ -14,7 +14,7 @@ from lightmatrix.errors import InputError
 from lightmatrix.patterns.pattern_set import ImagePatterns, PatternSet, check_geometry
 from lightmatrix.ranges import check_seed
 from lightmatrix.reprs import short_repr
-from lightmatrix.resources.computed_once import computed_once
+from lightmatrix.resources.threads import computed_once
 
 # The iterative solvers multiply the same patterns many times. A product of float matrices is then
 # faster than sums of bits, if the matrix has at most _DENSE_BYTES and multiplies _DENSE_ROWS rows

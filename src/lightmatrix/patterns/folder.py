@@ -33,7 +33,7 @@ from lightmatrix.patterns.colour import ColourPatterns, colour_images
 from lightmatrix.patterns.making import remake_patterns
 from lightmatrix.patterns.pattern_set import ImagePatterns, PatternSet, to_grey
 from lightmatrix.resources.memory import check_memory
-from lightmatrix.resources.work_ahead import work_ahead
+from lightmatrix.resources.threads import work_ahead
 
 DESCRIPTION = "patterns.json"
 # Every patterns.json states its format and version; a later version is refused.

@@ -26,8 +26,7 @@ from lightmatrix import _core
 from lightmatrix.errors import InputError
 from lightmatrix.ranges import real_array
 from lightmatrix.reprs import short_repr
-from lightmatrix.resources.computed_once import computed_once
-from lightmatrix.resources.work_ahead import work_ahead
+from lightmatrix.resources.threads import computed_once, work_ahead
 
 # The longest side of a bin in pixels, more than any camera or projector has.
 _LARGEST_BLOCK = 1 << 20

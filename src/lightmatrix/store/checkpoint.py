@@ -29,7 +29,7 @@ from lightmatrix.files.numpy_files import read_npz
 from lightmatrix.outputs.kinds import PARTIAL, STORE, read_object
 from lightmatrix.outputs.running import RunningResults, write_whole
 from lightmatrix.outputs.writing import claimed
-from lightmatrix.resources.work_ahead import work_ahead
+from lightmatrix.resources.threads import work_ahead
 from lightmatrix.store.zarr_store import open as open_store
 from lightmatrix.store.zarr_store import save_rows
 from lightmatrix.transport.matrix import LightTransport

@@ -29,7 +29,7 @@ from lightmatrix.capture.capture import Capture
 from lightmatrix.patterns.atoms import AtomPatterns
 from lightmatrix.patterns.bits import BernoulliPatterns
 from lightmatrix.patterns.pattern_set import PatternSet
-from lightmatrix.resources.computed_once import computed_once
+from lightmatrix.resources.threads import computed_once
 from lightmatrix.solvers.active_set import Candidates, PseudoSamples
 from lightmatrix.transport.sparse_rows import SparseRows
 

@@ -35,15 +35,10 @@ from lightmatrix.estimators.coherent.row_errors import (
     squared_residual,
     without,
 )
-from lightmatrix.estimators.coherent.row_solver import RowSolver
+from lightmatrix.estimators.coherent.row_solver import RowSolver, coherent_row_bytes
 from lightmatrix.estimators.coherent.schedule import GROWTH, Round
-from lightmatrix.estimators.cost_model import (
-    coherent_row_bytes,
-    first_round_cost,
-)
 from lightmatrix.estimators.work import TILE_BYTES, ReadStep, SolveTile, cut_rows
-from lightmatrix.resources.computed_once import computed_once
-from lightmatrix.resources.threads import core_threads
+from lightmatrix.resources.threads import computed_once, core_threads
 from lightmatrix.solvers.loop import Progress
 from lightmatrix.solvers.problem import Result
 from lightmatrix.store import ROWS
@@ -387,8 +382,8 @@ class Rounds:
     def _costs(self) -> list[float]:
         """The cost of each step, the frames held out before the last, in rows on likely atoms."""
         patterns = self.capture.patterns
-        grey = patterns.as_bits() is None
-        search = first_round_cost(self.capture.rows, patterns.pixels, patterns.count, grey)
+        # Operations: a search looks at all pixels and spots, a round at a row's candidates.
+        search = 20 * patterns.pixels / (self.solver.candidates * (patterns.count + 64))
         costs = [
             self._grid(number).count * (search if step.window is None else 1.0)
             for number, step in enumerate(self.rounds)

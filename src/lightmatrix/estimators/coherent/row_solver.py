@@ -20,11 +20,15 @@ from scipy.sparse import csr_array
 from lightmatrix import _core
 from lightmatrix.camera.samples import Samples
 from lightmatrix.capture.capture import Capture
-from lightmatrix.estimators.coherent.neighbourhood import Neighbourhood, unseen_patterns
+from lightmatrix.estimators.coherent.neighbourhood import (
+    PSEUDO_SAMPLES,
+    Neighbourhood,
+    unseen_patterns,
+)
 from lightmatrix.estimators.coherent.schedule import Round
 from lightmatrix.patterns.atoms import AtomPatterns
 from lightmatrix.patterns.pattern_set import PatternSet
-from lightmatrix.resources.computed_once import computed_once
+from lightmatrix.resources.threads import computed_once
 from lightmatrix.solvers.active_set import (
     ActiveSet,
     Candidates,
@@ -357,3 +361,9 @@ class RowSolver:
     def _problem(self, samples: Samples, penalty: float) -> Problem:
         """The problem of rows of atoms, for a penalty of single pixels."""
         return Problem(self.atoms, samples, penalty * self.atoms.gains[0])
+
+
+def coherent_row_bytes(count: int, candidates: int = 250) -> int:
+    """Bytes that a row of the coherent estimate takes while it is solved."""
+    # Samples and pseudo-samples twice, and the candidates with their coefficients.
+    return 32 * (count + PSEUDO_SAMPLES.unseen) + 32 * candidates

@@ -67,7 +67,9 @@ def open_workers(
     if settings.workers is None and settings.cluster is None:
         yield None
         return
-    with dask_pool(settings.workers, settings.cluster, resources.size.memory) as pool:
+    with dask_pool(
+        settings.workers, settings.cluster, resources.memory // resources.workers
+    ) as pool:
         yield pool
 
 

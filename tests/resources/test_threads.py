@@ -1,12 +1,14 @@
-"""Working ahead keeps the order, holds little, and fails in its turn."""
+"""Working ahead keeps the order, holds little, and fails in its turn; a value is computed once."""
 
 from __future__ import annotations
 
 import threading
+import time
+from concurrent.futures import ThreadPoolExecutor
 
 import pytest
 
-from lightmatrix.resources.work_ahead import work_ahead
+from lightmatrix.resources.threads import computed_once, work_ahead
 
 
 @pytest.mark.parametrize("threads", [1, 2, 5, None])
@@ -41,3 +43,25 @@ def test_an_error_is_raised_in_its_turn(threads: int) -> None:
     assert [next(results) for _ in range(4)] == [0, 1, 2, 3]
     with pytest.raises(ValueError, match="4 is damaged"):
         next(results)
+
+
+class Asked:
+    def __init__(self) -> None:
+        self.times = 0
+
+    @computed_once
+    def value(self) -> object:
+        """What takes long."""
+        self.times += 1
+        time.sleep(0.05)
+        return object()
+
+
+def test_threads_share_one_value() -> None:
+    asked = Asked()
+    with ThreadPoolExecutor(4) as pool:
+        values = list(pool.map(lambda _: asked.value, range(4)))
+    assert asked.times == 1
+    assert all(value is asked.value for value in values)
+    assert Asked().value is not asked.value
+    assert Asked.value.__doc__ == "What takes long."

@@ -22,7 +22,7 @@ for _ in range(10):
     fill()
 print(pages() - before)
 """
-KEEP = "from lightmatrix.resources.allocator import keep_freed_memory; keep_freed_memory()"
+KEEP = "from lightmatrix.cli import keep_freed_memory; keep_freed_memory()"
 
 
 def new_pages(first: str) -> int:
