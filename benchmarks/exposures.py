@@ -14,7 +14,7 @@ import numpy as np
 from benchmarks.plan_calibration import SCENES, SIZE, photograph, some_rows
 from experiments.harness import markdown
 from experiments.harness import options as options_of
-from lightmatrix.camera import noise
+from lightmatrix.camera import exposures as noise
 from lightmatrix.estimators.coherent.estimator import CoherentEstimator
 from lightmatrix.estimators.plain import PlainEstimator
 from lightmatrix.evaluation.metrics import relative_error

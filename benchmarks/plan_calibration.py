@@ -22,7 +22,7 @@ from scipy.sparse import csr_array
 
 from experiments.harness import markdown
 from experiments.harness import options as options_of
-from lightmatrix.camera.exposure_sequence import exposure_sequence
+from lightmatrix.camera.exposures import exposure_sequence
 from lightmatrix.camera.sensor import Sensor
 from lightmatrix.capture.capture import Capture
 from lightmatrix.estimators.coherent.estimator import CoherentEstimator

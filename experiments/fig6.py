@@ -42,7 +42,7 @@ from experiments.methods import (
     ROMP_SPARSITY,
     Reach,
 )
-from lightmatrix.camera.noise import USUAL_NOISE
+from lightmatrix.camera.exposures import USUAL_NOISE
 from lightmatrix.capture.capture import Capture
 from lightmatrix.estimators.coherent.estimator import WORTH_IT_UP_TO
 from lightmatrix.patterns.blocks import sampled_pixels

@@ -18,9 +18,8 @@ from lightmatrix.camera.decoder import Decoder
 from lightmatrix.camera.samples import Samples
 from lightmatrix.camera.sensor import Sensor
 from lightmatrix.capture.capture import Capture
-from lightmatrix.capture.description import KEYS
 from lightmatrix.capture.folder import write_capture
-from lightmatrix.capture.settings import ReadSettings
+from lightmatrix.capture.settings import KEYS, ReadSettings
 from lightmatrix.diagnosis.refusals import refuse_unusable
 from lightmatrix.errors import InputError, LightMatrixWarning, OutputError
 from lightmatrix.files.images import write_image

@@ -17,9 +17,9 @@ from lightmatrix.camera.camera_curve import Response
 from lightmatrix.camera.decoder import Decoder
 from lightmatrix.camera.sensor import Sensor
 from lightmatrix.capture.capture import Capture
+from lightmatrix.capture.decoding import read_white_frame
 from lightmatrix.capture.folder import write_capture
 from lightmatrix.capture.settings import ReadSettings
-from lightmatrix.capture.white_frame import read_white_frame
 from lightmatrix.errors import InputError, LightMatrixWarning
 from lightmatrix.estimators.plain import PlainEstimator
 from lightmatrix.files.images import write_image

@@ -157,7 +157,7 @@ def test_photographs_are_binned_in_strips(
     mask[:10, :10] = False
     whole = lm.Capture(capture.patterns, capture.frames, capture.decoder, mask)
     expected = whole.bin(camera=block).samples()
-    monkeypatch.setattr("lightmatrix.capture.reader._STRIP", 500)
+    monkeypatch.setattr("lightmatrix.capture.frames._STRIP", 500)
     binned = whole.bin(camera=block).samples()
     assert expected.clipped.any()
     for name in ("values", "clipped", "clip_level", "weights"):

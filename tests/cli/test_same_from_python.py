@@ -11,8 +11,8 @@ import pytest
 from scipy.sparse import csr_array
 
 import lightmatrix as lm
-from lightmatrix.camera.exposure_sequence import EXAMPLE as EXPOSURES_EXAMPLE
-from lightmatrix.camera.noise import USUAL_NOISE
+from lightmatrix.camera.exposures import EXAMPLE as EXPOSURES_EXAMPLE
+from lightmatrix.camera.exposures import USUAL_NOISE
 from lightmatrix.cli import estimate as estimate_command
 from lightmatrix.cli import main, options
 from lightmatrix.cli import patterns as patterns_command

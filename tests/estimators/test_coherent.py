@@ -60,7 +60,7 @@ def rendered(name: str) -> tuple[Capture, LightTransport, NDArray[np.int64]]:
     return photographed(truth, 32, exposure), known, rows
 
 
-# Measured: .0178, .0133, .0286, .0323; row by row .43, .14, .21, .52.
+# Measured: 0.0178, 0.0133, 0.0286, 0.0323; row by row 0.43, 0.14, 0.21, 0.52.
 @pytest.mark.parametrize(
     ("name", "most"),
     [("l_objects", 0.0205), ("gripper", 0.015), ("metal", 0.035), ("corner", 0.037)],

@@ -73,7 +73,7 @@ def test_clipped_highlights_get_a_shorter_exposure() -> None:
 
 # The shares of clipped samples at 1, 2, 4 and 8 times the shortest advised exposure, as predicted
 # from the white frame. `most` is the largest error allowed, `at_twice` that at twice the exposure
-# (measured: .133, .015, .007, .097, .009, .007 and .036, .015, .004, .033, .009, .003).
+# (measured: 0.133, 0.015, 0.007, 0.097, 0.009, 0.007 and 0.036, 0.015, 0.004, 0.033, 0.009, 0.003).
 @pytest.mark.parametrize(
     ("scene", "density", "most", "at_twice"),
     [
@@ -95,7 +95,7 @@ def test_the_white_frame_predicts_clipping(
     factors = (1, 2, 4, 8)
     predicted = np.array([clipped_share(white, factor * shortest, density) for factor in factors])
     real = np.array([float((factor * shortest * light >= 1).mean()) for factor in factors])
-    # Only the brightest sums clip: .1 % of the samples of `l_objects`, .3 % as predicted.
+    # Only the brightest sums clip: 0.1 % of the samples of `l_objects`, 0.3 % as predicted.
     assert real[0] < 0.002
     assert predicted[0] < 0.004
     assert abs(predicted[1] - real[1]) < at_twice
@@ -179,7 +179,7 @@ def test_advice_comes_true(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -
         for e in advice["expected"]
         if e["frames"] == 64 and e["estimator"] == "coherent"
     )
-    # .0207, and .0100 to .0236 are expected.
+    # 0.0207, and 0.0100 to 0.0236 are expected.
     assert 0.9 * least < error < 1.05 * worst
 
 

@@ -159,7 +159,7 @@ def test_errors_of_several_projectors_add_up_as_independent_ones() -> None:
     np.testing.assert_allclose(light.errors, expected, rtol=1e-5)
     both = joint_light([replace(first, diagnostics={"estimated_error": errors})] * 2)
     np.testing.assert_allclose(both.errors, np.nan_to_num(errors) / np.sqrt(2), rtol=1e-5)
-    # Samples count half at .07.
+    # Samples count half at 0.07.
     even = replace(first, diagnostics={"estimated_error": np.full(42, 0.07, np.float32)})
     for weights in (compensator(even).fit.weights, compensator(second).fit.weights / 2):
         np.testing.assert_allclose(weights[weights > 0], 0.5, rtol=1e-5)

@@ -1,4 +1,4 @@
-"""The model of a camera's response: the share of light that belongs to each share of raw levels.
+"""The model of a camera's response, light by share of raw levels; and checks of raw levels.
 
 `patterns/projector_curve.py` models the projector's; `calibration/responses/` measures both.
 """
@@ -12,25 +12,82 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lightmatrix.camera.raw_levels import MOST_LEVEL
 from lightmatrix.errors import InputError
 from lightmatrix.files.curve_file import CurveFile
 from lightmatrix.files.numpy_files import read_npy
 from lightmatrix.files.reading import read_text
 from lightmatrix.reprs import short_repr
 
+# Raw levels of a camera: their range, their checks, and values that differ from frame to frame.
+
+
+# The highest raw level that is accepted. No camera counts further; a larger number is a typing
+# error.
+MOST_LEVEL = 2.0**32
+
+
+def range_end(dtype: np.dtype[Any]) -> float:
+    """The highest raw level that images of a type hold: 1 for float."""
+    return 1.0 if dtype.kind == "f" else float(np.iinfo(dtype).max)
+
+
+def per_frame(value: float | NDArray[Any], start: int, stop: int, name: str) -> NDArray[np.float64]:
+    """The values of the frames start..stop, where `value` is one for all or one for each."""
+    array = np.asarray(value, np.float64)
+    if array.ndim == 0:
+        return np.full(stop - start, array)
+    if stop > len(array):
+        raise InputError(f"{len(array)} {name} for {stop} frames", hint="give one for each frame")
+    return array[start:stop]
+
+
+def check_levels(
+    clip: float | NDArray[Any] | None,
+    black_level: float | NDArray[Any] | None,
+    full_scale: float | None,
+) -> None:
+    """Refuse raw levels unless 0 <= black level < clip level <= full scale <= 2^32 in each frame.
+
+    A level that is None is not known yet, and bounds nothing.
+    """
+    top = MOST_LEVEL if full_scale is None else full_scale
+    if not 0 < top <= MOST_LEVEL:
+        raise InputError(
+            f"a full scale of {top:g}",
+            hint=f"use the highest raw level, such as 255; at most {MOST_LEVEL:g}",
+        )
+    clips = np.asarray(np.inf if clip is None else clip, np.float64)
+    if clip is not None and not ((clips > 0) & (clips <= top)).all():
+        raise InputError(
+            f"a clip level of {clips.min():g}", hint=f"use a raw level above 0 and at most {top:g}"
+        )
+    blacks = np.asarray(0.0 if black_level is None else black_level, np.float64)
+    if blacks.ndim and clips.ndim and blacks.shape != clips.shape:
+        raise InputError(
+            f"{blacks.size} black levels, but {clips.size} clip levels",
+            hint="give one number, or one for each frame",
+        )
+    if not ((blacks >= 0) & (blacks < clips)).all():
+        highest = "" if clip is None else f" with a clip level of {clips.flat[0]:g}"
+        raise InputError(
+            f"a black level of {blacks.flat[0]:g}{highest}",
+            hint="use a raw level of at least 0 and below the clip level",
+        )
+
+
+def check_exposures(exposure: float | NDArray[Any]) -> None:
+    """Refuse exposures that are not positive, finite numbers, one or one for each frame."""
+    values = np.asarray(exposure, np.float64)
+    # Samples are divided by it, and must stay within single precision (3e38).
+    if values.ndim > 1 or not ((values >= 1e-30) & (values < np.inf)).all():
+        raise InputError(f"an exposure of {values.min():g}", hint="use positive numbers, such as 1")
+
+
 RESPONSES = "linear, gamma:2.2, srgb, auto, or a curve's file"
 # The name of a response that `estimate` finds in the photographs; it is linear until then.
 AUTOMATIC = "auto"
 # Endings of file names that are read as a curve without ``curve:`` before them.
 _CURVES = (".json", ".txt", ".csv", ".npy")
-# Bytes of a text file that are read. 65,536 lines of two numbers take less than a tenth of it.
-_MOST_CURVE = 16 << 20
-# The largest number of light that is accepted, in any unit; a larger one is a typing error.
-_MOST_LIGHT = 1e30
-# Points of a curve that a formula gives. Straight lines between them are exact to 16 bits
-# everywhere but near zero.
-_POINTS = 65536
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,7 +141,8 @@ class Response:
             return cls()
         if text == AUTOMATIC:
             return cls(name=text)
-        levels = np.linspace(0, 1, _POINTS)
+        # Straight lines between so many points are exact to 16 bits everywhere but near zero.
+        levels = np.linspace(0, 1, 65536)
         if text == "srgb":
             light = np.where(levels <= 0.04045, levels / 12.92, ((levels + 0.055) / 1.055) ** 2.4)
             return cls(levels, light, text)
@@ -151,11 +209,11 @@ def _read_curve(file: Path) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
             f"{file}: {table.shape[0]} x {table.shape[1]} numbers that do not increase",
             hint="write two columns, level and light, from dark to bright",
         )
-    if levels[0] < 0 or levels[-1] > MOST_LEVEL or light[0] < 0 or light[-1] > _MOST_LIGHT:
+    if levels[0] < 0 or levels[-1] > MOST_LEVEL or light[0] < 0 or light[-1] > 1e30:
         raise InputError(
             f"{file}: a response curve from level {levels[0]:g} to {levels[-1]:g} and light "
             f"{light[0]:g} to {light[-1]:g}",
-            hint=f"give levels from 0 to {MOST_LEVEL:g} and light from 0 to {_MOST_LIGHT:g}",
+            hint=f"give levels from 0 to {MOST_LEVEL:g} and light from 0 to 1e30",
         )
     return levels / levels[-1], light / light[-1]
 
@@ -166,7 +224,7 @@ def _read_table(file: Path) -> NDArray[np.float64]:
         if file.suffix.lower() == ".npy":
             table = np.asarray(read_npy(file))
         else:
-            text = read_text(file, _MOST_CURVE).replace(",", " ").replace(";", " ")
+            text = read_text(file).replace(",", " ").replace(";", " ")
             rows = [line.split() for line in text.splitlines() if line.strip()]
             table = np.asarray([[float(v) for v in row] for row in rows if row[0][0] != "#"])
         if table.dtype.kind not in "fiu" or table.ndim not in (1, 2) or table.size == 0:

@@ -9,8 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lightmatrix.camera.camera_curve import Response
-from lightmatrix.camera.raw_levels import check_exposures, check_levels, per_frame
+from lightmatrix.camera.camera_curve import Response, check_exposures, check_levels, per_frame
 from lightmatrix.camera.samples import Samples
 from lightmatrix.errors import InputError
 from lightmatrix.reprs import short_repr

@@ -21,8 +21,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtri
 
+from lightmatrix.camera.camera_curve import check_exposures, check_levels, per_frame
 from lightmatrix.camera.decoder import Decoder
-from lightmatrix.camera.raw_levels import check_exposures, check_levels, per_frame
 from lightmatrix.errors import InputError
 from lightmatrix.ranges import check_number, check_seed
 from lightmatrix.reprs import short_repr

@@ -6,8 +6,10 @@ Frames stay as they were stored. They are decoded into linear samples tile by ti
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -17,15 +19,21 @@ from numpy.typing import NDArray
 from lightmatrix.camera.decoder import Decoder
 from lightmatrix.camera.samples import Samples
 from lightmatrix.camera.sensor import Sensor
-from lightmatrix.capture import summary
 from lightmatrix.capture.folder import holds_capture, read_capture, read_folders
-from lightmatrix.capture.frames import CutFrames, Frames, Surroundings, cut, in_memory
-from lightmatrix.capture.reader import Reader
+from lightmatrix.capture.frames import (
+    ArrayStack,
+    CutFrames,
+    Frames,
+    Reader,
+    Surroundings,
+    cut,
+    in_memory,
+)
 from lightmatrix.capture.settings import ReadSettings
 from lightmatrix.errors import InputError
 from lightmatrix.patterns.pattern_set import PatternSet, block_size
 from lightmatrix.regions import Region
-from lightmatrix.reprs import html_table
+from lightmatrix.reprs import html_table, jsonable
 from lightmatrix.resources.threads import computed_once
 
 # Corner and shape of a rectangle of photographs, in pixels.
@@ -380,19 +388,84 @@ class Capture:
     @computed_once
     def digest(self) -> str:
         """Hash of the patterns and of all samples, 16 hex digits."""
-        return summary.digest(self.patterns, self.reader)
+        hasher = hashlib.sha256(self.patterns.digest.encode())
+        hasher.update(repr((self.camera_shape, self.projector_shape)).encode())
+        for _, tile in self.tiles():
+            for array in (tile.values, tile.clipped, tile.clip_level, tile.weights):
+                if array is not None:
+                    hasher.update(np.ascontiguousarray(array).tobytes())
+        return hasher.hexdigest()[:16]
 
     def summary(self) -> dict[str, Any]:
         """Number of frames, shapes, kind of patterns, levels and exposures, by name."""
-        return summary.summarize(self.patterns, self.reader)
+        exposures = np.unique(self.exposures)
+        # Four different exposures are listed, and the others counted.
+        listed = ", ".join(f"{exposure:g}" for exposure in exposures[:4])
+        if len(exposures) > 4:
+            listed += f" and {len(exposures) - 4} more"
+        return {
+            "frames": self.count,
+            "camera": " x ".join(map(str, self.camera_shape)),
+            "projector": " x ".join(map(str, self.projector_shape)),
+            "patterns": type(self.patterns).__name__,
+            "levels": str(self.frames.dtype),
+            "exposure": listed,
+        }
 
     @property
     def description(self) -> dict[str, Any]:
         """Shapes and settings of the capture, JSON-ready, with its provenance."""
-        facts = summary.description(self.patterns, self.reader, self.bin_projector)
-        return facts | dict(self.provenance)
+        decoder, frames = self.decoder, self.frames
+        cropped = {"crop": frames.region.as_dict()} if isinstance(frames, CutFrames) else {}
+        return {
+            **cropped,
+            "camera_shape": list(self.camera_shape),
+            "projector_shape": list(self.projector_shape),
+            "frames": self.count,
+            "bin_camera": list(self.bin_camera),
+            "bin_projector": list(self.bin_projector),
+            "clip": jsonable(decoder.clip),
+            "black_level": jsonable(decoder.black_level),
+            "black_frame": decoder.black_frame is not None,
+            "exposure": jsonable(decoder.exposure),
+            "response": decoder.response.name,
+            "masked": int((~self.valid).sum()),
+            **self.provenance,
+        }
 
 
 def open_capture(capture: Capture | str | Path) -> Capture:
     """The capture itself, or the one that a capture folder or packed capture holds."""
     return capture if isinstance(capture, Capture) else Capture.open(capture)
+
+
+@dataclass(frozen=True, eq=False)
+class _SampleReader(Reader):
+    """Reads samples that are known already."""
+
+    known: Samples = field(kw_only=True)
+
+    def samples(self, start: int, stop: int) -> Samples:
+        return self.known.rows(slice(start, min(stop, self.rows)))
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class KnownSamples(Capture):
+    """A capture of samples (M, K) in memory, which were computed from those of another capture."""
+
+    known: Samples = field(kw_only=True)
+
+    @classmethod
+    def of(
+        cls, patterns: PatternSet, samples: Samples, camera_shape: tuple[int, ...], exposure: float
+    ) -> KnownSamples:
+        """Samples of a camera under patterns, in units of the clip level at exposure 1."""
+        # Frames of no memory, which nothing reads.
+        frames = np.broadcast_to(np.float32(0), (patterns.count, *camera_shape))
+        decoder = Decoder(clip=1.0, full_scale=1.0, exposure=exposure)
+        return cls(patterns, ArrayStack(frames), decoder, known=samples)
+
+    @cached_property
+    def reader(self) -> Reader:
+        """The reader of the samples."""
+        return _SampleReader(self.frames, self.decoder, None, (1, 1), known=self.known)

@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import csv
+import io
+import json
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -11,11 +15,172 @@ from numpy.typing import NDArray
 
 from lightmatrix.camera.sensor import Sensor
 from lightmatrix.capture.folder import write_capture
-from lightmatrix.capture.layouts import find_layout
 from lightmatrix.errors import InputError
 from lightmatrix.files.colours import COLOURS
-from lightmatrix.files.images import read_image
+from lightmatrix.files.images import READABLE, read_image
+from lightmatrix.files.reading import read_text
+from lightmatrix.files.stacks import list_images
 from lightmatrix.patterns.pattern_set import ImagePatterns
+
+# Folders of other programs that hold patterns and photographs, and how they lie in them.
+#
+# - CompenNet and its successors: `cam/raw/train` holds photographs, and `train`, in a folder above,
+# the pictures that were projected.
+# - SLStudio: one folder holds the frames, `frameSeq_00.bmp`, and the patterns, `pat_0.png`.
+# - Brackets: a numbered folder for each pattern holds its photographs at several exposures;
+# `exposures.json` or `exposures.csv` lists these.
+
+
+@dataclass(frozen=True)
+class Layout:
+    """Files of a capture: a pattern and an exposure for each frame, all in one order."""
+
+    name: str
+    patterns: tuple[Path, ...]
+    frames: tuple[Path, ...]
+    exposures: tuple[float, ...]
+
+
+def find_layout(folder: str | Path) -> Layout:
+    """How patterns and frames lie in a folder.
+
+    Raises
+    ------
+    InputError
+        If the folder has none of these layouts, or files are missing.
+    """
+    place = Path(folder)
+    if not place.is_dir():
+        raise InputError(f"{place}: no such folder", hint="check the name")
+    for read in (_compennet, _slstudio, _brackets):
+        layout = read(place)
+        if layout is not None:
+            _check(place, layout)
+            return layout
+    raise InputError(
+        f"{place}: has none of the layouts that can be converted",
+        hint="CompenNet's (cam/raw/train), SLStudio's (frameSeq_*, pat_*), or numbered folders "
+        "beside patterns/ and exposures.csv",
+    )
+
+
+def _compennet(place: Path) -> Layout | None:
+    frames = place / "cam" / "raw" / "train"
+    if not frames.is_dir():
+        return None
+    # The pictures lie up to four folders above a setup: light, position, surface, cam.
+    for above in (place / "prj" / "raw", place, *place.resolve().parents[:4]):
+        if (above / "train").is_dir():
+            return _of("CompenNet", list_images(above / "train"), list_images(frames))
+    raise InputError(
+        f"{place}: has cam/raw/train, but no folder above holds train/, the projected pictures",
+        hint="keep the folders as the data set has them",
+    )
+
+
+def _slstudio(place: Path) -> Layout | None:
+    if not any(place.glob("frameSeq_*")):
+        return None
+    images = {
+        prefix: [file for file in _natural(place) if file.name.startswith(prefix)]
+        for prefix in ("pat_", "frameSeq_")
+    }
+    if not images["pat_"]:
+        raise InputError(
+            f"{place}: has frames (frameSeq_*), but not their patterns (pat_0.png, ...)",
+            hint="let SLStudio write them, or copy them there",
+        )
+    return _of("SLStudio", images["pat_"], images["frameSeq_"])
+
+
+def _brackets(place: Path) -> Layout | None:
+    folders = sorted(
+        (entry for entry in place.iterdir() if entry.is_dir() and entry.name.isdecimal()),
+        key=lambda entry: int(entry.name),
+    )
+    if not folders or not (place / "patterns").is_dir():
+        return None
+    patterns = list_images(place / "patterns")
+    if len(patterns) != len(folders):
+        raise InputError(
+            f"{place}: has {len(patterns)} patterns, but {len(folders)} numbered folders",
+            hint="give one folder of photographs for each pattern",
+        )
+    table = _exposures(place)
+    shown, frames, exposures = [], [], []
+    for pattern, folder in zip(patterns, folders, strict=True):
+        for number, file in enumerate(list_images(folder)):
+            known = table.get(file.name, table.get(file.stem, table.get(str(number))))
+            if known is None:
+                raise InputError(
+                    f"{file}: has no exposure in {place / 'exposures'}.json or .csv",
+                    hint="list each file name with its exposure, or one exposure a photograph",
+                )
+            shown.append(pattern)
+            frames.append(file)
+            exposures.append(known)
+    return Layout("brackets", tuple(shown), tuple(frames), tuple(exposures))
+
+
+def _exposures(place: Path) -> dict[str, float]:
+    """Exposures by file name; or by the number of the photograph, if the file only lists them."""
+    sources = [file for end in ("json", "csv") if (file := place / f"exposures.{end}").is_file()]
+    if len(sources) != 1:
+        raise InputError(
+            f"{place}: has {'both' if sources else 'neither'} exposures.json and exposures.csv",
+            hint="list each file name with its exposure in one of them",
+        )
+    file = sources[0]
+    try:
+        text = read_text(file)
+        if file.suffix == ".json":
+            content = json.loads(text)
+        else:
+            rows = [row for row in csv.reader(io.StringIO(text)) if row]
+            content = {row[0].strip(): row[-1] for row in rows if _is_number(row[-1])}
+            if all(len(row) == 1 for row in rows):
+                content = [row[0] for row in rows]
+        pairs = content.items() if isinstance(content, dict) else enumerate(content)
+        table = {str(name): float(value) for name, value in pairs}
+    except (ValueError, TypeError) as error:
+        raise InputError(
+            f"{file}: is no list of exposures", hint='write file names and numbers: "a.png": 0.5'
+        ) from error
+    if not table or not all(0 < value < float("inf") for value in table.values()):
+        raise InputError(f"{file}: holds an exposure that is not above 0", hint="correct it")
+    return table
+
+
+def _is_number(text: str) -> bool:
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return True
+
+
+def _natural(place: Path) -> list[Path]:
+    """The image files of a folder, frame 2 before frame 10."""
+
+    def number(file: Path) -> int:
+        digits = "".join(c for c in file.stem if c.isdecimal())
+        return int(digits or 0)
+
+    files = [file for file in place.iterdir() if file.suffix.lower() in READABLE]
+    return sorted(files, key=lambda file: (number(file), file.name))
+
+
+def _of(name: str, patterns: Sequence[Path], frames: Sequence[Path]) -> Layout:
+    return Layout(name, tuple(patterns), tuple(frames), (1.0,) * len(frames))
+
+
+def _check(place: Path, layout: Layout) -> None:
+    if len(layout.patterns) != len(layout.frames):
+        raise InputError(
+            f"{place}: {layout.name} with {len(layout.patterns)} patterns, but "
+            f"{len(layout.frames)} frames",
+            hint="is one missing?",
+        )
 
 
 def convert(

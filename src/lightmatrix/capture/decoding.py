@@ -1,18 +1,18 @@
-"""Makes the decoder and the mask of a capture from its settings and the files that they name."""
+"""Makes decoder, mask and white frame of a capture from its settings and the files they name."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from lightmatrix.camera.camera_curve import Response
+from lightmatrix.camera.camera_curve import Response, range_end
 from lightmatrix.camera.decoder import Decoder
-from lightmatrix.camera.raw_levels import range_end
+from lightmatrix.camera.samples import Samples
 from lightmatrix.capture.frames import Frames, level_blocks
 from lightmatrix.capture.settings import ReadSettings
 from lightmatrix.errors import InputError, warn
@@ -22,9 +22,6 @@ from lightmatrix.patterns.pattern_set import PatternSet
 
 # Endings of JPEG files.
 JPEG = (".jpg", ".jpeg")
-# The highest level of float images whose clip level is not stated, and so 1. Noise and interpolated
-# colours reach somewhat above 1; levels of 8 bits and more reach far above 2.
-_MOST_OVERSHOOT = 2.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -139,7 +136,8 @@ def check_depth(frames: Frames, decoder: Decoder) -> None:
 def _check_float(frames: Frames) -> None:
     """Refuse raw levels, such as 0 to 255, that were saved as float: nearly all would clip at 1."""
     top = max(float(block.max()) for block in level_blocks(frames))
-    if top > _MOST_OVERSHOOT:
+    # Noise and interpolated colours reach somewhat above 1; levels of 8 bits reach far above 2.
+    if top > 2:
         raise InputError(
             f"the images are float with levels up to {top:g}, but float images clip at 1",
             hint='give --clip LEVEL, or "clip" in capture.json, in the levels of the images',
@@ -180,3 +178,30 @@ def _stated_response(response: Response | str | None, stack: ImageStack) -> Resp
             "give one (srgb, gamma:2.2, ...), or linear if it is",
         )
     return Response()
+
+
+def read_white_frame(path: str | Path, settings: ReadSettings) -> Samples:
+    """The M samples of a photograph that do not clip without light, (M, 1), at exposure 1."""
+    file = Path(path)
+    if not file.exists() or file.is_dir():
+        problem = "is a folder" if file.is_dir() else "no such file"
+        raise InputError(
+            f"{file}: {problem}", hint="give a photograph of a white pattern, a scene, or a T.npz"
+        )
+    stack = ImageStack.open([file])
+    decoder = make_decoder(stack, replace(settings, response=settings.response or Response()))
+    check_depth(stack, decoder)
+    decoded = decoder.decode(stack.read(0).reshape(-1, 1))
+    keep = slice(None) if decoder.hot is None else ~decoder.hot
+    level = decoded.clip_level if decoded.clip_level.ndim == 1 else decoded.clip_level[keep]
+    values = np.asarray(decoded.values[keep])
+    bright = float(np.quantile(values, 0.99)) if values.size else 0.0
+    # So little is black level and noise rather than light.
+    if bright < 0.02:
+        raise InputError(
+            "the white frame is dark: its bright pixels are at "
+            f"{100 * max(bright, 0):.1f} % of the clip level",
+            hint="photograph the white pattern with a longer exposure; if the pixels show the "
+            "black level, give --black",
+        )
+    return Samples(values, np.asarray(decoded.clipped[keep]), level)

@@ -24,10 +24,16 @@ from numpy.typing import NDArray
 from lightmatrix.camera.camera_curve import AUTOMATIC
 from lightmatrix.camera.sensor import Sensor
 from lightmatrix.capture.decoding import CaptureParts, make_decoder, read_mask
-from lightmatrix.capture.description import FORMAT, NAME, VERSION, Description, read_description
 from lightmatrix.capture.packed import FORMAT as PACKED_FORMAT
 from lightmatrix.capture.packed import is_packed, read_packed
-from lightmatrix.capture.settings import ReadSettings
+from lightmatrix.capture.settings import (
+    FORMAT,
+    NAME,
+    VERSION,
+    Description,
+    ReadSettings,
+    read_description,
+)
 from lightmatrix.errors import InputError, warn
 from lightmatrix.files.images import READABLE, fill_image
 from lightmatrix.files.json_files import errors_naming

@@ -17,8 +17,7 @@ from numpy.typing import NDArray
 from lightmatrix.camera.camera_curve import AUTOMATIC, Response
 from lightmatrix.camera.decoder import Decoder
 from lightmatrix.capture.decoding import CaptureParts
-from lightmatrix.capture.description import KEYS, Description, parse_description
-from lightmatrix.capture.settings import ReadSettings
+from lightmatrix.capture.settings import KEYS, Description, ReadSettings, parse_description
 from lightmatrix.errors import InputError
 from lightmatrix.files.reading import check_image_size
 from lightmatrix.files.zarr_arrays import (

@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 
 from lightmatrix.camera.decoder import Decoder
 from lightmatrix.capture.capture import Capture, open_capture
-from lightmatrix.capture.description import DEPTH, GEOMETRY, TRUTH
 from lightmatrix.capture.frames import Frames, PixelFrames, in_order
 from lightmatrix.capture.packed import (
     BITS,
@@ -28,6 +27,7 @@ from lightmatrix.capture.packed import (
     MASK,
     VERSION,
 )
+from lightmatrix.capture.settings import DEPTH, GEOMETRY, TRUTH
 from lightmatrix.errors import InputError
 from lightmatrix.files.zarr_arrays import create_array, write_parts
 from lightmatrix.outputs.kinds import PACKED_CAPTURE

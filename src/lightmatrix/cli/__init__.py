@@ -18,7 +18,7 @@ import sys
 LEAST_ADDRESS_SPACE = 380 << 20
 
 # New objects after which Python looks for garbage. Loading libraries makes hundreds of thousands
-# that stay; with Python's own 700 this took .07 s. Commands make little garbage.
+# that stay; with Python's own 700 this took 0.07 s. Commands make little garbage.
 NEW_OBJECTS = 10_000
 # The power of two of the processor cycles after which an idle thread of OpenBLAS sleeps: 2^16 are
 # some 20 microseconds. With its own 2^26 it spins for 20 ms after each product, which took 3 to 4 %
@@ -56,7 +56,7 @@ def console() -> None:
             code = main()
     except KeyboardInterrupt:
         code = 130
-    # Python would look for garbage once more, for .15 s, in memory that the system frees anyway.
+    # Python would look for garbage once more, for 0.15 s, in memory that the system frees anyway.
     gc.freeze()
     sys.exit(code)
 

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from lightmatrix.camera.noise import USUAL_NOISE
+from lightmatrix.camera.exposures import USUAL_NOISE
 from lightmatrix.camera.samples import Samples
 from lightmatrix.capture.capture import Capture, open_capture
 from lightmatrix.decoding.codes import Code, Codes, find_codes

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from lightmatrix.camera.noise import USUAL_NOISE
+from lightmatrix.camera.exposures import USUAL_NOISE
 from lightmatrix.decoding.codes import Code
 
 # Correlations of camera pixels with projector pixels that are computed at a time: 64 MB, which a

@@ -31,7 +31,7 @@ from lightmatrix.diagnosis.order_hypotheses import (
 from lightmatrix.diagnosis.pursuit import PROJECTOR_PIXELS, best_pixels, column_scale, fold_count
 from lightmatrix.patterns.pattern_set import PatternSet
 
-# The thresholds below were chosen on simulated captures: `python -m benchmarks.frame_order`.
+# The thresholds below were chosen on simulated captures: `python -m benchmarks.frame_checks`.
 #
 # A single frame is out of place if another prediction misses it by less than 45 % of what its own
 # prediction does, and by less than 60 % of what the mean of each row does. Two frames that meet

@@ -19,11 +19,11 @@ from lightmatrix.diagnosis.survey import Survey
 # blurred, predictions from windows are off by up to two of them.
 _ANNOUNCED, _CERTAIN = 0.02, 4.0
 # Under 16 patterns, windows of 50 pixels explain anything: powers of linear captures were off by up
-# to .1 under sharp light and .5 under broad light. The logarithm of a power gets a margin of .4 at
-# 16 patterns, which falls with the cube of their number. Less the 7 columns that are removed, a row
-# has 9 samples left under 16 patterns. Rows that have as few left, as where many samples clip,
+# to 0.1 under sharp light and 0.5 under broad light. The logarithm of a power gets a margin of 0.4
+# at 16 patterns, which falls with the cube of their number. Less the 7 columns that are removed, a
+# row has 9 samples left under 16 patterns. Rows that have as few left, as where many samples clip,
 # get the same margin, which falls likewise: under 32 patterns with 7 samples left, powers of linear
-# captures were off by up to .24. Chosen by hand.
+# captures were off by up to 0.24. Chosen by hand.
 _FEW_PATTERNS, _FEW_LEFT, _OFF_BY = 16, 9.0, 0.4
 # Where predictions miss more than 10 % of the variance under every power, what they miss may look
 # like a bend: the power must take a tenth of that away. Chosen on captures with and without curves

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lightmatrix.camera.noise import USUAL_NOISE
+from lightmatrix.camera.exposures import USUAL_NOISE
 from lightmatrix.camera.samples import Samples
 from lightmatrix.capture.capture import Capture
 from lightmatrix.solvers.problem import Problem

@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lightmatrix.camera.camera_curve import Response, curve_file
-from lightmatrix.camera.exposure_sequence import exposure_sequence
+from lightmatrix.camera.exposures import exposure_sequence
 from lightmatrix.capture.capture import Capture
 from lightmatrix.errors import DeviceError, InputError, warn
 from lightmatrix.estimators.estimate import estimate

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lightmatrix.camera.white_share import lit_samples, share_of_white
+from lightmatrix.camera.exposures import lit_samples, share_of_white
 from lightmatrix.errors import DeviceError, FrameTimeoutError
 from lightmatrix.live.devices.base import Frame, exposure_limits, same_exposure, set_exposure
 from lightmatrix.live.rig import Rig, UnfitRigError

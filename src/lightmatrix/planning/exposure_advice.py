@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from lightmatrix.camera.noise import USUAL_NOISE
+from lightmatrix.camera.exposures import USUAL_NOISE
 from lightmatrix.errors import InputError
 
 # The strongest spot of a row is assumed to hold this share of its sum. The medians on the four

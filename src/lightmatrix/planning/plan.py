@@ -19,10 +19,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lightmatrix.camera.exposure_sequence import exposure_sequence
-from lightmatrix.camera.noise import USUAL_NOISE
+from lightmatrix.camera.exposures import USUAL_NOISE, exposure_sequence
+from lightmatrix.capture.decoding import read_white_frame
 from lightmatrix.capture.settings import ReadSettings
-from lightmatrix.capture.white_frame import read_white_frame
 from lightmatrix.errors import InputError
 from lightmatrix.patterns.making import make_patterns
 from lightmatrix.patterns.mix import FEWEST_MIXED, Mix, MixedPatterns, default_mix

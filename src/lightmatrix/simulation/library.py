@@ -10,7 +10,7 @@ from typing import NamedTuple
 import platformdirs
 
 from lightmatrix.capture.capture import Capture
-from lightmatrix.capture.description import TRUTH
+from lightmatrix.capture.settings import TRUTH
 from lightmatrix.errors import InputError, OutputError, warn
 from lightmatrix.simulation.bundled_file import read_bundled, write_bundled
 from lightmatrix.simulation.procedural_capture import PROCEDURAL, truth_of

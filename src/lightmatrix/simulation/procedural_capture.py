@@ -16,13 +16,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lightmatrix.camera.exposure_sequence import exposure_sequence, parse_exposures
-from lightmatrix.camera.noise import USUAL_NOISE
+from lightmatrix.camera.exposures import USUAL_NOISE, exposure_sequence, parse_exposures
 from lightmatrix.camera.sensor import Sensor
 from lightmatrix.capture.capture import Capture
-from lightmatrix.capture.description import TRUTH
 from lightmatrix.capture.folder import write_capture
 from lightmatrix.capture.packing import write_packed
+from lightmatrix.capture.settings import TRUTH
 from lightmatrix.errors import InputError
 from lightmatrix.outputs.kinds import CAPTURE, PACKED_CAPTURE
 from lightmatrix.outputs.writing import check_output

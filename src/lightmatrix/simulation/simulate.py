@@ -8,8 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from lightmatrix.camera.exposure_sequence import exposure_sequence, parse_exposures
-from lightmatrix.camera.noise import USUAL_NOISE
+from lightmatrix.camera.exposures import USUAL_NOISE, exposure_sequence, parse_exposures
 from lightmatrix.camera.sensor import Sensor
 from lightmatrix.capture.capture import Capture
 from lightmatrix.capture.folder import write_capture

@@ -14,9 +14,9 @@ import tifffile
 from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
-from lightmatrix.capture.description import DEPTH as DEPTH_NAME
-from lightmatrix.capture.description import GEOMETRY as GEOMETRY_NAME
-from lightmatrix.capture.description import TRUTH as TRUTH_NAME
+from lightmatrix.capture.settings import DEPTH as DEPTH_NAME
+from lightmatrix.capture.settings import GEOMETRY as GEOMETRY_NAME
+from lightmatrix.capture.settings import TRUTH as TRUTH_NAME
 from lightmatrix.errors import InputError
 from lightmatrix.geometry.rig_geometry import RigGeometry
 from lightmatrix.outputs.kinds import TRUTH

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from lightmatrix.uses.joint_light import JointLight
 
 # The ridge, relative to the median step bound of the projector pixels that are seen. It darkens
-# pixels that no camera pixel sees, and costs no PSNR on the bundled scenes (1e-2: up to .8 dB).
+# pixels that no camera pixel sees, and costs no PSNR on the bundled scenes (1e-2: up to 0.8 dB).
 _RIDGE = 1e-3
 
 

@@ -23,7 +23,7 @@ from lightmatrix.uses.loading import Transport
 from lightmatrix.uses.wanted_image import Picture, wanted_samples
 
 # Iterations for a frame that starts from the pattern of the frame before. In a picture that pans by
-# a pixel a frame at 64 x 64, ten are within .05 dB of 25 from the start.
+# a pixel a frame at 64 x 64, ten are within 0.05 dB of 25 from the start.
 _FOLLOWING = 10
 
 

@@ -23,7 +23,7 @@ from lightmatrix.uses.loading import Transport
 from lightmatrix.uses.pattern_images import write_shown
 from lightmatrix.uses.wanted_image import Picture, ambient_samples, mask_samples, wanted_samples
 
-# Against 300 iterations, 25 lose at most .2 dB on the bundled scenes at 64 x 64.
+# Against 300 iterations, 25 lose at most 0.2 dB on the bundled scenes at 64 x 64.
 USUAL_ITERATIONS = 25
 # A camera sample is in shadow if white gives it less than this share of what bright samples get, a
 # quantile of its channel. Chosen by hand: dark surfaces reflect about a tenth.
@@ -31,10 +31,10 @@ _SHADOW, _BRIGHT = 0.1, 0.9
 # The automatic brightness lets this share of the lit samples ask for more light than white gives
 # them. On the bundled scenes half of it costs 20 to 45 % of the brightness.
 _TOO_DARK = 0.02
-# A camera sample whose row of T has an estimated error of .07 counts half, one with n times that
+# A camera sample whose row of T has an estimated error of 0.07 counts half, one with n times that
 # 1 / (1 + n^2), but at least the second value. Rows that are wrong would spoil the light of their
 # neighbours, which are right. Chosen on the scenes of benchmarks/separation_scenes.py, where it
-# gains up to 7 dB among metal parts, and .03 or .15 are worse by up to 1 dB.
+# gains up to 7 dB among metal parts, and 0.03 or 0.15 are worse by up to 1 dB.
 _HALF_TRUSTED, _LEAST_TRUST = 0.07, 0.01
 # A sample is reached if the prediction misses it by at most this share of the light of wanted
 # white: 1 / 20, about 13 levels of an 8-bit picture.

@@ -27,7 +27,7 @@ _STRAY = 0.002
 # Parallel lines are kept unless perspective puts this share of the rows more within `_SUPPORT` of
 # their lines. Typical distances tell less: a plane, to which most rows may belong, fits many
 # geometries. On scenes without perspective, rendered or of the experiment `uses`, the shares
-# differ by at most .001.
+# differ by at most 0.001.
 _PERSPECTIVE_GAIN = 0.02
 # The fewest rows that a fundamental matrix is fitted to; it has 7 unknowns.
 _FEWEST_FOR_PERSPECTIVE = 64

@@ -17,7 +17,7 @@ from lightmatrix.uses.spots import ENTRIES, entries_of
 _BAND = 1.5
 # How far the 3 x 3 pixels around a middle reach from it.
 _REACH = 1.5
-# Times that the window is centred on the light within it; it then moves by less than .01 pixels.
+# Times that the window is centred on the light within it; it then moves by less than 0.01 pixels.
 _RECENTRED = 4
 # A line tells where it crosses the border if the sine between them is this or more. Chosen by
 # hand: errors of the coordinate then grow threefold at most.

@@ -24,8 +24,7 @@ from lightmatrix.calibration.responses.photographs import (
 )
 from lightmatrix.calibration.responses.pictures import draw_camera_response
 from lightmatrix.calibration.responses.pixel_series import TOP, sample_pixels
-from lightmatrix.camera.camera_curve import Response
-from lightmatrix.camera.raw_levels import range_end
+from lightmatrix.camera.camera_curve import Response, range_end
 from lightmatrix.errors import InputError
 from lightmatrix.files.curve_file import CurveFile
 from lightmatrix.outputs.kinds import PICTURE, RESPONSE

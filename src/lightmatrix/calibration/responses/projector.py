@@ -11,9 +11,8 @@ from numpy.typing import NDArray
 
 from lightmatrix.calibration.responses.photographs import Photographs, open_photographs
 from lightmatrix.calibration.responses.pictures import draw_projector_response
-from lightmatrix.camera.camera_curve import Response
-from lightmatrix.camera.raw_levels import range_end
-from lightmatrix.camera.white_share import lit_samples, share_of_white
+from lightmatrix.camera.camera_curve import Response, range_end
+from lightmatrix.camera.exposures import lit_samples, share_of_white
 from lightmatrix.errors import InputError
 from lightmatrix.outputs.kinds import PICTURE, RESPONSE
 from lightmatrix.outputs.writing import check_output

@@ -49,8 +49,8 @@ _LARGEST_STEP, _FLATTEST = 0.5, 0.2
 _STARTS = (1.0, 2.2, 0.5)
 # A search may also settle where nothing can be predicted. Predictions under the right power miss no
 # more than those under the stated response, but for chance: 5 %. On a linear capture of 32 faint
-# photographs they missed .017 of the variance, and .37 under a gamma of 6. Predictions that miss at
-# most .5 % are right in any case: which of two misses is smaller is then a matter of noise.
+# photographs they missed 0.017 of the variance, and 0.37 under a gamma of 6. Predictions that miss
+# at most 0.5 % are right in any case: which of two misses is smaller is then a matter of noise.
 _MISSED_MORE, _MISSED_LITTLE = 1.05, 0.005
 # Powers of the light lie well within this range.
 _POWERS = (0.2, 6.0)

@@ -273,7 +273,7 @@ class PseudoSampleConstants:
     common_error: float = 0.02
     # From this number of known samples of a row on, pseudo-samples weigh less, by its square: a
     # row's own information grows, but errors that neighbours share do not average out. In
-    # proportion from 16 on, `gripper` at blur 2 and 32 patterns errs by .046 in place of .042.
+    # proportion from 16 on, `gripper` at blur 2 and 32 patterns errs by 0.046 in place of 0.042.
     enough: int = 32
     # Pseudo-samples of less weight are left out. Chosen by hand.
     least_weight: float = 1e-4

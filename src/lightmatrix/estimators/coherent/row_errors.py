@@ -282,8 +282,8 @@ MOST_ROWS = 4096
 # hand: the means of random patterns of 128 x 128 pixels vary by 0.8 %.
 _ALIKE = 0.004
 # Rows that are only bounded and clip in more than this share of K photographs, and 1.5 / K more,
-# see a glint: several projector pixels clip them alone. Rows of intact captures reach .69, glints
-# 30 to 100 times as bright as the rest clip in .77 to 1. Chosen on 180 small captures.
+# see a glint: several projector pixels clip them alone. Rows of intact captures reach 0.69, glints
+# 30 to 100 times as bright as the rest clip in 0.77 to 1. Chosen on 180 small captures.
 _MOSTLY, _FEW = 0.72, 1.5
 # Fewer samples of a row that do not clip show no curve.
 _FEWEST = 8

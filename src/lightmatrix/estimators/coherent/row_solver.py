@@ -50,7 +50,7 @@ CELL_PENALTY = 0.05
 SQUARES = 128
 # At a distance of d the halo is 1 / (d^2 + c^2)^2, as the light of a patch in front of a wall at a
 # distance of c. This is c as a share of the projector's longer side. Measured on `l_objects` at 64
-# mixed patterns: rows of mostly global light err by .129, and by .135 with c = 2 squares, which
+# mixed patterns: rows of mostly global light err by 0.129, and by 0.135 with c = 2 squares, which
 # makes halos too narrow nearby and too bright far away.
 WALL = 1 / 8
 

@@ -18,7 +18,7 @@ class Growth:
     """How light grows from seeds.
 
     With `settling` 4, a procedural capture of 512 x 512 took a third more time, and its error was
-    .05946 in place of .0595. Values without a measurement beside them are chosen by hand.
+    0.05946 in place of 0.0595. Values without a measurement beside them are chosen by hand.
     """
 
     # A frame is small if camera samples times projector pixels do not exceed this: 91 x 91 of both.
@@ -40,17 +40,17 @@ class Growth:
     # The half width in camera pixels that the first window must have.
     reach: int = 2
     # Seeds along the shorter side of the camera that a sequence needs; the last one needs half as
-    # many. With 16, metal at 256 x 256 (64 patterns) errs by .0248 in place of .0207.
+    # many. With 16, metal at 256 x 256 (64 patterns) errs by 0.0248 in place of 0.0207.
     fewest_seeds: int = 30
     # Rounds at each finer level after the one in which light grows onto it.
     settling: int = 2
     # Rounds at a level after which its unexplained rows search all projector pixels.
     search_after: int = 2
     # A row is unexplained if its objective exceeds this share of what an even background leaves of
-    # its samples. Measured on procedural scenes: the share is at most .02 in rows that are right,
-    # and at least .4 in rows that are wrong. One-pixel slivers of metal lie between, as neighbours
+    # its samples. Measured on procedural scenes: the share is at most 0.02 in rows that are right,
+    # and at least 0.4 in rows that are wrong. One-pixel slivers of metal lie between, as neighbours
     # explain them halfway: a tenth in place of a quarter takes the error of metal at 256 x 256 from
-    # .0221 to .0207. Large frames have the higher share, since their searches take long.
+    # 0.0221 to 0.0207. Large frames have the higher share, since their searches take long.
     unexplained: float = 0.1
     unexplained_near: float = 0.05
 

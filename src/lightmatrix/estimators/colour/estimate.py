@@ -11,8 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lightmatrix.camera.camera_curve import AUTOMATIC
-from lightmatrix.capture.capture import Capture, open_capture
-from lightmatrix.capture.known_samples import KnownSamples
+from lightmatrix.capture.capture import Capture, KnownSamples, open_capture
 from lightmatrix.diagnosis.finding import FINDINGS
 from lightmatrix.diagnosis.refusals import refuse_unordered, refuse_unusable, warn_of
 from lightmatrix.errors import InputError

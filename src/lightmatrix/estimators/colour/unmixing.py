@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lightmatrix.camera.samples import Samples
-from lightmatrix.capture.known_samples import KnownSamples
+from lightmatrix.capture.capture import KnownSamples
 from lightmatrix.estimators.colour.mixing import PRIMARIES, ColourSamples
 from lightmatrix.patterns.bits import BitPatterns
 from lightmatrix.patterns.colour import ColourPatterns

@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from lightmatrix.capture.summary import summarize
 from lightmatrix.evaluation.judgement import percent
 from lightmatrix.pictures.maps import clipping_map
 from lightmatrix.report.elements import Bars, Columns, Element, Gallery, Pair, Section, Strip, Table
@@ -56,7 +55,7 @@ def photographs(facts: Facts) -> Section:
 def _settings(facts: Facts) -> dict[str, object]:
     capture = facts.capture
     decoder = capture.decoder
-    settings: dict[str, object] = dict(summarize(capture.patterns, capture.reader))
+    settings: dict[str, object] = dict(capture.summary())
     settings["clipped samples"] = percent(float(facts.frames.clipped.mean()))
     settings["response"] = decoder.response.name
     settings["black frame"] = "subtracted" if decoder.black_frame is not None else "none"

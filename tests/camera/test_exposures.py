@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from lightmatrix.camera.white_share import lit_samples, share_of_white
+from lightmatrix.camera.exposures import lit_samples, share_of_white
 
 
 def test_dark_and_clipped_samples_are_not_lit() -> None:
