@@ -24,16 +24,16 @@ from typing import Any
 
 from lightmatrix.camera.camera_curve import AUTOMATIC, Response
 from lightmatrix.capture.capture import Capture, open_capture
+from lightmatrix.diagnosis.curves import FOUND_RESPONSE, with_projector, with_response
 from lightmatrix.diagnosis.finding import FINDINGS
 from lightmatrix.diagnosis.refusals import refuse_unordered, refuse_unusable, warn_of
-from lightmatrix.diagnosis.responses.found import FOUND_RESPONSE, with_projector, with_response
 from lightmatrix.errors import InputError, warn
 from lightmatrix.estimators.choice import check_and_choose, choose_estimator
 from lightmatrix.estimators.plain import PlainEstimator
 from lightmatrix.estimators.resource_estimate import estimate_resources
 from lightmatrix.estimators.settings import EstimateSettings
 from lightmatrix.estimators.unknown_projector import find_responses
-from lightmatrix.estimators.workers.startup import open_workers
+from lightmatrix.estimators.workers.pool import open_workers
 from lightmatrix.outputs.kinds import STORE
 from lightmatrix.outputs.writing import check_output
 from lightmatrix.patterns.colour import ColourPatterns
