@@ -25,8 +25,8 @@ from experiments.harness import options as options_of
 from lightmatrix.camera.sensor import Sensor
 from lightmatrix.capture.capture import Capture
 from lightmatrix.diagnosis.all_checks import check_capture
-from lightmatrix.diagnosis.counts import missing_places
 from lightmatrix.diagnosis.finding import Finding
+from lightmatrix.diagnosis.frame_order import missing_places
 from lightmatrix.diagnosis.survey import Survey
 from lightmatrix.files.images import decode_image, encode_image
 from lightmatrix.patterns.bits import BernoulliPatterns

@@ -29,7 +29,7 @@ from experiments.harness import Row, show, write_json
 from experiments.harness import options as options_of
 from lightmatrix.diagnosis.finding import NOTES
 from lightmatrix.evaluation.metrics import relative_error
-from lightmatrix.pictures.style import COLOURS, figure, fix_ticks, save
+from lightmatrix.show.style import COLOURS, figure, fix_ticks, save
 from lightmatrix.simulation import library
 
 INTACT = "intact"

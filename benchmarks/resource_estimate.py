@@ -21,7 +21,7 @@ import numpy as np
 import lightmatrix as lm
 from benchmarks.growth import command_cost
 from experiments.harness import options
-from lightmatrix.simulation.procedural_scene import ProceduralScene
+from lightmatrix.simulation.procedural import ProceduralScene
 
 # Whether neighbours help; camera, projector, patterns; grey patterns or bits. Those of `--quick`
 # come first.

@@ -15,12 +15,20 @@ import numpy as np
 
 import lightmatrix as lm
 from experiments.uses import separation_rows
-from lightmatrix.simulation.geometry import Mesh, turn
 from lightmatrix.simulation.scenes import BUILDERS
 from lightmatrix.simulation.scenes import scene as bundled
-from lightmatrix.simulation.scenes.scene import Part, Scene, matt, metal, plastic
-from lightmatrix.simulation.scenes.shapes import ball, bolt, box, bracket, nut, ring, sheet
-from lightmatrix.simulation.scenes.view import View
+from lightmatrix.simulation.scenes.scene import Part, Scene, View, matt, metal, plastic
+from lightmatrix.simulation.scenes.shapes import (
+    Mesh,
+    ball,
+    bolt,
+    box,
+    bracket,
+    nut,
+    ring,
+    sheet,
+    turn,
+)
 
 SIZE, SAMPLES, PATTERNS, NOISE = (64, 64), 3000, 32, 0.003
 

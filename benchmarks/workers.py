@@ -23,8 +23,7 @@ import psutil
 
 import lightmatrix as lm
 from experiments.harness import options as options_of
-from lightmatrix.estimators.workers.pool import DaskPool
-from lightmatrix.estimators.workers.startup import dask_pool
+from lightmatrix.estimators.workers.pool import DaskPool, dask_pool
 
 
 def main(arguments: list[str] | None = None) -> None:

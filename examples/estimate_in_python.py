@@ -16,7 +16,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 import lightmatrix as lm
-from lightmatrix.simulation.procedural_scene import ProceduralScene
+from lightmatrix.simulation.procedural import ProceduralScene
 
 PICTURES = {"row.png": "One row of T: the truth and three estimates"}
 # The samples of this camera pixel often clip, although no single projector pixel clips it.

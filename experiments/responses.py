@@ -12,8 +12,7 @@ import numpy as np
 from experiments.harness import Experiment, Measured, Row, all_rows
 from lightmatrix.camera.camera_curve import Response
 from lightmatrix.capture.capture import Capture
-from lightmatrix.diagnosis.responses.bend import exponent
-from lightmatrix.diagnosis.responses.found import FoundResponse, largest_difference, with_response
+from lightmatrix.diagnosis.curves import FoundResponse, exponent, largest_difference, with_response
 from lightmatrix.errors import InputError
 from lightmatrix.estimators.estimate import estimate
 from lightmatrix.estimators.unknown_projector import find_projector_response
@@ -22,8 +21,8 @@ from lightmatrix.evaluation.metrics import relative_error
 from lightmatrix.patterns.bits import BernoulliPatterns
 from lightmatrix.patterns.pattern_set import ImagePatterns, PatternSet
 from lightmatrix.patterns.projector_curve import ProjectorResponse
-from lightmatrix.pictures.style import COLOURS, figure, fix_ticks, save
 from lightmatrix.planning.plan import plan
+from lightmatrix.show.style import COLOURS, figure, fix_ticks, save
 from lightmatrix.simulation import library
 from lightmatrix.simulation.realism import defocus
 from lightmatrix.simulation.simulate import simulate

@@ -19,7 +19,7 @@ from experiments.responses import S_CURVE, camera_of, photographed
 from lightmatrix.camera.camera_curve import Response
 from lightmatrix.capture.capture import Capture
 from lightmatrix.capture.frames import ArrayStack
-from lightmatrix.diagnosis.responses.found import with_response
+from lightmatrix.diagnosis.curves import with_response
 from lightmatrix.errors import InputError
 from lightmatrix.estimators.colour.estimate import estimate_colour
 from lightmatrix.estimators.estimate import estimate
@@ -29,8 +29,8 @@ from lightmatrix.evaluation.metrics import squared_errors
 from lightmatrix.files.colours import COLOURS as PRIMARIES
 from lightmatrix.patterns.bits import BernoulliPatterns
 from lightmatrix.patterns.colour import ColourPatterns, colour_bernoulli
-from lightmatrix.pictures.style import COLOURS, figure, fix_ticks, save
 from lightmatrix.planning.plan import plan
+from lightmatrix.show.style import COLOURS, figure, fix_ticks, save
 from lightmatrix.simulation import library
 from lightmatrix.simulation.binning import binned
 from lightmatrix.simulation.colour import in_all_primaries, of_primary

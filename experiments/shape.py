@@ -11,7 +11,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from experiments.harness import Experiment, Measured, Row, all_rows, means
-from lightmatrix.decoding.decode import decode
 from lightmatrix.errors import InputError
 from lightmatrix.estimators.estimate import estimate
 from lightmatrix.geometry.rig_geometry import RigGeometry
@@ -24,13 +23,14 @@ from lightmatrix.patterns.stripes import (
     PhasePatterns,
     StripePatterns,
 )
-from lightmatrix.pictures.style import COLOURS, figure, save
 from lightmatrix.planning.plan import plan
+from lightmatrix.shape.decode import decode
+from lightmatrix.shape.shape import Shape
+from lightmatrix.shape.triangulation import triangulate
+from lightmatrix.show.style import COLOURS, figure, save
 from lightmatrix.simulation import library
 from lightmatrix.simulation.simulate import simulate
 from lightmatrix.simulation.truth import Truth
-from lightmatrix.uses.shape import Shape
-from lightmatrix.uses.triangulation import triangulate
 
 SEEDS = (0, 1, 2)
 NOISE = 0.003

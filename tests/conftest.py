@@ -11,7 +11,7 @@ import pytest
 
 from lightmatrix.simulation import library
 from lightmatrix.simulation.binning import coarse
-from lightmatrix.simulation.bundled_file import read_bundled
+from lightmatrix.simulation.library import read_bundled
 from lightmatrix.simulation.truth import Truth
 
 

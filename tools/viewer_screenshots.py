@@ -21,7 +21,7 @@ from browser import opened
 from playwright.sync_api import Browser, Page
 
 import lightmatrix as lm
-from lightmatrix.simulation.procedural_scene import ProceduralScene
+from lightmatrix.simulation.procedural import ProceduralScene
 
 IMAGES = Path(__file__).parent.parent / "docs" / "images"
 Scheme = Literal["light", "dark"]

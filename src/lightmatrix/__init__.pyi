@@ -45,7 +45,7 @@ from .files.images import (
     read_image as read_image,
     write_image as write_image,
 )
-from .simulation.procedural_capture import simulate_procedural as simulate_procedural
+from .simulation.procedural import simulate_procedural as simulate_procedural
 from .simulation.library import (
     scenes as scenes,
     truth as truth,
@@ -54,7 +54,7 @@ from .simulation.simulate import (
     SimulatedCapture as SimulatedCapture,
     simulate as simulate,
 )
-from .simulation.procedural_scene import ProceduralScene as ProceduralScene
+from .simulation.procedural import ProceduralScene as ProceduralScene
 from .simulation.renderer import render as render
 from .simulation.thumbnails import write_thumbnails as write_thumbnails
 from .simulation.truth import Truth as Truth
@@ -77,12 +77,12 @@ from .live.rig import (
 )
 
 # Geometry of a rig.
-from .calibration.rig.calibrate import (
+from .shape.calibrate import (
     BoardPose as BoardPose,
     RigCalibration as RigCalibration,
     calibrate_rig as calibrate_rig,
 )
-from .calibration.rig.self_calibration import self_calibrate as self_calibrate
+from .shape.self_calibration import self_calibrate as self_calibrate
 from .geometry.rig_geometry import RigGeometry as RigGeometry
 
 # What is wrong with a capture.
@@ -91,16 +91,16 @@ from .diagnosis.refusals import (
     refuse_disorder as refuse_disorder,
     refuse_unusable as refuse_unusable,
 )
-from .diagnosis.folders import check as check
-from .diagnosis.responses.found import FoundResponse as FoundResponse
+from .diagnosis.all_checks import check as check
+from .diagnosis.curves import FoundResponse as FoundResponse
 
 # Responses, measured from photographs.
 from .patterns.projector_curve import ProjectorResponse as ProjectorResponse
-from .calibration.responses.camera import (
+from .responses.camera import (
     CameraResponse as CameraResponse,
     camera_response as camera_response,
 )
-from .calibration.responses.projector import projector_response as projector_response
+from .responses.projector import projector_response as projector_response
 
 # Estimates.
 from .estimators.choice import check_and_choose as check_and_choose
@@ -119,7 +119,7 @@ from .estimators.unknown_response import (
     find_response as find_response,
 )
 from .estimators.coherent.estimator import CoherentEstimator as CoherentEstimator
-from .estimators.workers.startup import open_workers as open_workers
+from .estimators.workers.pool import open_workers as open_workers
 from .estimators.multiscale import MultiScaleEstimator as MultiScaleEstimator
 from .estimators.plain import PlainEstimator as PlainEstimator
 from .solvers import (
@@ -134,22 +134,22 @@ from .solvers import (
 )
 
 # Correspondence without T, from stripes.
-from .decoding.decode import decode as decode
+from .shape.decode import decode as decode
 from .store.npz import (
     read_correspondence as read_correspondence,
     write_correspondence as write_correspondence,
 )
 
 # What is done with them.
-from .pictures.relight import relight as relight
-from .pictures.diagnostics import (
+from .show.relight import relight as relight
+from .show.diagnostics import (
     show_clipping as show_clipping,
     show_correspondence as show_correspondence,
     show_footprints as show_footprints,
     show_gaps as show_gaps,
     show_estimated_errors as show_estimated_errors,
 )
-from .pictures.transport import (
+from .show.transport import (
     show_column as show_column,
     show_dual as show_dual,
     show_relit as show_relit,
@@ -202,15 +202,15 @@ from .uses.probing import (
     max_min as max_min,
     probe as probe,
 )
-from .uses.shape import (
+from .shape.shape import (
     Shape as Shape,
     ShapeTest as ShapeTest,
 )
-from .uses.show import (
+from .report.views import (
     show as show,
     write_pictures as write_pictures,
 )
-from .uses.triangulation import (
+from .shape.triangulation import (
     geometry_of as geometry_of,
     triangulate as triangulate,
 )

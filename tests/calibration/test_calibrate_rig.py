@@ -9,11 +9,9 @@ import numpy as np
 import pytest
 
 import lightmatrix as lm
-from lightmatrix.calibration.rig.board import BoardCorners, find_corners, light_corners
-from lightmatrix.calibration.rig.homography import fit_homography, moved
-from lightmatrix.calibration.rig.pose_images import pose_images
-from lightmatrix.calibration.rig.stereo import board_points, fit_stereo
 from lightmatrix.cli import main
+from lightmatrix.shape.board import BoardCorners, find_corners, fit_homography, light_corners, moved
+from lightmatrix.shape.calibrate import board_points, fit_stereo, pose_images
 
 from ..helpers.board import BOARD, POSES, SQUARE, board_capture, board_rig
 

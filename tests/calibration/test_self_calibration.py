@@ -11,8 +11,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import lightmatrix as lm
-from lightmatrix.calibration.rig.fundamental import fit_fundamental, sampson
 from lightmatrix.cli import main
+from lightmatrix.shape.self_calibration import fit_fundamental, sampson
 
 
 def errors(rig: lm.RigGeometry, known: lm.RigGeometry) -> tuple[float, float]:

@@ -15,7 +15,7 @@ import lightmatrix as lm
 from lightmatrix.cli import main
 from lightmatrix.errors import InputError
 from lightmatrix.simulation.colour import FILTERS, in_primary
-from lightmatrix.simulation.procedural_scene import ProceduralScene
+from lightmatrix.simulation.procedural import ProceduralScene
 
 PATTERNS = lm.BernoulliPatterns((12, 12), 48)
 COLOURS = ("red", "green", "blue")

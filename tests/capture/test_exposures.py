@@ -24,7 +24,7 @@ from lightmatrix.patterns.mix import MixedPatterns, default_mix, interleave, par
 from lightmatrix.patterns.pattern_set import PatternSet
 from lightmatrix.simulation.irradiance import irradiance
 from lightmatrix.simulation.library import truth
-from lightmatrix.simulation.procedural_scene import ProceduralScene
+from lightmatrix.simulation.procedural import ProceduralScene
 from lightmatrix.simulation.truth import Truth
 from lightmatrix.solvers import ActiveSet
 

@@ -19,7 +19,6 @@ from benchmarks.gray_decoding import BLACK, CLIP, COLUMN_BITS, ROW_BITS, WHITE, 
 from lightmatrix.camera.samples import Samples
 from lightmatrix.capture.capture import Capture
 from lightmatrix.capture.settings import ReadSettings
-from lightmatrix.diagnosis.frame_order import find_disorder
 from lightmatrix.diagnosis.refusals import refuse_unordered, refuse_unusable
 from lightmatrix.errors import InputError
 from lightmatrix.estimators.automatic_regularization import automatic_regularization
@@ -175,17 +174,6 @@ def test_stripes_finer_than_a_bin_become_constant_without_error(capture: Capture
     assert (spread == 1).sum() > 20
     refuse_unusable(capture)
     refuse_unordered(capture)
-
-
-def test_stripes_that_became_grey_are_not_reported_as_swapped() -> None:
-    """Binned patterns of one grey cannot be told apart, though their photographs vary."""
-    binned = Capture.from_folders(
-        BOARD / "graycode_pattern",
-        BOARD / "capture_0",
-        bin_projector=BIN,
-        bin_camera=2,
-    )
-    assert find_disorder(binned.patterns, binned.tiles(), binned.rows) == []
 
 
 def test_swapped_stripes_are_refused() -> None:

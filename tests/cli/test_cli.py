@@ -21,7 +21,7 @@ from lightmatrix.cli.app import app
 from lightmatrix.files.images import read_image, write_image
 from lightmatrix.patterns.folder import read_patterns
 from lightmatrix.simulation import library
-from lightmatrix.simulation.procedural_scene import ProceduralScene
+from lightmatrix.simulation.procedural import ProceduralScene
 
 COMMANDS: dict[str, Any] = typer.main.get_command(app).commands  # type: ignore[attr-defined]
 

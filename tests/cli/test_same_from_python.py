@@ -26,7 +26,7 @@ from lightmatrix.patterns import making, mix
 from lightmatrix.planning.plan import USUAL_SIZE
 from lightmatrix.resources.memory import memory_bytes
 from lightmatrix.simulation.library import DEFAULT_SAMPLES
-from lightmatrix.simulation.procedural_scene import ProceduralScene
+from lightmatrix.simulation.procedural import ProceduralScene
 from lightmatrix.viewer.scene import PAGE_BYTES
 
 

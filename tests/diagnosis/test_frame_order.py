@@ -1,10 +1,10 @@
-"""Frames out of order are named; good captures, of any kind, are left alone."""
+"""Frames out of order and missing frames are named; good captures, of any kind, are left alone."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from types import SimpleNamespace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -13,17 +13,27 @@ from numpy.typing import NDArray
 import lightmatrix as lm
 from lightmatrix.camera.sensor import Sensor
 from lightmatrix.capture.capture import Capture
-from lightmatrix.diagnosis import all_checks, frame_order
-from lightmatrix.diagnosis.frame_order import find_disorder, order_findings
-from lightmatrix.diagnosis.order_hypotheses import Hypothesis, Misses, RawRows, find_misses
+from lightmatrix.diagnosis import all_checks
+from lightmatrix.diagnosis.finding import order_findings
+from lightmatrix.diagnosis.frame_order import (
+    Hypothesis,
+    RawRows,
+    check_counts,
+    check_order,
+    find_misses,
+    likeliest_hypothesis,
+    missing_places,
+    scores_by_place,
+)
 from lightmatrix.diagnosis.pursuit import column_scale
 from lightmatrix.diagnosis.refusals import refuse_unordered, refuse_unusable
+from lightmatrix.diagnosis.survey import Survey
 from lightmatrix.errors import InputError
 from lightmatrix.patterns.bits import BernoulliPatterns
 from lightmatrix.patterns.blocks import one_pixel_patterns
 from lightmatrix.patterns.hadamard import HadamardPatterns
 from lightmatrix.patterns.pattern_set import ImagePatterns, PatternSet
-from tests.helpers.surface import CAMERA, PROJECTOR, surface
+from tests.helpers.surface import CAMERA, PROJECTOR, photographs, surface
 
 
 def capture(
@@ -44,7 +54,8 @@ def capture(
 
 def follow(taken: Capture) -> None:
     """Refuse a capture for the order of its frames alone."""
-    for finding in find_disorder(taken.patterns, taken.tiles(), taken.rows, taken.frames.name):
+    survey = Survey.take(taken.patterns, taken.frames, taken.decoder)
+    for finding in check_order(survey, taken.frames.name):
         raise InputError(finding.message)
 
 
@@ -137,7 +148,6 @@ def test_frames_displaced_alike() -> None:
     for order, words in (
         (np.append(frames[1:], 0), "each image shows the pattern after its own"),
         (np.append(0, frames[:-1]), "each image shows the pattern before its own"),
-        (frames[::-1], "the images follow the patterns backwards"),
     ):
         with pytest.raises(InputError, match=words):
             follow(capture(patterns, order))
@@ -156,18 +166,6 @@ def lost(count: int, place: int) -> NDArray[np.int64]:
     return np.append(np.delete(np.arange(count), place), count - 1)
 
 
-@pytest.mark.parametrize("count", [32, 48])
-def test_a_frame_missing_in_the_middle_of_few_is_noticed(count: int) -> None:
-    """Neither half of the frames is enough by itself."""
-    for seed in range(3):
-        place = count // 2 + seed - 1
-        patterns = BernoulliPatterns(PROJECTOR, count, seed=seed)
-        with pytest.raises(InputError, match=r"from frame \d+ to .* after its own") as caught:
-            follow(capture(patterns, lost(count, place), seed=seed))
-        first = int(caught.value.message.split()[2])
-        assert abs(first - place) <= 1
-
-
 @pytest.mark.parametrize("renamed", [True, False], ids=["files renamed", "projector late"])
 def test_displaced_frames_of_several_exposures_are_noticed(renamed: bool) -> None:
     """Their exposure goes with them where files were renamed, else it is that of their place."""
@@ -182,7 +180,6 @@ def test_displaced_frames_of_several_exposures_are_noticed(renamed: bool) -> Non
         (lost(count, 22), "from frame 2[123] to .* after its own"),
         (np.append(frames[1:], count - 1), "each image shows the pattern after its own"),
         (np.append(0, frames[:-1]), "each image shows the pattern before its own"),
-        (frames[::-1], "backwards"),
     ):
         sensor = Sensor(exposure[order] if renamed else exposure, read_noise=0.003)
         raw = sensor.expose(np.ascontiguousarray(light[:, order])).T.reshape(count, *CAMERA)
@@ -217,162 +214,191 @@ def test_a_capture_is_judged_as_check_does(monkeypatch: pytest.MonkeyPatch) -> N
     assert refused.value.message == told[0].message
     # What the first look suspects, and the second does not confirm, is held against nobody.
     suspected = order_findings({4: 9, 9: 4}, "frame {}".format)
-    monkeypatch.setattr(all_checks, "find_disorder", lambda *_: suspected)
+    monkeypatch.setattr(all_checks, "check_order", lambda *_: suspected)
     taken = capture(patterns)
     assert lm.check(taken) == []
     refuse_unordered(taken)
 
 
-# ---- the parts of the judgement
+K = 48
 
 
-def test_the_richest_run() -> None:
-    assert frame_order._richest_run(np.array([-1.0, 2, 1, -1, 3, -2])) == (1, 5)
-    assert frame_order._richest_run(np.array([1.0, 1, 1])) == (0, 3)
-    assert frame_order._richest_run(np.array([-1.0, -1]))[0] == 0
+PATTERNS = BernoulliPatterns(PROJECTOR, K)
+
+
+FRAMES = np.arange(K)
+
+
+def rows(
+    order: NDArray[np.integer] = FRAMES,
+    exposure: NDArray[np.floating] | None = None,
+    exposed_as: NDArray[np.integer] = FRAMES,
+) -> RawRows:
+    """Every fourth row of the surface, whose frames show `order`, exposed like `exposed_as`."""
+    exposure = np.ones(K) if exposure is None else exposure
+    light = PATTERNS.forward(surface())[::4][:, order]
+    level = np.broadcast_to(3 / exposure, light.shape).astype(np.float32)
+    shares = np.minimum(light * exposure[exposed_as] / 3, 1)
+    return RawRows(shares.astype(np.float32), level)
+
+
+def displaced(step: int, first: int, last: int) -> NDArray[np.int64]:
+    order = FRAMES.copy()
+    order[first:last] += step
+    return order.clip(0, K - 1)
+
+
+def test_samples_read_at_another_exposure() -> None:
+    shares = np.array([[0.5, 1.0, 0.25]], np.float32)
+    raw = RawRows(shares, np.array([[1.0, 2.0, 4.0]], np.float32))
+    assert raw.lowest.tolist() == [[1.0]]
+    np.testing.assert_allclose(raw.light(np.arange(3)), [[0.5, 1, 1]])
+    np.testing.assert_allclose(raw.light(np.array([1, 0, 0])), [[1, 1, 0.25]])
+    assert [group.tolist() for group in raw.exposure_groups()] == [[0], [1], [2]]
+    equal = RawRows(shares, np.array([[1.0, 2.0, 1.001]], np.float32))
+    assert [group.tolist() for group in equal.exposure_groups()] == [[0, 2], [1]]
 
 
 @pytest.mark.parametrize(
-    ("gain", "supported"),
+    "order",
     [
-        ([1.4, 1.4, 1.4], True),
-        ([1.4, 1.4], False),
-        # In sum, in the mean, and with one frame that counts no more than the others.
-        ([0.8, 0.8, 0.8], False),
-        ([0.9, 0.9, 0.9], True),
-        ([0.3] * 10, True),
-        ([0.2] * 20, False),
-        ([9.0, 0.3, 0.3], False),
-        ([0.0, 3.0, 0.0, 1.2], True),
+        displaced(1, 24, K),
+        displaced(1, 0, 12),
+        displaced(-1, 36, K),
+        displaced(-1, 0, 24),
+        displaced(1, 0, K),
     ],
+    ids=["after", "after, up to one", "before", "before, up to one", "all"],
 )
-def test_runs_need_support(gain: list[float], supported: bool) -> None:
-    padded = np.array([5.0, *gain, 5.0])
-    assert frame_order._supported(padded, 1, len(gain) + 1) == supported
+def test_the_likeliest_hypothesis_is_the_true_one(order: NDArray[np.int64]) -> None:
+    best = likeliest_hypothesis(PATTERNS, rows(order))
+    assert best is not None
+    known = best.order >= 0
+    assert (best.order == order)[known].mean() > 0.97
+    assert known.sum() >= K - 1
+    np.testing.assert_array_equal(best.exposed_as, FRAMES)
 
 
-@pytest.mark.parametrize(("miss", "predictive"), [(0.7, True), (0.9, False)])
-def test_predictions_must_meet_most_frames(miss: float, predictive: bool) -> None:
-    logarithms = np.full((5, 5), np.log(miss))
-    informative = np.ones(5, bool)
-    # A frame that shows nothing known, and one that tells nothing, do not count.
-    order = np.array([1, 0, 2, -1, 4])
-    logarithms[2:], informative[4] = 3, False
-    logarithms[2, 2] = np.log(miss)
-    misses = Misses(logarithms, np.zeros((5, 5), bool), informative)
-    assert frame_order._predictive(misses, order) == predictive
+@pytest.mark.parametrize("renamed", [True, False])
+def test_exposures_go_with_the_files_or_stay(renamed: bool) -> None:
+    exposure = np.tile([4.0, 1.0, 4.0, 0.5], K // 4)
+    order = displaced(1, 0, K)
+    best = likeliest_hypothesis(PATTERNS, rows(order, exposure, order if renamed else FRAMES))
+    assert best is not None
+    np.testing.assert_array_equal(best.order[:-1], order[:-1])
+    assert (best.exposed_as[:-1] == (order if renamed else FRAMES)[:-1]).all()
 
 
-def test_words_for_runs() -> None:
-    def words(start: int, stop: int, step: int) -> str:
-        return frame_order._describe_run(start, stop, step, 10, "frame {}".format)
+def test_misses_are_those_of_the_other_pattern() -> None:
+    scale = column_scale(PATTERNS)
+    order = FRAMES.copy()
+    order[[4, 9]] = 9, 4
+    misses = find_misses(PATTERNS, rows(order), Hypothesis.in_order(K), scale)
+    assert misses.logarithms.shape == (K, K)
+    assert misses.logarithms[4].argmin() == 9
+    assert misses.logarithms[9].argmin() == 4
+    usual = np.delete(misses.own, [4, 9])
+    assert np.median(usual) < -1
+    assert misses.own[[4, 9]].min() > 0
+    assert misses.informative.all()
+    assert not misses.elsewhere.any()
+    # As it is, once it is known which frame shows which pattern; or that one is unknown.
+    right = find_misses(PATTERNS, rows(order), Hypothesis(order, FRAMES), scale)
+    assert right.logarithms[FRAMES, order].max() < 0
+    unknown = np.where(order == FRAMES, FRAMES, -1)
+    without = find_misses(PATTERNS, rows(order), Hypothesis(unknown, FRAMES), scale)
+    assert without.logarithms[FRAMES, order].max() < 0
 
-    every = "the images do not follow the patterns: each image shows the pattern "
-    assert words(0, 8, 1) == every + "after its own"
-    assert words(1, 9, -1) == every + "before its own"
-    assert words(1, 8, 1).endswith(
-        "from frame 1 to frame 8, each image shows the pattern after its own: is one missing?"
+
+def test_a_frame_taken_with_the_exposure_of_another_is_recognised() -> None:
+    exposure = np.where(FRAMES % 4 == 3, 0.5, 1.0)
+    order = FRAMES.copy()
+    order[[4, 11]] = 11, 4
+    misses = find_misses(
+        PATTERNS, rows(order, exposure, order), Hypothesis.in_order(K), column_scale(PATTERNS)
     )
-    assert words(2, 9, -1).endswith("before its own: is one extra?")
-    assert words(0, 7, 1).startswith("from frame 0 to frame 7")
+    assert misses.elsewhere[4, 11]
+    assert not np.diag(misses.elsewhere).any()
 
 
-def test_words_for_single_frames() -> None:
-    findings = order_findings({9: 4, 4: 9, 7: 2, 1: 5, 5: 6}, "image {}".format)
-    assert [(each.kind, each.frames) for each in findings] == [
-        ("order", (1,)),
-        ("order", (4, 9)),
-        ("order", (5,)),
-        ("order", (7,)),
-    ]
-    assert findings[1].message == "image 4 and image 9 look swapped"
-    assert findings[3].message.startswith("image 7 shows the pattern of image 2:")
+def test_places_are_scored_by_the_pixels_that_follow_the_rows() -> None:
+    """The scores are those of brute force, and highest at the place of the change."""
+    count = 32
+    patterns = BernoulliPatterns((4, 5), count, seed=2)
+    frames = np.arange(count)
+    shown = patterns.columns(np.arange(20)).astype(float)
+    shown -= shown.mean(axis=0)
+    shown /= np.sqrt((shown**2).sum(axis=0))
+    late = np.append(frames[1:], -1)
+    # Three rows see one pixel each; from frame 16 on, each frame shows the next pattern.
+    order = np.where(frames < 16, frames, late)
+    light = (shown[order][:, [3, 9, 17]].T * (order >= 0)).astype(np.float32)
+    moved = np.where(late >= 0, light, 0).astype(np.float32)
+    cuts = range(0, count + 1, 8)
+    scores = scores_by_place(patterns, (light, frames), (moved, late), cuts)
+    assert scores[0, 2] == scores.max()
+    for until, place in np.ndindex(scores.shape):
+        displaced = (frames < cuts[place]) == bool(until)
+        mixed = np.where(displaced, moved, light)
+        best = np.maximum((mixed @ shown[np.where(displaced, late, frames)]).max(axis=1), 0)
+        share = np.minimum(best**2 / np.maximum((mixed**2).sum(axis=1), 1e-12), 0.999)
+        assert scores[until, place] == pytest.approx(-np.log1p(-share).mean(), rel=1e-3, abs=1e-4)
 
 
-def test_patterns_that_are_alike_may_change_places() -> None:
-    images = BernoulliPatterns(PROJECTOR, 12).images().copy()
-    images[7] = images[2]
-    images[7, 0, 0] = 1 - images[7, 0, 0]
-    images[9] = images[3]
-    images[9, :3] = 1 - images[9, :3]
-    alike = frame_order._alike(ImagePatterns(images))
-    assert np.argwhere(alike).tolist() == [[2, 7], [7, 2]]
-    images[5] = 0.7
-    images[5, 0, 0] = 0.7005
-    assert np.flatnonzero(~frame_order._varied(ImagePatterns(images))).tolist() == [5]
+DECODER = lm.Decoder(clip=255, full_scale=255)
 
 
-def test_bright_rows_are_spread_over_the_tiles(monkeypatch: pytest.MonkeyPatch) -> None:
-    taken = capture(BernoulliPatterns(PROJECTOR, 16))
-    bright = frame_order._bright_rows(taken.patterns, taken.tiles(), taken.rows)
-    assert bright is not None
-    assert 200 <= len(bright.shares) <= 210
-    monkeypatch.setattr(frame_order, "_WORK", 16 * 320 * 8 * 3 * 50)
-    some = frame_order._bright_rows(taken.patterns, taken.tiles(), taken.rows)
-    assert some is not None
-    assert 50 <= len(some.shares) <= 60
-    ((_, tile),) = list(taken.tiles())
-    spread = np.sort(tile.values.std(axis=1))[::-1]
-    assert some.shares.std(axis=1).min() >= spread[len(spread) // 3] - 1e-6
-    dark = [(0, replace(tile, values=0 * tile.values))]
-    assert frame_order._bright_rows(taken.patterns, dark, taken.rows) is None
+def survey(place: int, count: int = 32, diffuse: float = 0.3, noise: float = 0.005) -> Survey:
+    patterns = BernoulliPatterns(PROJECTOR, count)
+    frames = np.delete(photographs(patterns, diffuse=diffuse, noise=noise), place, axis=0)
+    capture = lm.Capture.from_arrays(patterns.subset(np.arange(count - 1)), frames, DECODER)
+    taken = Survey.take(capture.patterns, capture.frames, capture.decoder)
+    return replace(taken, patterns=patterns)
 
 
-def judged(pairs: dict[tuple[int, int], float], count: int = 24) -> dict[int, int]:
-    """Which frames are displaced if these (frame, pattern) miss so much, others -2 of their own."""
-    logarithms = np.where(np.eye(count, dtype=bool), -2.0, 0.0)
-    for place, miss in pairs.items():
-        logarithms[place] = miss
-    misses = Misses(logarithms, np.zeros((count, count), bool), np.ones(count, bool))
-    judge = object.__new__(frame_order._Judge)
-    judge.patterns = SimpleNamespace(count=count)  # type: ignore[assignment]
-    judge.frames, judge.alike = np.arange(count), np.zeros((count, count), bool)
-    judge.in_order = misses
-    judge.misses = lambda _: misses  # type: ignore[method-assign, assignment]
-    return judge.displaced_singly()
+@pytest.mark.parametrize("place", [0, 1, 13, 30, 31])
+def test_the_missing_frame_is_named(place: int) -> None:
+    assert missing_places(survey(place)) == (place,)
 
 
-@pytest.mark.parametrize(
-    ("own", "other", "shown"),
-    [
-        (0.0, -0.6, {3: 9, 9: 3}),
-        # Not 40 % nearer to the other's prediction.
-        (0.0, -0.45, {}),
-        # Nearer by enough, but far from it.
-        (0.4, -0.3, {}),
-        # Below the least suspicion.
-        (-1.9, -2.0, {}),
-    ],
-)
-def test_two_frames_must_meet_each_others_predictions(
-    own: float, other: float, shown: dict[int, int]
-) -> None:
-    assert judged({(3, 3): own, (9, 9): own, (3, 9): other, (9, 3): other}) == shown
+def test_nothing_is_named_from_too_little() -> None:
+    assert missing_places(survey(5, count=12)) == ()
+    few = survey(13)
+    lit = np.flatnonzero(few.valid & few.inner)
+    for left, named in ((23, ()), (40, (13,))):
+        valid = np.zeros_like(few.valid)
+        valid[lit[:: len(lit) // left][:left]] = True
+        assert missing_places(replace(few, valid=valid)) == named
+    noisy = survey(13)
+    raw = np.random.default_rng(0).permutation(noisy.raw, axis=1)
+    assert missing_places(replace(noisy, raw=raw)) == ()
 
 
-@pytest.mark.parametrize(
-    ("own", "other", "shown"),
-    [
-        (0.0, -0.9, {3: 9}),
-        (0.0, -0.7, {}),
-        (0.5, -0.4, {}),
-    ],
-)
-def test_one_frame_must_meet_another_prediction_better(
-    own: float, other: float, shown: dict[int, int]
-) -> None:
-    assert judged({(3, 3): own, (3, 9): other}) == shown
+def images(*numbers: int) -> list[Path]:
+    return [Path(f"IMG_{number:04d}.png") for number in numbers]
 
 
-def test_most_frames_must_meet_their_predictions() -> None:
-    fitting = {(3, 3): 0.0, (3, 9): -0.9}
-    others = {(k, k): -0.1 for k in range(24) if k != 3}
-    assert judged(fitting | others) == {}
+def test_words_without_a_survey() -> None:
+    found = check_counts(None, 9, images(1, 2, 3, 5, 6, 7, 8, 9))
+    assert (found.kind, found.frames) == ("counts", ())
+    assert found.message == "9 patterns, but 8 photographs; their names leave out number 4"
+    assert "take it again" in found.advice
+    many = check_counts(None, 40, images(*(k for k in range(40) if k % 5)))
+    assert many.message.endswith("leave out number 5, 10, 15, 20, 25")
+    assert many.frames == ()
+    more = check_counts(None, 3, images(1, 2, 3, 4))
+    assert more.message == "3 patterns, but 4 photographs"
+    assert "remove what is no photograph" in more.advice
 
 
-def test_no_more_than_a_sixth_of_the_frames_are_suspected() -> None:
-    # Five frames in turn show another pattern; the four of the largest gains are suspected.
-    pairs: dict[tuple[int, int], float] = {}
-    for k in range(5):
-        pairs |= {(k, k): 0.0, (k, 10 + k): -1.0 - 0.1 * k}
-    assert judged(pairs) == {1: 11, 2: 12, 3: 13, 4: 14}
+def test_words_with_a_survey() -> None:
+    names = images(*range(100, 100 + 32 - 1))
+    found = check_counts(survey(13), 32, names)
+    assert found.frames == (13,)
+    assert found.message.endswith(
+        "the one of pattern 13 (the 14th) is missing, before IMG_0113.png"
+    )
+    last = check_counts(survey(31), 32, names)
+    assert last.message.endswith("the one of pattern 31 (the 32nd) is missing")
+    # Two are missing: the survey is of no use.
+    assert check_counts(survey(13), 32 + 1, names).frames == ()

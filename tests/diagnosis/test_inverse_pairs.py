@@ -9,7 +9,7 @@ import pytest
 from numpy.typing import NDArray
 
 import lightmatrix as lm
-from lightmatrix.diagnosis.counts import missing_places
+from lightmatrix.diagnosis.frame_order import missing_places
 from lightmatrix.diagnosis.inverse_pairs import Pairs, PairSums
 from lightmatrix.diagnosis.survey import Survey
 from lightmatrix.patterns.bits import BernoulliPatterns
@@ -32,6 +32,8 @@ def gray_code() -> ImagePatterns:
 
 
 PATTERNS = gray_code()
+
+
 K = PATTERNS.count
 
 
@@ -166,24 +168,6 @@ def test_oddness_is_the_relative_deviation_of_the_sum() -> None:
     assert sums(values, clipped).odd == [(4, 5)]
 
 
-def test_gains_are_measured_where_the_frame_is_lit() -> None:
-    values = pairs_of(rows=60)
-    values[:, 4] *= 1.1
-    assert sums(values).gain(4, 5) == pytest.approx(0.1, abs=1e-6)
-    assert sums(values).gain(0, 1) == pytest.approx(0, abs=1e-6)
-    lit = np.flatnonzero(values[:, 0] > 0.5)
-    values[:, 0] *= 1.2
-    assert sums(values[lit[:20]]).gain(0, 1) == pytest.approx(0.2, abs=1e-6)
-    assert sums(values[lit[:19]]).gain(0, 1) == 0
-    clipped = np.zeros(values.shape, bool)
-    clipped[lit[:-19], 0] = True
-    assert sums(values, clipped).gain(0, 1) == 0
-    # Half lit is not lit.
-    half = np.full((60, 12), 0.5)
-    half[:, 0] = 0.6
-    assert sums(half).gain(0, 1) == 0
-
-
 @pytest.mark.parametrize(("light", "black"), [(0.02, True), (0.06, True), (0.1, False)])
 def test_black_frames_are_dark_beside_their_partner(light: float, black: bool) -> None:
     values = pairs_of()
@@ -191,11 +175,3 @@ def test_black_frames_are_dark_beside_their_partner(light: float, black: bool) -
     made = sums(values)
     assert made.black_frame((4, 5)) == (5 if black else None)
     assert made.black_frame((0, 1)) is None
-
-
-def test_a_dark_frame_beside_a_bright_one_is_no_black_frame() -> None:
-    values = pairs_of()
-    values[:, 4], values[:, 5] = 0.99, 0.01
-    assert sums(values).black_frame((4, 5)) == 5
-    values[:, 4], values[:, 5] = 0.1, 0.05
-    assert sums(values).black_frame((4, 5)) is None

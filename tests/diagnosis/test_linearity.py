@@ -1,4 +1,4 @@
-"""The gamma of photographs is measured, and linear ones are left alone."""
+"""The gammas of photographs and grey patterns are measured, and linear ones are left alone."""
 
 from __future__ import annotations
 
@@ -10,22 +10,19 @@ import pytest
 import lightmatrix as lm
 from benchmarks import frame_checks
 from benchmarks.synthetic_captures import draw
-from lightmatrix.camera.camera_curve import Response
-from lightmatrix.diagnosis import linearity
 from lightmatrix.diagnosis.finding import Finding
-from lightmatrix.diagnosis.linearity import check_linearity, is_certain
-from lightmatrix.diagnosis.responses.bend import GammaBend
-from lightmatrix.diagnosis.responses.from_windows import (
+from lightmatrix.diagnosis.linearity import (
     WindowPower,
+    check_linearity,
     power_from_windows,
-    varied_rows,
 )
-from lightmatrix.diagnosis.responses.trace import Rows, solve_bends
 from lightmatrix.diagnosis.survey import Survey
 from lightmatrix.patterns.bits import BernoulliPatterns
 from tests.helpers.surface import PROJECTOR, photographs
 
 K = 32
+
+
 PATTERNS = BernoulliPatterns(PROJECTOR, K)
 
 
@@ -55,7 +52,7 @@ def test_the_gamma_is_measured_with_its_uncertainty(gamma: float) -> None:
     measured, uncertainty = number(finding)
     assert measured == pytest.approx(gamma, rel=0.04)
     assert 0 < uncertainty < 0.1 * gamma
-    assert "--response auto" in finding.advice
+    assert 'response="auto"' in finding.advice
 
 
 @pytest.mark.parametrize("power", [1.5, 1.8, 2.5])
@@ -79,18 +76,6 @@ def test_a_search_that_settles_where_nothing_is_predicted_is_no_finding() -> Non
         )
         taken = Survey.take(capture.patterns, capture.frames, capture.decoder)
         assert found(taken) == []
-
-
-@pytest.mark.parametrize(
-    ("missed", "told"),
-    [((0.3, 0.29), False), ((0.3, 0.26), True), ((0.09, 0.09), True), ((0.11, 0.104), False)],
-)
-def test_a_power_under_which_as_much_is_missed_is_no_finding(
-    monkeypatch: pytest.MonkeyPatch, missed: tuple[float, float], told: bool
-) -> None:
-    power = WindowPower(1.4, 0.01, settled=True, missed=missed)
-    monkeypatch.setattr(linearity, "power_from_windows", lambda *_: power)
-    assert bool(found(survey(1.0))) == told
 
 
 @pytest.mark.parametrize(("scene", "patterns"), [("speckle", "random"), ("broad", "few")])
@@ -120,16 +105,6 @@ def test_few_rows_reveal_nothing() -> None:
     taken.valid[rows[19:]] = False
     assert power_from_windows(taken, np.zeros(K, bool)) is None
     assert found(taken) == []
-
-
-def test_rows_vary_much_and_clip_little() -> None:
-    taken = survey(1.0, exposure=1.3)
-    chosen, known = varied_rows(taken, 40), taken.statistics
-    assert len(chosen) == 40
-    assert (np.diff(chosen) > 0).all()
-    assert taken.inner[chosen].all()
-    assert known.clipped[chosen].max() <= 0.3
-    assert known.spread[chosen].min() >= 0.1 * known.spread.max()
 
 
 def test_a_pattern_that_is_shown_again_tells_nothing_new() -> None:
@@ -165,24 +140,65 @@ def test_rows_of_which_many_samples_clip_are_no_curve(seed: int | None) -> None:
     assert scene.check(scene.frames()) == []
 
 
-def test_few_samples_that_are_left_ask_for_a_larger_margin() -> None:
-    power = WindowPower(1.3, 0.02, settled=True, missed=(0.05, 0.04), freedom=18.0)
-    assert is_certain(power, K, steady=True)
-    assert not is_certain(replace(power, freedom=8.0), K, steady=True)
-    # However few are left, a display's gamma can be told under as many patterns.
-    assert is_certain(replace(power, power=2.2, freedom=-1.0), K, steady=True)
+GREY = np.rint(255 * np.random.default_rng(3).random((K, *PROJECTOR))) / 255
 
 
-def test_rows_of_no_weight_do_not_count() -> None:
-    generator = np.random.default_rng(0)
-    light = generator.uniform(0.1, 0.9, (40, K))
-    columns = np.stack([np.ones_like(light), light**1.2], axis=2)
-    usable, part = np.ones(light.shape, bool), np.arange(40) % 8
-    rows = Rows(light, light, np.zeros_like(light), usable, columns, part)
-    some = np.arange(40) >= 10
-    weighted = solve_bends(replace(rows, weight=np.where(some, 3.0, 0.0)), Response(), GammaBend())
-    chosen = solve_bends(rows.select(some), Response(), GammaBend())
-    assert weighted is not None
-    assert chosen is not None
-    np.testing.assert_allclose(weighted.sizes, chosen.sizes)
-    np.testing.assert_allclose(weighted.errors, chosen.errors)
+def findings(camera: float, projector: float) -> list[lm.Finding]:
+    """What is wrong with photographs by a camera and a projector of these gammas."""
+    light = photographs(lm.ImagePatterns((GREY**projector).astype(np.float32)), noise=0.001) / 255
+    frames = np.rint(255 * light ** (1 / camera)).astype(np.uint8)
+    decoder = lm.Decoder(clip=255, full_scale=255)
+    greys = lm.ImagePatterns(GREY.astype(np.float32))
+    return lm.check(lm.Capture.from_arrays(greys, frames, decoder))
+
+
+def stated(finding: lm.Finding) -> tuple[float, float]:
+    """The gamma that a finding states, and its uncertainty."""
+    words = finding.message.split()
+    return float(words[-3]), float(words[-1])
+
+
+@pytest.mark.parametrize("gamma", [0.7, 1.1, 2.2])
+def test_the_gamma_of_the_projector_is_stated_with_its_uncertainty(gamma: float) -> None:
+    (finding,) = findings(1.0, gamma)
+    assert finding.kind == "projector"
+    measured, uncertainty = stated(finding)
+    assert abs(measured - gamma) <= max(uncertainty, 0.01 * gamma)
+    assert uncertainty < 0.05 * gamma
+    assert 'projector_response="auto"' in finding.advice
+
+
+def test_the_gamma_of_the_camera_is_not_taken_for_that_of_the_projector() -> None:
+    (finding,) = findings(2.2, 1.0)
+    assert finding.kind == "response"
+    assert stated(finding)[0] == pytest.approx(2.2, rel=0.03)
+
+
+def test_where_both_are_bent_no_number_is_stated() -> None:
+    both = findings(2.2, 1.8)
+    assert {each.kind for each in both} == {"response", "projector"}
+    assert all("both gammas at once" in each.advice and "+-" not in each.message for each in both)
+
+
+def test_linear_light_is_left_alone() -> None:
+    assert findings(1.0, 1.0) == []
+
+
+@pytest.mark.parametrize("scene", ["wall", "broad", "speckle"])
+def test_intact_captures_of_grey_patterns_are_not_accused(scene: str) -> None:
+    capture = draw(scene, "grey", "intact", 32, 0).capture
+    kinds = {each.kind for each in lm.check(capture)}
+    assert not kinds & {"response", "projector"}
+
+
+def test_means_of_blocks_are_light() -> None:
+    patterns = lm.BernoulliPatterns(PROJECTOR, K)
+    decoder = lm.Decoder(clip=255, full_scale=255)
+    capture = lm.Capture.from_arrays(patterns, photographs(patterns, noise=0.001), decoder)
+    assert lm.check(capture.bin(projector=2)) == []
+
+
+def test_rows_without_usable_samples_are_passed_over() -> None:
+    # At the usual exposure, of some rows no prediction can be compared with a sample.
+    greys = np.random.default_rng(0).random((40, 64, 64), np.float32)
+    assert lm.check(lm.simulate("l_objects", lm.ImagePatterns(greys))) == []

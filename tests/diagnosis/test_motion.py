@@ -2,22 +2,23 @@
 
 from __future__ import annotations
 
-from types import SimpleNamespace
-
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
 import lightmatrix as lm
 from lightmatrix.diagnosis import motion
-from lightmatrix.diagnosis.image_shift import describe_shift, find_shift
-from lightmatrix.diagnosis.motion import _Follower, check_motion
+from lightmatrix.diagnosis.motion import check_motion, describe_shift, find_shift
 from lightmatrix.diagnosis.survey import Survey, high_variance_rows
 from lightmatrix.patterns.bits import BernoulliPatterns
 from tests.helpers.surface import PROJECTOR, photographs
 
 K = 24
+
+
 PATTERNS = BernoulliPatterns(PROJECTOR, K)
+
+
 DECODER = lm.Decoder(clip=255, full_scale=255)
 
 
@@ -53,16 +54,6 @@ def test_the_shift_and_its_frame_are_measured(shift: tuple[int, int], words: str
     assert message.endswith(f"camera pixels away ({words})")
 
 
-@pytest.mark.parametrize("start", [9, 14])
-def test_the_frame_is_found_from_few_places(start: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(motion, "_PLACES", 4)
-    monkeypatch.setattr(motion, "_ROWS", 40)
-    frames = photographs(PATTERNS)
-    frames[start:] = np.roll(frames[start:], 2, axis=2)
-    ((first, _),) = found(frames)
-    assert abs(first - start) <= 1
-
-
 def test_still_frames_and_short_captures_have_no_motion() -> None:
     assert found(photographs(PATTERNS)) == []
     few = BernoulliPatterns(PROJECTOR, 8)
@@ -88,14 +79,10 @@ def test_scenes_without_outlines(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(motion, "find_shift", lambda *_: None)
     frames = photographs(PATTERNS)
     frames[12:] = np.roll(frames[12:], -1, axis=2)
-    work = 4 * 30 * K * PATTERNS.pixels * 8 * 3
     monkeypatch.setattr(motion, "MARGIN", 1)
-    monkeypatch.setattr(motion, "_MOST_WORK", work)
     ((start, message),) = found(frames)
     assert abs(start - 12) <= 1
     assert message.endswith("(1 left)")
-    monkeypatch.setattr(motion, "_MOST_WORK", work - 1)
-    assert found(frames) == []
 
 
 # ---- images
@@ -150,56 +137,3 @@ def test_words_for_shifts() -> None:
     assert describe_shift((3, -4)) == "about 5 camera pixels away (3 down, 4 left)"
     assert describe_shift((-1, 0)) == "about 1 camera pixels away (1 up)"
     assert describe_shift((0, 2)) == "about 2 camera pixels away (2 right)"
-
-
-# ---- when a shift is certain
-
-
-def follower(gain: float, spread: float, start: int = 10, rows: int = 100) -> _Follower:
-    """Rows whose miss falls by such gains if they follow a shift from frame `start` on."""
-    made = object.__new__(_Follower)
-    made.survey = SimpleNamespace(count=K)  # type: ignore[assignment]
-    gains = gain + spread * np.where(np.arange(rows) % 2, 1.0, -1.0)
-
-    def miss(shift: tuple[int, int] = (0, 0), late: int = 0) -> NDArray[np.float64]:
-        if shift == (0, 0) or late == 0:
-            return np.zeros(rows)
-        return -gains * max(0.0, 1 - 0.2 * abs(late - start))
-
-    made.miss = miss  # type: ignore[method-assign, assignment]
-    return made
-
-
-@pytest.mark.parametrize(
-    ("gain", "spread", "certain"),
-    [
-        (0.2, 0.01, True),
-        # Hardly better in the mean.
-        (0.12, 0.01, False),
-        # 5 standard errors, and 3.
-        (1.0, 2.0, True),
-        (1.0, 3.3, False),
-    ],
-)
-def test_followed_rows_must_be_predicted_better(gain: float, spread: float, certain: bool) -> None:
-    assert follower(gain, spread).first_shifted((0, 1)) == (10 if certain else None)
-
-
-@pytest.mark.parametrize("start", [3, 4, 12, 20, 21])
-def test_the_first_shifted_frame_is_where_rows_are_predicted_best(start: int) -> None:
-    assert follower(0.5, 0.01, start).first_shifted((0, 1)) == start
-
-
-def test_either_side_of_a_motion_has_three_frames() -> None:
-    assert follower(0.5, 0.01, 1).first_shifted((0, 1)) == 3
-    assert follower(0.5, 0.01, 23).first_shifted((0, 1)) == 21
-
-
-def test_images_without_outlines_tell_no_shift() -> None:
-    taken = survey(photographs(PATTERNS))
-    shifts = []
-    for seed in range(400):
-        noise = np.random.default_rng(seed).normal(0.5, 0.003, (2, len(taken.raw)))
-        shifts.append(find_shift(taken, *noise.astype(np.float32)))
-    # By the whole image alone, 16 of them show one.
-    assert shifts.count(None) >= 392

@@ -7,11 +7,12 @@ import pytest
 
 import lightmatrix as lm
 from lightmatrix.diagnosis import prediction
-from lightmatrix.diagnosis.prediction import FramePrediction, find_places, predict
-from lightmatrix.diagnosis.pursuit import column_scale
+from lightmatrix.diagnosis.prediction import find_places, predict
 from lightmatrix.patterns.bits import BernoulliPatterns
 
 K, SHAPE = 80, (12, 14)
+
+
 PATTERNS = BernoulliPatterns(SHAPE, K)
 
 
@@ -105,84 +106,9 @@ def test_fits_follow_their_definition_for_fewer_and_more_frames_than_columns(fra
             np.testing.assert_allclose(own, np.diag(hat), rtol=1e-8)
 
 
-def test_rows_know_the_part_of_the_projector_that_they_follow() -> None:
-    made = predict(PATTERNS, samples([(0, 0), (1, 1), (11, 8), (0, 8)]))
-    down, right = -(-SHAPE[0] // 4), -(-SHAPE[1] // 4)
-    row, col = np.divmod(made.places[0], SHAPE[1])
-    np.testing.assert_array_equal(made.part, row // down * 4 + col // right)
-    assert made.part[0] == made.part[1]
-    assert len(set(made.part.tolist())) == 3
-    assert made.rows(np.array([2])).part == made.part[2]
-
-
-def test_rows_in_chunks_are_predicted_alike(monkeypatch: pytest.MonkeyPatch) -> None:
-    seen = samples([(3, 4), (8, 2), (5, 5)], noise=0.05)
-    whole = predict(PATTERNS, seen)
-    monkeypatch.setattr(prediction, "_COLUMN_BYTES", 8 * 100 * K)
-    parts = predict(PATTERNS, seen)
-    np.testing.assert_allclose(whole.expected, parts.expected)
-    np.testing.assert_allclose(whole.miss, parts.miss)
-
-
-def test_few_frames_explain_the_rest(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(prediction, "_MOST_FRAMES", 60)
-    seen = samples([(3, 4)])
-    learned = np.random.default_rng(0).permutation(K)[:60]
-    others = np.setdiff1d(np.arange(K), learned)
-    made = predict(PATTERNS, seen)
-    spoilt = seen.values.copy()
-    spoilt[0, others] += 1
-    again = predict(PATTERNS, lm.Samples(spoilt, seen.clipped, seen.clip_level), made.places)
-    np.testing.assert_allclose(made.expected, again.expected)
-
-
 def test_samples_near_the_clip_level_are_not_trusted() -> None:
     seen = samples([(3, 4)], noise=0.02, top=1.2)
     made = predict(PATTERNS, seen)
     assert not made.trusted[seen.clipped].any()
     usual = np.sqrt(made.miss * seen.values.var(axis=1))[:, None]
     np.testing.assert_array_equal(made.trusted, ~seen.clipped & (made.expected < 1.2 - 3 * usual))
-
-
-def test_patterns_of_one_mean_are_no_problem() -> None:
-    images = PATTERNS.images()[:40]
-    equal = lm.ImagePatterns(np.concatenate([images, images[:, :, ::-1], images[:, ::-1]], axis=2))
-    means = equal.means[:, None, None]
-    equal = lm.ImagePatterns((0.4 * equal.stack / means).astype(np.float32))
-    light = equal.columns(np.array([50])).T
-    made = predict(equal, lm.Samples(light, light > 9, np.full(40, 9.0)))
-    assert np.isfinite(made.expected).all()
-
-
-def test_rows_that_can_be_predicted() -> None:
-    trusted = np.ones((4, 10), bool)
-    trusted[2, :2], trusted[3, :3] = False, False
-    none = np.zeros((4, 10))
-    made = FramePrediction(none, none, trusted, np.array([0.35, 0.45, 0.1, 0.1]), (), np.arange(4))
-    assert made.predicted.tolist() == [True, False, True, False]
-
-
-def test_noise_is_the_median_deviation_of_trusted_samples() -> None:
-    observed = np.random.default_rng(0).standard_normal((3, 2000)) * [[1], [2], [0]]
-    trusted = np.ones(observed.shape, bool)
-    observed[:, :500], trusted[:, :500] = 99, False
-    made = FramePrediction(observed, 0 * observed, trusted, np.zeros(3), (), np.arange(3))
-    np.testing.assert_allclose(made.noise[:, 0], [1, 2, 0], rtol=0.05, atol=1e-8)
-
-
-def test_parts_of_a_prediction() -> None:
-    made = predict(PATTERNS, samples([(3, 4), (8, 2), (5, 5)], noise=0.05))
-    some = made.rows(np.array([2, 0])).frames(np.array([5, 1]))
-    np.testing.assert_array_equal(some.expected, made.expected[[2, 0]][:, [5, 1]])
-    np.testing.assert_array_equal(some.observed, made.observed[[2, 0]][:, [5, 1]])
-    np.testing.assert_array_equal(some.trusted, made.trusted[[2, 0]][:, [5, 1]])
-    np.testing.assert_array_equal(some.miss, made.miss[[2, 0]])
-    assert some.places[1].tolist() == made.places[1][[2, 0]].tolist()
-
-
-def test_the_scale_of_projector_pixels() -> None:
-    images = PATTERNS.images().copy()
-    images[:, 0, 0] = 1
-    scale = column_scale(lm.ImagePatterns(images))
-    assert scale[0] == 0
-    np.testing.assert_allclose(scale[1:], 1 / images.reshape(K, -1).std(axis=0)[1:], rtol=1e-5)

@@ -15,8 +15,8 @@ import pytest
 from numpy.typing import NDArray
 
 import lightmatrix as lm
-from lightmatrix.diagnosis.counts import missing_places
 from lightmatrix.diagnosis.finding import KINDS
+from lightmatrix.diagnosis.frame_order import missing_places
 from lightmatrix.diagnosis.inverse_pairs import Pairs
 from lightmatrix.diagnosis.survey import Survey
 from lightmatrix.files.images import decode_image, encode_image

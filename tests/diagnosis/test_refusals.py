@@ -107,7 +107,7 @@ def test_only_disorder_is_refused() -> None:
     wrong = Finding("order", (1, 2), "frame 1 and frame 2 look swapped", "swap them")
     with pytest.raises(lm.InputError, match="look swapped") as caught:
         refuse_disorder([other, wrong])
-    assert caught.value.hint == "swap them; --no-check takes them as they are"
+    assert caught.value.hint == "swap them; check=False takes them as they are"
 
 
 def test_bits_are_patterns_too() -> None:

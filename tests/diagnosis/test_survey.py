@@ -75,14 +75,6 @@ def test_cropped_frames_keep_the_blocks_of_jpeg() -> None:
     np.testing.assert_array_equal(taken.raw[0], frames[:, 8, 8])
 
 
-def test_small_crops_are_looked_at_whole() -> None:
-    capture = lm.Capture.from_arrays(
-        BernoulliPatterns((4, 4), K), random_frames(60, 70), lm.Decoder(clip=255, full_scale=255)
-    ).crop((3, 5), (40, 50))
-    taken = Survey.take(capture.patterns, capture.frames, capture.decoder, capture.mask)
-    assert taken.grid == (1, 40, 50, 1)
-
-
 def test_statistics() -> None:
     frames = random_frames(10, 10)
     frames[:, 0, 0] = [255, 255, 255, *[10] * 8, 20]
@@ -119,17 +111,6 @@ def test_masked_hot_and_dark_samples_do_not_count() -> None:
     assert tile.values[24].any()
 
 
-def test_neighbours_and_the_margin() -> None:
-    taken = survey(random_frames(12, 15, 3))
-    inner = taken.inner.reshape(12, 15, 3)
-    assert inner[4:8, 4:11].all()
-    assert inner.sum() == 4 * 7 * 3
-    row = np.ravel_multi_index((5, 6, 2), (12, 15, 3))
-    assert taken.neighbour(np.array([row]), (2, -3))[0] == np.ravel_multi_index(
-        (7, 3, 2), (12, 15, 3)
-    )
-
-
 def test_frames_can_be_selected_with_their_exposures() -> None:
     exposure = np.linspace(0.1, 1, K)
     frames = random_frames(10, 10)
@@ -156,32 +137,3 @@ def test_rows_vary_much_and_clip_little() -> None:
     assert 10 not in chosen
     assert 11 in chosen
     assert spread > 50
-
-
-def test_rows_that_clip_are_used_last(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(surveys, "_WORK", 0)
-    frames = random_frames(30, 30)
-    # Clipped in 1, 2, 4 and 7 of 12 frames; 44 of the inner pixels never.
-    frames[:1, 6:] = 255
-    frames[:2, 10:] = 255
-    frames[:4, 14:] = 255
-    frames[:7, 20:] = 255
-    rows = high_variance_rows(survey(frames)) // 30
-    assert len(rows) == 40
-    assert rows.max() < 6
-    frames[:, :5, :20] = 0
-    rows = high_variance_rows(survey(frames)) // 30
-    # 24 + 2 that never clip, and of the next ones as many as are missing.
-    assert len(rows) == 40
-    assert (rows < 6).sum() == 28
-    assert (rows >= 10).sum() == 0
-    frames[:, :20] = 0
-    assert high_variance_rows(survey(frames)).size == 0
-
-
-def test_the_number_of_rows_is_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
-    frames = random_frames(60, 60)
-    assert len(high_variance_rows(survey(frames))) == 600
-    monkeypatch.setattr(surveys, "_WORK", 100 * K * 16)
-    assert len(high_variance_rows(survey(frames))) == 100
-    assert high_variance_rows(survey(np.full((K, 20, 20), 7, np.uint8))).size == 0

@@ -37,10 +37,9 @@ from lightmatrix import store
 from lightmatrix.capture.capture import Capture
 from lightmatrix.estimators.coherent import schedule
 from lightmatrix.estimators.coherent.estimator import WINDOWS, CoherentEstimator
-from lightmatrix.estimators.workers.startup import dask_pool
+from lightmatrix.estimators.workers.pool import dask_pool
 from lightmatrix.patterns.bits import BernoulliPatterns
-from lightmatrix.simulation.procedural_capture import simulate_procedural
-from lightmatrix.simulation.procedural_scene import ProceduralScene
+from lightmatrix.simulation.procedural import ProceduralScene, simulate_procedural
 
 # Half widths of the windows, sides of camera and projector, patterns.
 LARGER = (WINDOWS, 48, 40, 32)

@@ -24,7 +24,7 @@ from lightmatrix.evaluation.metrics import relative_error
 from lightmatrix.patterns.bits import BernoulliPatterns
 from lightmatrix.patterns.pattern_set import PatternSet
 from lightmatrix.simulation.irradiance import irradiance
-from lightmatrix.simulation.procedural_scene import ProceduralScene
+from lightmatrix.simulation.procedural import ProceduralScene
 from lightmatrix.solvers import ActiveSet
 from lightmatrix.solvers.regularization import default_regularization
 

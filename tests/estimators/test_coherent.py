@@ -22,7 +22,7 @@ from lightmatrix.evaluation.metrics import relative_error, unclipped_rows
 from lightmatrix.patterns.bits import BernoulliPatterns
 from lightmatrix.simulation import library
 from lightmatrix.simulation.irradiance import irradiance
-from lightmatrix.simulation.procedural_scene import ProceduralScene
+from lightmatrix.simulation.procedural import ProceduralScene
 from lightmatrix.simulation.truth import Truth
 from lightmatrix.solvers import ActiveSet
 from lightmatrix.transport.matrix import LightTransport

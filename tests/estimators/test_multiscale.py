@@ -24,7 +24,7 @@ from lightmatrix.patterns.bits import BernoulliPatterns
 from lightmatrix.patterns.hadamard import HadamardPatterns
 from lightmatrix.patterns.pattern_set import ImagePatterns
 from lightmatrix.simulation.irradiance import irradiance
-from lightmatrix.simulation.procedural_scene import ProceduralScene
+from lightmatrix.simulation.procedural import ProceduralScene
 from lightmatrix.simulation.truth import Truth
 from lightmatrix.solvers import (
     ADMM,

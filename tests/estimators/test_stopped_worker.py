@@ -10,14 +10,14 @@ import numpy as np
 import pytest
 
 import lightmatrix as lm
-from lightmatrix.estimators.workers import startup
+from lightmatrix.estimators.workers import pool as pool_module
 
 pytest.importorskip("distributed")
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="Windows does not stop processes")
 def test_the_tiles_of_a_stopped_worker_go_to_others(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(startup, "SILENT_TOO_LONG", 5.0)
+    monkeypatch.setattr(pool_module, "SILENT_TOO_LONG", 5.0)
     truth = lm.ProceduralScene((24, 22), (24, 24)).truth()
     capture = lm.simulate(truth, lm.BernoulliPatterns((24, 24), 48), exposure=0.5)
     settings = lm.EstimateSettings(workers=2, coherent=False)

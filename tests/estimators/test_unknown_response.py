@@ -12,15 +12,16 @@ from PIL import Image
 
 import lightmatrix as lm
 from experiments.responses import photographed
-from lightmatrix.diagnosis.responses.bend import (
+from lightmatrix.diagnosis.curves import (
     GammaBend,
     SmoothBends,
     exponent,
+    largest_difference,
     points,
     raised,
+    with_response,
 )
-from lightmatrix.diagnosis.responses.found import largest_difference, with_response
-from lightmatrix.diagnosis.responses.from_windows import WindowPower
+from lightmatrix.diagnosis.linearity import WindowPower
 from lightmatrix.estimators import unknown_response
 from lightmatrix.estimators.camera_window import window_of_levels
 from lightmatrix.estimators.unknown_response import refined_response

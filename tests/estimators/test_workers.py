@@ -7,7 +7,6 @@ import pickle
 import signal
 import subprocess
 import sys
-import time
 import warnings
 from collections.abc import Callable, Iterator
 from contextlib import nullcontext
@@ -32,8 +31,8 @@ from lightmatrix.estimators.coherent.estimator import CoherentEstimator
 from lightmatrix.estimators.multiscale import MultiScaleEstimator
 from lightmatrix.estimators.plain import PlainEstimator
 from lightmatrix.estimators.work import LEAST_TILE, cut_rows
-from lightmatrix.estimators.workers import pickling, pool, startup
-from lightmatrix.estimators.workers.startup import dask_pool
+from lightmatrix.estimators.workers import pool, worker
+from lightmatrix.estimators.workers.pool import dask_pool
 from lightmatrix.solvers import ActiveSet
 from lightmatrix.transport.matrix import LightTransport
 from tests.helpers.systems import SIGNALS
@@ -156,39 +155,11 @@ def test_a_worker_that_dies_costs_its_tile_only(
     assert os.listdir(tmp_path) == ["s.zarr"]
 
 
-@SIGNALS
-def test_a_tile_whose_worker_dies_before_its_status_is_read_ends_later(
-    cluster: Any, tmp_path: Path
-) -> None:
-    solved_once, goes_on = tmp_path / "solved", tmp_path / "goes-on"
-    with dask_pool(cluster=cluster.scheduler_address) as workers:
-
-        def solve() -> int:
-            # The second worker waits until the test has looked.
-            while solved_once.exists() and not goes_on.exists():
-                time.sleep(0.01)
-            solved_once.touch()
-            return os.getpid()
-
-        tile = workers.client.submit(solve, pure=False)
-        os.kill(tile.result(), signal.SIGKILL)
-        deadline = time.monotonic() + 30
-        while tile.status != "lost" and time.monotonic() < deadline:
-            time.sleep(0.01)
-        other = workers.client.submit(int, pure=False)
-        assert other.result() == 0
-        assert dict(workers._ended({tile: (0, 1), other: (1, 2)})) == {other: "finished"}
-        goes_on.touch()
-        while not (ended := dict(workers._ended({tile: (0, 1)}))):
-            assert time.monotonic() < deadline
-        assert ended == {tile: "finished"}
-
-
 KILLED = """
 import os, pathlib, signal, sys
 import lightmatrix as lm
 from tests.estimators.test_workers import ESTIMATORS
-from lightmatrix.estimators.workers.startup import dask_pool
+from lightmatrix.estimators.workers.pool import dask_pool
 capture = lm.Capture.open(sys.argv[1])
 kill = lambda done, total: done > total / 2 and os.kill(os.getpid(), signal.SIGKILL)
 with dask_pool(cluster=sys.argv[2]) as workers:
@@ -281,14 +252,14 @@ def refused(address: str, capture: lm.Capture, output: Path) -> ClusterError:
 def test_a_scheduler_that_does_not_answer(
     address: str, capture: lm.Capture, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(startup, "SCHEDULER_TIMEOUT", 0.5)
+    monkeypatch.setattr(pool, "SCHEDULER_TIMEOUT", 0.5)
     assert "no scheduler of Dask answers" in str(refused(address, capture, tmp_path / "s.zarr"))
 
 
 def test_workers_of_another_version(
     capture: lm.Capture, cluster: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(startup, "versions", lambda: {"lightmatrix": "9.1", "numpy": "3.2"})
+    monkeypatch.setattr(pool, "versions", lambda: {"lightmatrix": "9.1", "numpy": "3.2"})
     message = str(refused(cluster.scheduler_address, capture, tmp_path / "s.zarr"))
     assert f"lightmatrix {lm.__version__}, not 9.1" in message
     assert f"numpy {np.__version__}, not 3.2" in message
@@ -300,7 +271,7 @@ def test_workers_without_the_package(
     module = ModuleType("of_another_machine")
     exec("def about(dask_worker): return {}", module.__dict__)
     monkeypatch.setitem(sys.modules, module.__name__, module)
-    monkeypatch.setattr(startup, "describe_worker", module.about)
+    monkeypatch.setattr(pool, "describe_worker", module.about)
     message = str(refused(cluster.scheduler_address, capture, tmp_path / "s.zarr"))
     assert "does not have this version of lightmatrix" in message
 
@@ -361,9 +332,9 @@ def test_settings_that_exclude_one_another(
 
 def test_machines_without_the_memory_for_all_their_workers() -> None:
     facts = [{"host": "a", "available": 3 << 30}, {"host": "b", "available": 9 << 30}]
-    startup._check_memory(facts, 2 << 30)
+    pool._check_memory(facts, 2 << 30)
     with pytest.raises(ClusterError, match="a: 2 workers take about 4 GiB of memory, 3 GiB"):
-        startup._check_memory([*facts, facts[0]], 2 << 30)
+        pool._check_memory([*facts, facts[0]], 2 << 30)
 
 
 def test_workers_share_memory_and_threads(
@@ -374,7 +345,7 @@ def test_workers_share_memory_and_threads(
     assert two.memory == 2 * one.memory
     assert "(2 workers)" in str(two)
     monkeypatch.setenv("RAYON_NUM_THREADS", "8")
-    assert [startup.threads_each(workers) for workers in (1, 3, 16)] == [8, 2, 1]
+    assert [pool.threads_each(workers) for workers in (1, 3, 16)] == [8, 2, 1]
 
 
 def test_workers_started_here_have_their_threads_and_the_usual_malloc(
@@ -386,11 +357,11 @@ def test_workers_started_here_have_their_threads_and_the_usual_malloc(
     # Other tests start workers through Dask, which sets the variable.
     monkeypatch.delenv("MALLOC_TRIM_THRESHOLD_", raising=False)
     # Dask leaves variables of its own.
-    names = [*startup._THREADS, "MALLOC_TRIM_THRESHOLD_"]
+    names = [*pool._THREADS, "MALLOC_TRIM_THRESHOLD_"]
     before = [os.environ.get(name) for name in names]
     with dask_pool(1) as workers:
         (there,) = workers.client.run(lambda: dict(os.environ)).values()
-    assert [there[name] for name in startup._THREADS] == ["2"] * 4
+    assert [there[name] for name in pool._THREADS] == ["2"] * 4
     assert "MALLOC_TRIM_THRESHOLD_" not in there
     assert [os.environ.get(name) for name in names] == before
 
@@ -422,7 +393,7 @@ def test_workers_do_not_import_the_script_that_starts_them(monkeypatch: pytest.M
     def script_keys(name: str) -> set[str]:
         return {key for key in spawn.get_preparation_data(name) if key.startswith("init_main")}
 
-    with startup._without_script():
+    with pool._without_script():
         assert not script_keys("Dask Worker process (from Nanny)")
         assert script_keys("another's")
     assert script_keys("Dask Worker process (from Nanny)")
@@ -439,16 +410,16 @@ def test_a_packed_estimate_leaves_cached_values_behind(
     plan = ESTIMATORS["plain"].plan(near)
     assert near.digest
     assert near.patterns.prepared
-    data = pickling.pack_work(plan.work)
+    data = worker.pack_work(plan.work)
     assert len(data) < 20_000
     monkeypatch.chdir("/")
-    there = pickling.unpack_work(data)
+    there = worker.unpack_work(data)
     assert "digest" not in vars(there.capture)
     assert there.capture.digest == near.digest
     solver = type("Local", (ActiveSet,), {})()
     own = replace(ESTIMATORS["plain"], solver=solver).plan(capture)
     with pytest.raises(InputError, match="cannot be sent to workers"):
-        pickling.pack_work(own.work)
+        worker.pack_work(own.work)
 
 
 def test_errors_keep_their_hints_on_their_way() -> None:

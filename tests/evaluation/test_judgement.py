@@ -13,7 +13,7 @@ from benchmarks import synthetic_captures
 from benchmarks.synthetic_captures import draw
 from lightmatrix.evaluation.judgement import Level, OwnError, Verdict, verdict
 from lightmatrix.evaluation.metrics import relative_error
-from lightmatrix.simulation.procedural_scene import ProceduralScene
+from lightmatrix.simulation.procedural import ProceduralScene
 from tests.helpers.transports import random_transport
 
 SIZE = (16, 16)

@@ -16,9 +16,9 @@ from experiments.rigs import rig_capture, rig_truth
 from experiments.uses import compensation_rows, separation_rows
 from lightmatrix.estimators.coherent.estimator import CoherentEstimator
 from lightmatrix.evaluation.metrics import relative_error
+from lightmatrix.shape.shape import Shape
 from lightmatrix.simulation import library
 from lightmatrix.simulation.other_cameras import seen
-from lightmatrix.uses.shape import Shape
 
 pytestmark = pytest.mark.usefixtures("small_scenes")
 SMALL = few_patterns.Case("gripper", "coherent", 64, 0, size=(32, 32))

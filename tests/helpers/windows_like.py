@@ -130,7 +130,7 @@ def main(folder: str) -> None:
     """Write every kind of output, and replace it."""
     pretend()
     from lightmatrix.cli import main as run
-    from lightmatrix.simulation.procedural_scene import ProceduralScene
+    from lightmatrix.simulation.procedural import ProceduralScene
 
     os.chdir(folder)
     for seed in range(2):

@@ -14,7 +14,7 @@ from lightmatrix.live.devices.aravis import open_aravis
 from lightmatrix.live.devices.base import Address
 from lightmatrix.live.devices.window import open_window
 from lightmatrix.live.rig import Rig
-from lightmatrix.simulation.procedural_scene import ProceduralScene
+from lightmatrix.simulation.procedural import ProceduralScene
 
 from .conftest import SCREEN
 from .gige import UNIT_EXPOSURE, GigECamera, ScreenRig, needs_aravis

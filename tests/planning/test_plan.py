@@ -11,14 +11,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from benchmarks import plan_calibration
 from lightmatrix.cli import main
 from lightmatrix.errors import InputError
 from lightmatrix.files.images import write_image
 from lightmatrix.patterns.bits import BernoulliPatterns
 from lightmatrix.planning.exposure_advice import (
-    BRIGHT_SPOT_SHARE,
-    NOISE_LIMIT,
+    RULES,
     WhiteFrame,
     advise_density,
     advise_exposures,
@@ -28,8 +26,6 @@ from lightmatrix.planning.exposure_advice import (
 from lightmatrix.planning.plan import counts, expectations, frames_for, table
 from lightmatrix.simulation.irradiance import irradiance
 from lightmatrix.simulation.library import truth
-from lightmatrix.simulation.renderer import render
-from tests.helpers.renderer import needs_llvm
 
 
 def _white(levels: object, clipped: object = False) -> WhiteFrame:
@@ -50,9 +46,9 @@ def test_the_ladder_covers_the_scene_and_scales_with_it(
     assert sum(share for _, share in ladder) == pytest.approx(1)
     assert (np.diff(exposures) < 0).all()
     # The shortest clips no single response, the longest is quiet (or lights typical pixels fully).
-    assert (BRIGHT_SPOT_SHARE * levels * exposures[-1] > 1.01).mean() < 0.002
+    assert (RULES.bright_spot * levels * exposures[-1] > 1.01).mean() < 0.002
     assert single_clipped_share(white, ladder) < 0.002
-    quiet = noise <= 1.01 * NOISE_LIMIT * white.typical * exposures[0]
+    quiet = noise <= 1.01 * RULES.noise * white.typical * exposures[0]
     assert quiet or exposures[0] * white.typical >= 0.99
     other = [e for e, _ in advise_exposures(_white(3 * levels), noise)]
     np.testing.assert_allclose(3 * np.array(other), exposures, rtol=0.02)
@@ -140,21 +136,6 @@ def test_the_table_is_complete_and_improves_with_frames() -> None:
     assert min(e.relative_error[1] for e in expectations(few)) <= 0.05
 
 
-@needs_llvm
-def test_the_table_is_what_the_calibration_measures(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Two of its rows, on a scene rendered with 512 paths a pixel instead of 16,384."""
-    known = render("gripper", plan_calibration.SIZE, samples=512)
-    monkeypatch.setattr(plan_calibration, "truth", lambda scene, size: known)
-    for patterns, exposures in (("fine", "advised"), ("mix", "long")):
-        case: dict[str, Any] = {"estimator": "plain", "scene": "gripper", "frames": 64}
-        case |= {"patterns": patterns, "exposures": exposures, "density": 0.5}
-        (row,) = [r for r in table() if case.items() <= r.items()]
-        result = plan_calibration.run(**case)
-        for name in ("relative_error", "relighting_error", "clipped_share"):
-            # The noise of the rendering: 1 to 4.4 %.
-            assert result[name] == pytest.approx(row[name], rel=0.055, abs=2e-4)
-
-
 def test_advice_comes_true(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """The advised commands reach about the expected error, at a quarter of the size too."""
     assert main(["plan", "metal", "--size", "64", "--frames", "64", "--json"]) == 0
@@ -193,7 +174,7 @@ def test_a_photograph_is_read_with_its_black_and_clip(
     arguments = ["plan", str(tmp_path / "white.png"), "--clip", "4095", "--black", "16"]
     assert main([*arguments, "--json"]) == 0
     advice = json.loads(capsys.readouterr().out)
-    assert advice["exposures"][-1]["exposure"] == pytest.approx(4 / BRIGHT_SPOT_SHARE, rel=0.03)
+    assert advice["exposures"][-1]["exposure"] == pytest.approx(4 / RULES.bright_spot, rel=0.03)
     assert advice["projector"] == [128, 128]
     assert len(advice["exposure_of_frames"]) == advice["frames"]
     assert main([*arguments, "--size", "48x64", "-k", "40"]) == 0

@@ -17,7 +17,7 @@ import typer
 import lightmatrix as lm
 from lightmatrix.cli import main
 from lightmatrix.cli.app import STAGES, app
-from lightmatrix.simulation.procedural_scene import ProceduralScene
+from lightmatrix.simulation.procedural import ProceduralScene
 
 ROOT = Path(__file__).parents[2]
 

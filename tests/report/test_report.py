@@ -17,13 +17,14 @@ from playwright.sync_api import Browser
 
 import lightmatrix as lm
 from lightmatrix.cli import main
-from lightmatrix.pictures import maps
-from lightmatrix.report import image_data, validation
+from lightmatrix.report import elements
+from lightmatrix.report import facts as report_facts
+from lightmatrix.report import sections as uses
 from lightmatrix.report.facts import Facts
-from lightmatrix.report.recommendations import recommendations
-from lightmatrix.report.sections import uses
+from lightmatrix.report.make import recommendations
+from lightmatrix.show import maps
 from lightmatrix.simulation.binning import coarse
-from lightmatrix.simulation.procedural_scene import ProceduralScene
+from lightmatrix.simulation.procedural import ProceduralScene
 
 NOISE = 0.003
 
@@ -215,26 +216,26 @@ def test_pictures_stay_small_whatever_they_show() -> None:
     noise = np.random.default_rng(0).random((1000, 900, 3))
     errors = maps.error_map(noise[..., 0])
     pictures = (
-        image_data.photograph(noise, "noise", exact=True),
-        image_data.pattern_image(noise[..., 0], "noise"),
-        image_data.difference_image(noise - 0.5, 1, "noise", "noise"),
-        image_data.faint_image(noise[..., 0], "noise", "noise"),
-        image_data.image_of_map(errors),
+        elements.photograph(noise, "noise", exact=True),
+        elements.pattern_image(noise[..., 0], "noise"),
+        elements.difference_image(noise - 0.5, 1, "noise", "noise"),
+        elements.faint_image(noise[..., 0], "noise", "noise"),
+        elements.image_of_map(errors),
     )
     for picture in pictures:
         assert len(picture.source) < 150_000
-        assert max(picture.width, picture.height) <= image_data.MOST_PIXELS
-    thumbnail = image_data.photograph(noise, "noise", most=image_data.THUMB_PIXELS)
+        assert max(picture.width, picture.height) <= elements.MOST_PIXELS
+    thumbnail = elements.photograph(noise, "noise", most=elements.THUMB_PIXELS)
     assert len(thumbnail.source) < 8_000
 
 
 def test_small_differences_are_visible() -> None:
     """A scale that ends far above all of them would show an even grey."""
     small = 0.02 * np.random.default_rng(0).standard_normal((40, 40))
-    shown = image_data.difference_image(small, 0.01, "small", "small")
+    shown = elements.difference_image(small, 0.01, "small", "small")
     assert shown.scale is not None
     assert 0.04 < float(shown.scale.high) < 0.07
-    noise = image_data.difference_image(small / 100, 0.01, "noise", "noise")
+    noise = elements.difference_image(small / 100, 0.01, "noise", "noise")
     assert noise.scale is not None
     assert float(noise.scale.high) == pytest.approx(0.01)
 
@@ -256,8 +257,8 @@ class _Known:
 
 def test_the_second_estimate_does_not_see_the_frames(capture: lm.SimulatedCapture) -> None:
     estimator = _Known(capture.truth.transport())
-    tested = validation.validate(capture, estimator)
-    assert isinstance(tested, validation.Validation)
+    tested = report_facts.validate(capture, estimator)
+    assert isinstance(tested, report_facts.Validation)
     seen = estimator.seen[0]
     assert seen.count == capture.count - len(tested.frames) == tested.others
     for index in tested.frames:
@@ -269,8 +270,8 @@ def test_the_second_estimate_does_not_see_the_frames(capture: lm.SimulatedCaptur
     black = lm.LightTransport.from_matrix(
         0 * capture.truth.matrix, capture.camera_shape, capture.projector_shape
     )
-    nothing = validation.validate(capture, _Known(black))
-    assert isinstance(nothing, validation.Validation)
+    nothing = report_facts.validate(capture, _Known(black))
+    assert isinstance(nothing, report_facts.Validation)
     assert nothing.error == pytest.approx(1)
     assert tested.mean_error > 10 * tested.error
 
@@ -280,14 +281,14 @@ def test_an_estimate_that_needs_every_frame_is_not_tested(capture: lm.SimulatedC
         def estimate(self, capture: lm.Capture, *, progress: Any = None) -> lm.LightTransport:
             raise lm.InputError("too few patterns")
 
-    reason = validation.validate(capture, Refusing())
+    reason = report_facts.validate(capture, Refusing())
     assert reason == "the estimate is impossible without the unseen photographs (too few patterns)"
 
 
 def test_large_cameras_are_tested_on_a_part(
     capture: lm.SimulatedCapture, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(validation, "MOST_ROWS", 100)
+    monkeypatch.setattr(report_facts, "MOST_ROWS", 100)
     seen: list[lm.Capture] = []
 
     class Cropped:
@@ -295,8 +296,8 @@ def test_large_cameras_are_tested_on_a_part(
             seen.append(capture)
             return lm.estimate(capture, coherent=False, iterations=20)
 
-    tested = validation.validate(capture, Cropped())
-    assert isinstance(tested, validation.Validation)
+    tested = report_facts.validate(capture, Cropped())
+    assert isinstance(tested, report_facts.Validation)
     assert tested.region is not None
     rows, cols = tested.region
     whole = capture.samples().values.reshape(*capture.camera_shape, -1)[rows, cols]
@@ -319,9 +320,9 @@ def test_photographs_that_follow_from_others_are_not_predicted() -> None:
     twice = np.repeat(base, 8, axis=0)
     for patterns in (lm.ImagePatterns(gray), lm.ImagePatterns(twice)):
         simulated = lm.simulate(truth, patterns)
-        assert "whatever T is" in str(validation.validate(simulated, _Untouched()))
+        assert "whatever T is" in str(report_facts.validate(simulated, _Untouched()))
     few = lm.simulate(truth, lm.BernoulliPatterns((16, 16), 7))
-    assert validation.validate(few, _Untouched()) == "7 photographs are too few to hold any out"
+    assert report_facts.validate(few, _Untouched()) == "7 photographs are too few to hold any out"
 
 
 def test_what_explains_an_unseen_photograph_is_not_seen_either() -> None:
@@ -330,8 +331,8 @@ def test_what_explains_an_unseen_photograph_is_not_seen_either() -> None:
     pairs = lm.ImagePatterns(np.stack([base, 1 - base], axis=1).reshape(-1, 16, 16))
     capture = lm.simulate(truth, pairs)
     estimator = _Known(truth.transport())
-    tested = validation.validate(capture, estimator)
-    assert isinstance(tested, validation.Validation)
+    tested = report_facts.validate(capture, estimator)
+    assert isinstance(tested, report_facts.Validation)
     assert tested.others == estimator.seen[0].count == 32 - 2 * len(tested.frames)
     seen = np.stack([estimator.seen[0].frame(k) for k in range(tested.others)])
     unseen = np.stack([capture.frame(int(k) ^ 1) for k in tested.frames])
@@ -361,8 +362,8 @@ def test_each_problem_has_a_recommendation(
     assert "more than half of their samples" in advice(replace(estimate, diagnostics=often))
     dim = lm.simulate(capture.truth, capture.patterns, exposure=0.05)
     assert "times as long" in advice(estimate, dim)
-    tested = validation.validate(capture, _Known(estimate))
-    assert isinstance(tested, validation.Validation)
+    tested = report_facts.validate(capture, _Known(estimate))
+    assert isinstance(tested, report_facts.Validation)
     inaccurate = advice(estimate, validation=replace(tested, error=0.5))
     assert "unseen photographs: 50 %" in inaccurate
     assert "(80)" in inaccurate

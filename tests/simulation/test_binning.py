@@ -8,7 +8,7 @@ import pytest
 from lightmatrix.errors import InputError
 from lightmatrix.patterns.pattern_set import block_mean
 from lightmatrix.simulation.binning import binned, coarse
-from lightmatrix.simulation.procedural_scene import ProceduralScene
+from lightmatrix.simulation.procedural import ProceduralScene
 from lightmatrix.simulation.truth import Truth
 
 

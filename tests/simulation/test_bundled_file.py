@@ -13,8 +13,8 @@ from hypothesis import strategies as st
 
 from lightmatrix.errors import InputError
 from lightmatrix.simulation import library
-from lightmatrix.simulation.bundled_file import read_bundled, write_bundled
-from lightmatrix.simulation.procedural_scene import ProceduralScene
+from lightmatrix.simulation.library import read_bundled, write_bundled
+from lightmatrix.simulation.procedural import ProceduralScene
 from lightmatrix.simulation.truth import Truth
 
 

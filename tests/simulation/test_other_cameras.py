@@ -9,7 +9,7 @@ import pytest
 
 import lightmatrix as lm
 from lightmatrix.simulation.other_cameras import mapped, seen
-from lightmatrix.simulation.procedural_scene import ProceduralScene
+from lightmatrix.simulation.procedural import ProceduralScene
 from lightmatrix.simulation.scene_statistics import clipped_share, direct_share, entries_for_energy
 from lightmatrix.simulation.truth import Truth
 

@@ -13,8 +13,8 @@ import lightmatrix as lm
 from lightmatrix.capture import packing
 from lightmatrix.cli import main
 from lightmatrix.errors import InputError
-from lightmatrix.simulation import procedural_capture
-from lightmatrix.simulation.procedural_capture import scene_of
+from lightmatrix.simulation import procedural as procedural_capture
+from lightmatrix.simulation.procedural import scene_of
 
 SCENE = lm.ProceduralScene((13, 11), (8, 9), seed=2)
 PATTERNS = lm.BernoulliPatterns((8, 9), 40)

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from lightmatrix.errors import InputError
-from lightmatrix.simulation.procedural_scene import ProceduralScene
+from lightmatrix.simulation.procedural import ProceduralScene
 
 shapes = st.tuples(st.integers(1, 9), st.integers(1, 9))
 

@@ -9,7 +9,7 @@ from scipy.ndimage import gaussian_filter
 import lightmatrix as lm
 from lightmatrix.errors import InputError
 from lightmatrix.simulation import realism
-from lightmatrix.simulation.procedural_scene import ProceduralScene
+from lightmatrix.simulation.procedural import ProceduralScene
 from lightmatrix.simulation.truth import Truth
 
 

@@ -11,9 +11,8 @@ import pytest
 
 from lightmatrix.errors import InputError, LightMatrixWarning, MissingExtraError
 from lightmatrix.files.images import read_image
-from lightmatrix.simulation import library, render_memory, renderer, thumbnails
-from lightmatrix.simulation.render_memory import needed_bytes
-from lightmatrix.simulation.renderer import render
+from lightmatrix.simulation import library, renderer, thumbnails
+from lightmatrix.simulation.renderer import needed_bytes, render
 from lightmatrix.simulation.scenes import names
 from lightmatrix.simulation.thumbnails import white_image, write_thumbnails
 from lightmatrix.simulation.truth import Truth
@@ -141,8 +140,7 @@ def test_impossible_renderings_are_refused(options: dict[str, object], message: 
 @needs_llvm
 def test_memory_is_estimated_from_a_few_rows(monkeypatch: pytest.MonkeyPatch) -> None:
     room = needed_bytes((16, 16), entries=2000)
-    for module in (render_memory, renderer):
-        monkeypatch.setattr(module, "available_bytes", lambda: room)
+    monkeypatch.setattr(renderer, "available_bytes", lambda: room)
     sparse = render("wall", (16, 16), projector_size=(64, 64), samples=4096)
     assert sparse.matrix.nnz < 256 * 2000
     room = needed_bytes((16, 16), entries=300)
@@ -164,7 +162,7 @@ def test_estimated_memory_grows_only_with_the_result() -> None:
 
 def made(name: str, size: tuple[int, int], **options: object) -> Truth:
     """Stands in for `render`: instant, and known by its options."""
-    from lightmatrix.simulation.procedural_scene import ProceduralScene
+    from lightmatrix.simulation.procedural import ProceduralScene
 
     truth = ProceduralScene(size, size, seed=int(str(options["seed"]))).truth()
     return Truth(

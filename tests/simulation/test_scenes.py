@@ -7,9 +7,23 @@ import pytest
 from numpy.typing import NDArray
 
 from lightmatrix.errors import InputError
-from lightmatrix.simulation.geometry import Mesh, from_quaternion, inset, polygon, rectangle, turn
 from lightmatrix.simulation.scenes import l_objects, metal, names, scene
-from lightmatrix.simulation.scenes.shapes import ball, bolt, box, bracket, l_block, nut, ring, rod
+from lightmatrix.simulation.scenes.shapes import (
+    Mesh,
+    ball,
+    bolt,
+    box,
+    bracket,
+    from_quaternion,
+    inset,
+    l_block,
+    nut,
+    polygon,
+    rectangle,
+    ring,
+    rod,
+    turn,
+)
 
 
 def volume(mesh: Mesh) -> float:

@@ -11,14 +11,11 @@ import tifffile
 
 import lightmatrix as lm
 from lightmatrix.simulation.binning import binned
-from lightmatrix.simulation.geometry import Mesh
-from lightmatrix.simulation.llvm import load_mitsuba
-from lightmatrix.simulation.mitsuba_scene import mitsuba_scene
+from lightmatrix.simulation.mitsuba_scene import load_mitsuba, mitsuba_scene
 from lightmatrix.simulation.scenes import names, scene
-from lightmatrix.simulation.scenes.scene import Part, Scene, matt
-from lightmatrix.simulation.scenes.shapes import ball, sheet
-from lightmatrix.simulation.scenes.view import View
-from lightmatrix.simulation.surface import trace_surface, view_geometry
+from lightmatrix.simulation.scenes.scene import Part, Scene, View, matt
+from lightmatrix.simulation.scenes.shapes import Mesh, ball, sheet
+from lightmatrix.simulation.truth import trace_surface, view_geometry
 
 
 def pixels(shape: tuple[int, ...]) -> np.ndarray:

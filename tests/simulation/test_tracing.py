@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from lightmatrix.simulation.tracing import Contributions, sum_contributions
+from lightmatrix.simulation.renderer import Contributions, sum_contributions
 
 
 @pytest.mark.parametrize(

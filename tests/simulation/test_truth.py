@@ -9,7 +9,7 @@ import pytest
 import scipy.sparse
 
 from lightmatrix.errors import InputError, OutputError
-from lightmatrix.simulation.procedural_scene import ProceduralScene
+from lightmatrix.simulation.procedural import ProceduralScene
 from lightmatrix.simulation.truth import Truth
 
 

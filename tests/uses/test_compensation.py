@@ -16,8 +16,7 @@ from scipy.sparse import csr_array
 
 import lightmatrix as lm
 from lightmatrix.uses import loading
-from lightmatrix.uses.bounded_fit import BoundedFit
-from lightmatrix.uses.compensation import TOLERANCE, compensator
+from lightmatrix.uses.compensation import TOLERANCE, BoundedFit, compensator
 from lightmatrix.uses.joint_light import JointLight, joint_light
 
 

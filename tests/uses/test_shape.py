@@ -13,8 +13,8 @@ from scipy.sparse import csr_array
 
 import lightmatrix as lm
 from lightmatrix.errors import InputError, OutputError
-from lightmatrix.uses.line_spots import find_line_spots, uncut_places
-from lightmatrix.uses.surfaces import surface_faces
+from lightmatrix.shape.shape import surface_faces
+from lightmatrix.shape.triangulation import find_line_spots, uncut_places
 
 
 def errors(shape: lm.Shape, known: lm.Truth) -> NDArray[np.float64]:

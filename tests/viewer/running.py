@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from playwright.sync_api import Browser, Page
 
 import lightmatrix as lm
-from lightmatrix.simulation.procedural_scene import ProceduralScene
+from lightmatrix.simulation.procedural import ProceduralScene
 
 PATIENCE_MS = 10_000
 VIEWER = "globalThis.lightmatrixViewer"

@@ -15,11 +15,11 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
 import lightmatrix as lm
-from lightmatrix.pictures import maps
+from lightmatrix.show import maps
 from lightmatrix.store import zarr_store
-from lightmatrix.viewer import lights, session, tiles
-from lightmatrix.viewer.coarse import CoarseLight
+from lightmatrix.viewer import lights, packed, session
 from lightmatrix.viewer.layers import LAYERS, LayerSource
+from lightmatrix.viewer.lights import CoarseLight
 from lightmatrix.viewer.messages import Kind, MessageError
 from lightmatrix.viewer.scene import Scene
 from tests.viewer import hostile, running
@@ -112,14 +112,14 @@ def place_tiles(image: NDArray[np.float32], tiles: list[list[int]], values: Any)
 @pytest.fixture(autouse=True)
 def _small_parts(monkeypatch: pytest.MonkeyPatch) -> None:
     """Many tiles, blocks and groups, although the matrices are small."""
-    monkeypatch.setattr(tiles, "TILE", 8)
+    monkeypatch.setattr(packed, "TILE", 8)
     monkeypatch.setattr(session, "_MOST_TILES", 3)
     monkeypatch.setattr(lights, "_BLOCK_ENTRIES", 500)
     monkeypatch.setattr(lights, "_GROUP_ROWS", 16)
     monkeypatch.setattr(zarr_store, "_BLOCK_ENTRIES", 500)
-    monkeypatch.setattr("lightmatrix.viewer.coarse._SQUARES", 7)
-    monkeypatch.setattr("lightmatrix.viewer.coarse._CELLS", 5)
-    monkeypatch.setattr("lightmatrix.viewer.coarse._PART", 300)
+    monkeypatch.setattr("lightmatrix.viewer.lights._SQUARES", 7)
+    monkeypatch.setattr("lightmatrix.viewer.lights._CELLS", 5)
+    monkeypatch.setattr("lightmatrix.viewer.lights._PART", 300)
     monkeypatch.setattr("lightmatrix.viewer.layers._ROWS", 50)
 
 
@@ -324,7 +324,7 @@ def test_a_store_that_changes_is_told(
     for levels in (np.full((2, 2), 9, np.uint8), np.full((16, 18), 9, np.uint8)):
         window.paint(0, 0, levels)
     errors = [part for part in window.parts if part["kind"] == "error"]
-    assert "was replaced" in errors[0]["message"]
+    assert "is not the one that was written" in errors[0]["message"]
     assert not window.session.unfinished
 
 

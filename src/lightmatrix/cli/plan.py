@@ -22,9 +22,6 @@ from lightmatrix.cli.terminal import progress, say, show_columns, show_json
 if TYPE_CHECKING:
     from lightmatrix import Advice
 
-# The command warns if more than this share of the lit camera pixels will clip under a single
-# projector pixel. From the same share on, the planner lights fewer projector pixels at a time.
-_MANY_CLIP_SINGLY = 0.01
 _NAMES = {"plain": "row by row"}
 
 
@@ -111,7 +108,7 @@ def _show_exposures(advice: Advice, in_own_unit: bool) -> None:
             for e in advice.exposures
         ],
     )
-    if advice.rows_that_clip_singly > _MANY_CLIP_SINGLY:
+    if advice.too_bright:
         say(
             f"{100 * advice.rows_that_clip_singly:.0f} % of the lit camera pixels will clip "
             "under a single projector pixel, and the errors will be several times those below. "

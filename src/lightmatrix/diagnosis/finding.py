@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -29,6 +29,12 @@ KINDS = {
 
 # Kinds that say what a healthy capture cannot reveal; `check` exits with 0 if it has no other.
 NOTES = ("stripes",)
+
+# What to do about photographs out of order.
+WRONG_ORDER = (
+    "put the images in the order of the patterns, or take the capture again, waiting longer after "
+    "each change of pattern"
+)
 
 # The entry of a store's provenance that holds the findings of its capture.
 FINDINGS = "findings"
@@ -83,3 +89,19 @@ def join_names(names: Sequence[str], most: int = 5) -> str:
     if len(names) < 2:
         return "".join(names)
     return f"{', '.join(names[:-1])} and {names[-1]}"
+
+
+def order_findings(shown: Mapping[int, int], name: Callable[[int], str]) -> list[Finding]:
+    """State which single frames show the pattern of which other frame."""
+    findings = []
+    for frame, pattern in sorted(shown.items()):
+        if shown.get(pattern) != frame:
+            message = (
+                f"{name(frame)} shows the pattern of {name(pattern)}: is it swapped, repeated or "
+                "late?"
+            )
+            findings.append(Finding("order", (frame,), message, WRONG_ORDER))
+        elif frame < pattern:
+            message = f"{name(frame)} and {name(pattern)} look swapped"
+            findings.append(Finding("order", (frame, pattern), message, WRONG_ORDER))
+    return findings

@@ -10,7 +10,7 @@ pixels.
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -18,34 +18,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lightmatrix.camera.samples import Samples
-from lightmatrix.diagnosis.finding import Finding
-from lightmatrix.diagnosis.frame_order import order_findings
-from lightmatrix.diagnosis.image_shift import find_shift
-from lightmatrix.diagnosis.motion import motion_finding
+from lightmatrix.diagnosis.finding import Finding, order_findings
+from lightmatrix.diagnosis.motion import find_shift, motion_finding
 from lightmatrix.diagnosis.prediction import find_places
 from lightmatrix.diagnosis.survey import MARGIN, Survey, random_sums
 from lightmatrix.diagnosis.wrong_frames import black_frames
 from lightmatrix.patterns.pattern_set import PatternSet
 
-# A set is one of inverse pairs if 60 % of its patterns are in pairs, and it has 4 pairs.
-_PAIRED, _FEWEST_PAIRS = 0.6, 4
-# The random sums of a pattern and its inverse add up to that of white, but for rounding, which is
-# less than this. Those of two other patterns are off by about 1.
-_SAME = 1e-4
-# A pair is odd if its sum differs by 15 % from the usual one, and by 4 times what that of the
+# A pair is odd if its sum differs by this share from the usual one, and by 4 times what that of the
 # median pair does.
-_ODD, _UNUSUAL = 0.15, 4.0
-# A frame is black if it has less than 10 % of the light that its partner lets expect (and 5 % of
-# the partner's), and less than 30 % of its partner's.
-_BLACK, _STRAY, _BLACK_OF_PARTNER = 0.1, 0.05, 0.3
-# Brightness is compared in rows that are lit by 60 % of white, in 20 of them at least.
-_LIT, _FEWEST_LIT = 0.6, 20
-# About 100 rows are compared with their neighbours. Two orders are equally likely if the mean
-# logarithms of how far apart neighbours see differ by less than 0.2.
-_NEIGHBOUR_ROWS, _JUMBLED = 100, 0.2
-# A missing frame is looked for at up to 4 places, at which pairs are at most 1.5 times as odd as at
-# the best one.
-_MOST_PLACES, _NEARLY_BEST = 4, 1.5
+_ODD = 0.15
 
 Pair = tuple[int, int]
 
@@ -65,11 +47,12 @@ class Pairs:
         pairs: list[Pair] = []
         while left:
             k = left.pop(0)
-            inverse = next((j for j in left if abs(sums[k] + sums[j] - white) < _SAME), None)
+            # Sums are exact but for rounding; those of two other patterns are off by about 1.
+            inverse = next((j for j in left if abs(sums[k] + sums[j] - white) < 1e-4), None)
             if inverse is not None:
                 left.remove(inverse)
                 pairs.append((k, inverse))
-        if 2 * len(pairs) < _PAIRED * patterns.count or len(pairs) < _FEWEST_PAIRS:
+        if 2 * len(pairs) < 0.6 * patterns.count or len(pairs) < 4:
             return None
         # Black and white are a pair that tells nothing more.
         uniform = [pair for pair in pairs if np.ptp(patterns.rows(pair[0], pair[0] + 1)) < 0.02]
@@ -109,7 +92,7 @@ class PairSums:
     @cached_property
     def limit(self) -> float:
         """The oddness from which on a pair is odd."""
-        return max(_ODD, _UNUSUAL * float(np.median([self.oddness(j, k) for j, k in self.pairs])))
+        return max(_ODD, 4 * float(np.median([self.oddness(j, k) for j, k in self.pairs])))
 
     @property
     def odd(self) -> list[Pair]:
@@ -119,8 +102,8 @@ class PairSums:
     def gain(self, frame: int, partner: int) -> float:
         """How much brighter a frame is than its partner lets expect, as a share; 0 if unknown."""
         expected = self.usual - self.samples.values[:, partner]
-        lit = (expected > _LIT * self.usual) & ~self.samples.clipped[:, frame]
-        if lit.sum() < _FEWEST_LIT:
+        lit = (expected > 0.6 * self.usual) & ~self.samples.clipped[:, frame]
+        if lit.sum() < 20:
             return 0.0
         return float(np.median(self.samples.values[lit, frame] / expected[lit])) - 1
 
@@ -130,8 +113,8 @@ class PairSums:
             expected = np.nansum(np.maximum(self.usual - self.samples.values[:, partner], 0))
             light = float(np.nansum(self.samples.values[:, frame]))
             other = float(np.nansum(self.samples.values[:, partner]))
-            dark = light < _BLACK * float(expected) + _STRAY * other
-            if dark and light < _BLACK_OF_PARTNER * other:
+            # It has less than 10 % of the light that its partner lets expect, but for stray light.
+            if light < 0.1 * float(expected) + 0.05 * other and light < 0.3 * other:
                 return frame
         return None
 
@@ -197,21 +180,17 @@ def _find_swap(
     others: tuple[int, ...],
 ) -> Pair | None:
     """The two frames that, exchanged, make all pairs add up to white."""
+    if len(odd) not in (1, 2):
+        return None
 
     def adds_up(order: dict[int, int]) -> bool:
         return all(sums.oddness(order.get(j, j), order.get(k, k)) < sums.limit for j, k in odd)
 
-    fitting = [(a, b) for a, b in _swaps(odd, others) if adds_up({a: b, b: a})]
+    swaps = itertools.product(*odd) if len(odd) == 2 else itertools.product(*odd, others)
+    fitting = [(a, b) for a, b in swaps if adds_up({a: b, b: a})]
     if len(fitting) < 2:
         return fitting[0] if fitting else None
     return min(fitting, key=lambda swap: distance_of_neighbours(_swapped(survey, swap), rows))
-
-
-def _swaps(odd: list[Pair], others: tuple[int, ...]) -> Iterator[Pair]:
-    if len(odd) == 2:
-        yield from itertools.product(*odd)
-    if len(odd) == 1:
-        yield from itertools.product(odd[0], others)
 
 
 def _swapped(survey: Survey, swap: Pair) -> Survey:
@@ -222,7 +201,7 @@ def _swapped(survey: Survey, swap: Pair) -> Survey:
 
 def distance_of_neighbours(survey: Survey, rows: NDArray[np.int64]) -> float:
     """Mean logarithm of how many projector pixels apart neighbouring rows see."""
-    some = rows[:: max(1, len(rows) // _NEIGHBOUR_ROWS)]
+    some = rows[:: max(1, len(rows) // 100)]
     asked = [some, survey.neighbour(some, (0, MARGIN)), survey.neighbour(some, (MARGIN, 0))]
     samples = survey.samples(np.concatenate(asked))
     places = find_places(survey.patterns, samples, count=1)[0]
@@ -267,13 +246,14 @@ def missing_of_pairs(survey: Survey, pairs: Pairs, rows: NDArray[np.int64]) -> t
         sums = PairSums(pairs_left, samples)
         oddness.append(float(np.mean([sums.oddness(j, k) for j, k in pairs_left])))
     best = min(oddness)
-    likely = [place for place, size in enumerate(oddness) if size < _NEARLY_BEST * best]
-    if best > _ODD or len(likely) > _MOST_PLACES:
+    likely = [place for place, size in enumerate(oddness) if size < 1.5 * best]
+    if best > _ODD or len(likely) > 4:
         return ()
     apart = []
     for place in likely:
         shown = survey.patterns.subset(np.delete(np.arange(count), place))
         apart.append(distance_of_neighbours(replace(survey, patterns=shown), rows))
+    # Two orders are equally likely if these mean logarithms differ by less than 0.2.
     return tuple(
-        place for place, size in zip(likely, apart, strict=True) if size < min(apart) + _JUMBLED
+        place for place, size in zip(likely, apart, strict=True) if size < min(apart) + 0.2
     )

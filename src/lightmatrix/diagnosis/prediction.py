@@ -25,38 +25,15 @@ from numpy.typing import NDArray
 
 from lightmatrix.camera.samples import Samples
 from lightmatrix.diagnosis.pursuit import best_pixels, column_scale
-from lightmatrix.diagnosis.statistics import OF_MEDIAN
+from lightmatrix.diagnosis.survey import OF_MEDIAN
 from lightmatrix.patterns.pattern_set import PatternSet
 from lightmatrix.resources.threads import one_blas_thread, work_ahead
 
-# A window reaches two projector pixels to each side of its place. Light is expected to fall off
-# around the place like a Gaussian of standard deviation 1 pixel, at half the scale around the
-# second place; the mean of the pattern is expected to matter a tenth as much. All three are priors
-# of the ridge regression, chosen by hand.
-_REACH, _SPREAD = 2, 1.0
+# Light is expected to fall off around the two places of a row like a Gaussian of standard deviation
+# 1 pixel, at half the scale around the second place. Each row takes the ridge that predicts it
+# best. These priors were chosen by hand.
 _PLACE_SCALES = (1.0, 0.5)
-_MEAN_SCALE = 0.1
-# Blurred light reaches further: the mean around the first place is one more column. Its weights are
-# a Gaussian of standard deviation 3 pixels, of which every other pixel within 6 is taken; its scale
-# is a prior, too. Chosen by hand.
-_AROUND_REACH, _AROUND_STEP, _AROUND_SPREAD, _AROUND_SCALE = 6, 2, 3.0, 0.3
-# Each row takes the ridge that predicts it best.
 _RIDGES = (0.003, 0.03, 0.3)
-# The projector has 4 x 4 parts. Chosen by hand.
-_PARTS = 4
-# Each thread holds at most 2 MiB of the explaining columns at a time, which caches hold too, and
-# rows are explained from at most 192 frames, drawn at random. Both were chosen by hand and bound
-# memory and time.
-_COLUMN_BYTES = 2 << 20
-_MOST_FRAMES = 192
-# A row counts as predicted if less than 40 % of its variance is missed, and if at least 8 of its
-# samples can be compared.
-_MOST_MISSED, _FEWEST_TRUSTED = 0.4, 8
-# The other frames cannot tell of a sample if the fit follows it nearly alone. The share of a sample
-# that the fit leaves to the others must exceed a tenth, and a quarter of the median share of its
-# row. With few frames that median is below a tenth; then half of it is enough. Chosen on intact
-# captures of 15 scenes under 13 kinds of patterns (`benchmarks/synthetic_captures.py`).
-_LEFT, _OF_MUCH, _OF_LITTLE = 0.1, 0.25, 0.5
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,7 +62,7 @@ class FramePrediction:
     @property
     def predicted(self) -> NDArray[np.bool_]:
         """Which rows can be predicted, (m,)."""
-        return (self.miss < _MOST_MISSED) & (self.trusted.sum(axis=1) >= _FEWEST_TRUSTED)
+        return (self.miss < 0.4) & (self.trusted.sum(axis=1) >= 8)
 
     def rows(self, index: NDArray[np.bool_] | NDArray[np.integer]) -> FramePrediction:
         """The prediction of some rows."""
@@ -150,10 +127,12 @@ def predict(
     observed = np.asarray(samples.values, np.float64)
     level = np.broadcast_to(samples.clip_level, observed.shape)
     windows = [window_around(place, patterns.shape) for place in places]
-    around = window_around(places[0], patterns.shape, _AROUND_REACH, _AROUND_SPREAD, _AROUND_STEP)
+    # Blurred light reaches further: the mean around the first place is one more column.
+    around = window_around(places[0], patterns.shape, 6, 3.0, 2)
     # Every pixel of a window is a column, and so are their surroundings and the mean.
     row_bytes = 8 * patterns.count * (sum(pixels.shape[1] for pixels, _ in [*windows, around]) + 1)
-    step = max(1, _COLUMN_BYTES // row_bytes)
+    # Each thread holds 2 MiB of columns at a time, which caches hold too.
+    step = max(1, (2 << 20) // row_bytes)
     expected = np.empty_like(observed)
     miss = np.empty(len(observed))
     known = np.empty(observed.shape, bool)
@@ -173,8 +152,11 @@ def predict(
     usual = np.sqrt(miss * np.maximum(observed.var(axis=1), 1e-18))[:, None]
     # A row that is expected to come close to the clip level shows its noise from one side only.
     trusted = known & ~samples.clipped & (expected + 3 * usual < level)
+    # The projector has 4 x 4 parts.
+    row, col = np.divmod(places[0], patterns.shape[1])
+    down, right = (-(-size // 4) for size in patterns.shape)
     return FramePrediction(
-        observed, expected, trusted, miss, places, _parts(places[0], patterns.shape)
+        observed, expected, trusted, miss, places, row // down * 4 + col // right
     )
 
 
@@ -187,7 +169,8 @@ def _left_out(
     """
     count = observed.shape[1]
     train = np.zeros(count, bool)
-    train[np.random.default_rng(0).permutation(count)[:_MOST_FRAMES]] = True
+    # More frames take longer.
+    train[np.random.default_rng(0).permutation(count)[:192]] = True
     weight = (learned & train).astype(np.float64)
     total = np.maximum(weight.sum(axis=1), 1)
     mean = (weight * observed).sum(axis=1) / total
@@ -210,8 +193,11 @@ def _left_out(
         # What is not its own in a sample that is learned from, or would be if it were.
         others = np.where(weight > 0, 1 - lever, 1 / (1 + lever))
         usual = np.median(others, axis=1, keepdims=True)
-        much = usual > _LEFT
-        least = np.where(much, np.maximum(_LEFT, _OF_MUCH * usual), _OF_LITTLE * usual)
+        # The others cannot tell of a sample that the fit follows nearly alone: they need a tenth of
+        # it, and a quarter of what they usually have of the row's samples. With few frames they
+        # have less than a tenth; then half of it is enough. Chosen on intact captures of 15 scenes
+        # under 13 kinds of patterns (`benchmarks/synthetic_captures.py`).
+        least = np.where(usual > 0.1, np.maximum(0.1, usual / 4), usual / 2)
         known = np.where(better[:, None], others > least, known)
     return expected, best / variance, known
 
@@ -255,13 +241,13 @@ def _columns(
     parts = []
     for (pixels, scale), size in zip(windows, _PLACE_SCALES, strict=True):
         parts.append(np.moveaxis(patterns.at(pixels), 0, 1) * (size * scale)[:, None, :])
-    parts.append(_AROUND_SCALE * mean_around(patterns, *around)[..., None])
+    parts.append(0.3 * mean_around(patterns, *around)[..., None])
     spread = float(patterns.means.std())
     means = (
         (patterns.means - patterns.means.mean()) / spread if spread > 1e-6 else 0 * patterns.means
     )
     rows = len(windows[0][0])
-    parts.append(np.broadcast_to((_MEAN_SCALE * means)[None, :, None], (rows, patterns.count, 1)))
+    parts.append(np.broadcast_to((0.1 * means)[None, :, None], (rows, patterns.count, 1)))
     return np.asarray(np.concatenate(parts, axis=2), np.float64)
 
 
@@ -274,18 +260,11 @@ def mean_around(
     return np.asarray(mean / np.maximum(mean.std(axis=1, keepdims=True), 1e-6))
 
 
-def _parts(places: NDArray[np.int64], shape: tuple[int, int]) -> NDArray[np.int64]:
-    """The number of the part of the projector that each place lies in, (m,)."""
-    row, col = np.divmod(places, shape[1])
-    down, right = (-(-size // _PARTS) for size in shape)
-    return np.asarray(row // down * _PARTS + col // right)
-
-
 def window_around(
     place: NDArray[np.int64],
     shape: tuple[int, int],
-    reach: int = _REACH,
-    spread: float = _SPREAD,
+    reach: int = 2,
+    spread: float = 1.0,
     step: int = 1,
 ) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
     """Every `step`-th pixel of the windows around places, (m, d), and the scale of each; 0 outside.

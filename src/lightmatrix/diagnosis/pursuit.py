@@ -38,9 +38,8 @@ _NEIGHBOURS, _NEIGHBOURS_OF_GROUP = 7, 15
 # Correlations with all pixels take at most 256 MiB, or are of 64 rows, at a time when listing;
 # chosen to stay small beside the frames.
 _LISTING_BYTES, _MOST_ROWS = 256 << 20, 64
-# Equal correlations are decided by lot: scores are raised by up to 0.1 %, in four drawings by
-# turns.
-_LOT, _LOTS = 1e-3, 4
+# Of equal correlations a random one wins: scores are raised by up to 0.1 %.
+_TIE = 1e-3
 
 # The frames that a fold learns from, and the patterns that it predicts.
 Fold = tuple[NDArray[np.int64], NDArray[np.int64]]
@@ -89,7 +88,8 @@ def predict_by_pursuit(
             predicted[:, held] = _pursue(patterns, values, train, held, choose)
         return predicted
     draw = np.random.default_rng(0)
-    lots = [scale * (1 + _LOT * draw.random(len(scale), np.float32)) for _ in range(_LOTS)]
+    # Four drawings serve the rows by turns.
+    raised = [scale * (1 + _TIE * draw.random(len(scale), np.float32)) for _ in range(4)]
     block = group * int(
         np.clip(_LISTING_BYTES // (4 * patterns.pixels * (len(folds) + 1)), 1, _MOST_ROWS)
     )
@@ -100,7 +100,7 @@ def predict_by_pursuit(
         for (train, held), of_fold in zip(folds, scores, strict=True):
             listed = np.array(
                 [
-                    _best_listed(score * lots[row % _LOTS], patterns.shape, reach)
+                    _best_listed(score * raised[row % 4], patterns.shape, reach)
                     for row, score in enumerate(of_fold)
                 ]
             )
@@ -144,19 +144,19 @@ def best_pixels(
     patterns: PatternSet,
     scale: NDArray[np.float32],
     residual: NDArray[np.floating],
-    lots: NDArray[np.float32] | None = None,
+    ties: NDArray[np.float32] | None = None,
 ) -> NDArray[np.int64]:
     """The projector pixel that correlates best with each row of residuals (m, K), (m,).
 
-    Scores are multiplied by the lots (2 N,), from another one on in each row.
+    Scores are multiplied by `ties` (2 N,), from another one on in each row.
     """
 
     def best_of(rows: slice, pixels: slice, scores: NDArray[np.float32]) -> tuple[Any, ...]:
         scores *= scale[pixels]
-        if lots is not None:
+        if ties is not None:
             for row, score in enumerate(scores, rows.start):
                 first = row * 7919 % patterns.pixels
-                score *= lots[first:][pixels]
+                score *= ties[first:][pixels]
         found = scores.argmax(axis=1)
         return rows, found + pixels.start, np.take_along_axis(scores, found[:, None], axis=1)[:, 0]
 
@@ -173,13 +173,13 @@ def _search_all(
     patterns: PatternSet, scale: NDArray[np.float32], train: NDArray[np.integer]
 ) -> Chooser:
     # If the first of equal pixels always won, all rows would agree on a prediction that nothing
-    # supports. So each row draws its own lots.
-    lots = 1 + _LOT * np.random.default_rng(0).random(2 * patterns.pixels, np.float32)
+    # supports. So each row prefers other ones.
+    ties = 1 + _TIE * np.random.default_rng(0).random(2 * patterns.pixels, np.float32)
 
     def choose(residual: NDArray[np.float32]) -> NDArray[np.int64]:
         spread = np.zeros((len(residual), patterns.count), np.float32)
         spread[:, train] = residual
-        return best_pixels(patterns, scale, spread, lots)
+        return best_pixels(patterns, scale, spread, ties)
 
     return choose
 

@@ -13,18 +13,13 @@ from lightmatrix.capture.capture import Capture
 from lightmatrix.capture.decoding import check_depth
 from lightmatrix.diagnosis.all_checks import check_capture
 from lightmatrix.diagnosis.finding import Finding
-from lightmatrix.diagnosis.pattern_faults import is_separable
 from lightmatrix.errors import InputError, warn
 from lightmatrix.patterns.pattern_set import PatternSet
+from lightmatrix.patterns.stripes import is_separable
 
 # The brightest levels of cameras of 10, 12 and 14 bits whose levels are stored in 16 bits, aligned
 # to the lowest bit and to the highest one.
 _TOPS_IN_16_BITS = (1023, 4095, 16383, 65472, 65520, 65532)
-# A capture is dark if no sample exceeds black by 2.5 raw levels (two levels are no signal), and
-# clipped throughout if 99 % of its samples clip.
-_DARK_LEVELS, _CLIPPED_SHARE = 2.5, 0.99
-# Pixels that differ by less are equal: binning equal ones may change the last bit.
-_SAME = 1e-6
 
 
 def refuse_unusable(capture: Capture) -> None:
@@ -103,7 +98,7 @@ def refuse_disorder(findings: Sequence[Finding]) -> None:
     """
     for finding in findings:
         if finding.kind == "order":
-            hint = f"{finding.advice}; --no-check takes them as they are"
+            hint = f"{finding.advice}; check=False takes them as they are"
             raise InputError(finding.message, hint=hint)
 
 
@@ -117,12 +112,13 @@ def _refuse_useless_patterns(patterns: PatternSet) -> None:
         raise InputError(
             "the projector has 1 x 1 pixels", hint="use larger patterns, or bin them less"
         )
-    first = patterns.rows(0, 1)[0]
+    # Binning equal pixels may change their last bit.
+    first, same = patterns.rows(0, 1)[0], 1e-6
     alike, flat = True, True
     for k in range(patterns.count):
         pattern = patterns.rows(k, k + 1)[0]
-        flat = flat and bool(np.ptp(pattern) < _SAME)
-        alike = alike and bool((np.abs(pattern - first) < _SAME).all())
+        flat = flat and bool(np.ptp(pattern) < same)
+        alike = alike and bool((np.abs(pattern - first) < same).all())
         if not (flat or alike):
             break
     if flat:
@@ -149,12 +145,13 @@ def _refuse_useless_light(
         clipped += int(tile.clipped.sum())
         total = valid * tile.values.shape[1]
     span = np.min(np.asarray(decoder.clip) - np.asarray(decoder.black_level))
-    if brightest <= (_DARK_LEVELS / span if decoder.full_scale > 1 else 1e-6):
+    # Two raw levels above black are no signal.
+    if brightest <= (2.5 / span if decoder.full_scale > 1 else 1e-6):
         raise InputError(
             "all images are dark: no sample rises above the black level",
             hint="expose longer, and check the black frame and black level",
         )
-    if clipped > _CLIPPED_SHARE * total:
+    if clipped > 0.99 * total:
         raise InputError(
             f"{100 * clipped / total:.1f} % of the samples are clipped",
             hint="expose so that most samples stay below the clip level; 1 to 20 % may clip",

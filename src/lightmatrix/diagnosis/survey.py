@@ -23,6 +23,8 @@ BLOCK = 8
 _TILE = 4 * BLOCK
 # Neighbours are looked at up to 4 pixels away; larger shifts between frames are not found.
 MARGIN = 4
+# The standard deviation of a normal distribution over the median of its absolute deviations.
+OF_MEDIAN = 1.4826
 # Rows of high variance: their standard deviation exceeds 15 % of that of the most varied tenth, and
 # they clip in few frames. Rows that clip in more frames are used only as long as there are too
 # few others. 40 to 600 rows are wanted, as many as correlate with all projector pixels within 6e9
@@ -202,3 +204,15 @@ def _places(
     lefts = np.linspace(0, cols - _TILE, right).astype(int) // BLOCK * BLOCK
     cut = [every[r : r + _TILE, c : c + _TILE] for r in tops for c in lefts]
     return np.concatenate([tile.ravel() for tile in cut]), (len(cut), _TILE, _TILE, channels)
+
+
+def robust_deviation(values: NDArray[np.floating]) -> float:
+    """The standard deviation of values (n,) by their median deviation, so that few count little."""
+    return OF_MEDIAN * float(np.median(np.abs(values - np.median(values))))
+
+
+def sums_by_group(values: NDArray[np.float64], group: NDArray[np.int64]) -> NDArray[np.float64]:
+    """The sums (G, n) of the rows (m, n) whose number in `group` (m,) is the same."""
+    sums = np.zeros((int(group.max(initial=0)) + 1, values.shape[1]))
+    np.add.at(sums, group, values)
+    return sums

@@ -23,19 +23,19 @@ from pathlib import Path
 
 from lightmatrix.camera.camera_curve import AUTOMATIC, Response
 from lightmatrix.capture.capture import Capture, open_capture
+from lightmatrix.diagnosis.curves import with_projector, with_response
 from lightmatrix.diagnosis.refusals import (
     refuse_unordered,
     refuse_unusable,
     warn_of_stripes,
     warn_of_unrelated,
 )
-from lightmatrix.diagnosis.responses.found import with_projector, with_response
 from lightmatrix.errors import InputError
 from lightmatrix.estimators.choice import check_and_choose, choose_estimator
 from lightmatrix.estimators.resource_estimate import estimate_resources
 from lightmatrix.estimators.settings import EstimateSettings
 from lightmatrix.estimators.unknown_projector import find_responses
-from lightmatrix.estimators.workers.startup import open_workers
+from lightmatrix.estimators.workers.pool import open_workers
 from lightmatrix.outputs.kinds import STORE
 from lightmatrix.outputs.writing import check_output
 from lightmatrix.patterns.colour import ColourPatterns

@@ -8,15 +8,15 @@ import numpy as np
 
 from lightmatrix.camera.camera_curve import AUTOMATIC, Response
 from lightmatrix.capture.capture import Capture, open_capture
-from lightmatrix.diagnosis.responses.bend import exponent
-from lightmatrix.diagnosis.responses.found import (
+from lightmatrix.diagnosis.bends import gammas_from_greys
+from lightmatrix.diagnosis.curves import (
     FoundResponse,
+    exponent,
     largest_difference,
     with_projector,
     with_response,
 )
-from lightmatrix.diagnosis.responses.from_greys import gammas_from_greys
-from lightmatrix.diagnosis.responses.greys_from_windows import (
+from lightmatrix.diagnosis.linearity import (
     both_from_windows,
     gamma_from_windows,
 )

@@ -10,15 +10,17 @@ import numpy as np
 from lightmatrix.camera.camera_curve import Response
 from lightmatrix.capture.capture import Capture, open_capture
 from lightmatrix.capture.decoding import JPEG
-from lightmatrix.diagnosis.responses.bend import GammaBend, SmoothBends, exponent, raised
-from lightmatrix.diagnosis.responses.found import (
+from lightmatrix.diagnosis.bends import bends_from_transport
+from lightmatrix.diagnosis.curves import (
     FoundResponse,
+    GammaBend,
+    SmoothBends,
+    exponent,
     largest_difference,
+    raised,
     with_response,
 )
-from lightmatrix.diagnosis.responses.from_transport import bends_from_transport
-from lightmatrix.diagnosis.responses.from_windows import power_from_windows
-from lightmatrix.diagnosis.responses.greys_from_windows import show_pictures
+from lightmatrix.diagnosis.linearity import power_from_windows, show_pictures
 from lightmatrix.diagnosis.survey import Survey
 from lightmatrix.errors import InputError, warn
 from lightmatrix.estimators.camera_window import window_of_levels

@@ -2,12 +2,164 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from typing import Any
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.linalg import rq
 
 from lightmatrix.errors import InputError
-from lightmatrix.geometry.checks import Shape, points_of
+
+# Checks of the numbers that a geometry is made of.
+
+
+Shape = tuple[int, int]
+
+
+def points_of(points: ArrayLike, size: int) -> NDArray[np.float64]:
+    """Points as (n, size) float64."""
+    array = np.asarray(points, np.float64)
+    if array.ndim != 2 or array.shape[1] != size:
+        names = "(col, row)" if size == 2 else "(X, Y, Z)"
+        raise InputError(
+            f"points of shape {array.shape}", hint=f"give an array (n, {size}) of {names}"
+        )
+    return array
+
+
+def numbers(values: ArrayLike, shape: tuple[int, ...], what: str) -> NDArray[np.float64]:
+    """An array of finite float64 of a shape."""
+    size = " x ".join(map(str, shape))
+    try:
+        array = np.array(values, np.float64)
+    except (TypeError, ValueError) as error:
+        raise InputError(f"the {what} holds no numbers", hint=f"give {size} numbers") from error
+    if array.shape != shape or not np.isfinite(array).all():
+        raise InputError(
+            f"the {what} has shape {array.shape}, or is not finite",
+            hint=f"give {size} finite numbers",
+        )
+    return array
+
+
+def distortion(values: ArrayLike, device: str) -> NDArray[np.float64]:
+    """Five coefficients; OpenCV leaves out those at the end that are 0."""
+    given = np.ravel(np.asarray(values))
+    if len(given) > 5 and not np.any(given[5:]):
+        given = given[:5]
+    if len(given) > 5:
+        raise InputError(
+            f"the {device}'s distortion has {len(given)} coefficients",
+            hint="calibrate with OpenCV's model of five: k1, k2, p1, p2, k3",
+        )
+    return numbers(np.append(given, np.zeros(5 - len(given))), (5,), f"{device}'s distortion")
+
+
+def image_shape(shape: Any, device: str) -> Shape:
+    """Rows and columns as whole numbers of at least 1."""
+    try:
+        rows, cols = (int(size) for size in shape)
+        whole = (rows, cols) == tuple(shape)
+    except (TypeError, ValueError, OverflowError):
+        rows = cols = 0
+        whole = False
+    if not whole or min(rows, cols) < 1:
+        raise InputError(
+            f"an image size of {shape} of the {device}", hint="give (rows, cols) in pixels"
+        )
+    return rows, cols
+
+
+# Lens distortion, after Brown (1971), with OpenCV's five coefficients.
+#
+# A point at (x, y) on the plane of distance 1 in front of an ideal lens, r^2 = x^2 + y^2, is seen
+# at
+#
+# x' = x (1 + k1 r^2 + k2 r^4 + k3 r^6) + 2 p1 x y + p2 (r^2 + 2 x^2)
+# y' = y (1 + k1 r^2 + k2 r^4 + k3 r^6) + p1 (r^2 + 2 y^2) + 2 p2 x y
+
+
+Array = NDArray[np.float64]
+
+# Newton's steps of `undistort`. Each doubles the correct digits, so that strong distortions
+# converge in about six.
+_STEPS = 12
+# They end when no point moves further than this, which the next step would not change.
+_STEP = 1e-9
+# A point is undistorted if the lens leads back to within this distance, on the plane of distance 1:
+# a thousandth of a pixel at a focal length of 10,000 pixels.
+_TOLERANCE = 1e-7
+
+
+def distort(points: NDArray[np.float64], lens: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Where points (n, 2) as (x, y) on the plane of distance 1 are seen through the lens (5,)."""
+    if not lens.any():
+        return points
+    return _seen(points, lens)[0]
+
+
+def undistort(points: NDArray[np.float64], lens: NDArray[np.float64]) -> NDArray[np.float64]:
+    """The points (n, 2) that the lens (5,) shows at `points`, by Newton's method.
+
+    NaN where there is none, as beyond the field of view of a barrel distortion.
+    """
+    if not lens.any():
+        return points
+    ideal = points.copy()
+    # Overflow and singular steps end as NaN.
+    with np.errstate(all="ignore"):
+        for _ in range(_STEPS):
+            seen, (xx, xy, yx, yy) = _seen(ideal, lens)
+            dx, dy = (points - seen).T
+            determinant = xx * yy - xy * yx
+            step = np.column_stack([yy * dx - xy * dy, xx * dy - yx * dx]) / determinant[:, None]
+            ideal = ideal + step
+            if not (np.abs(step) > _STEP).any():
+                break
+        error, (xx, xy, yx, yy) = _seen(ideal, lens)
+        # Where the determinant is negative, the lens has folded the image over.
+        good = np.abs(error - points).max(axis=1) < _TOLERANCE
+        good &= (xx * yy - xy * yx > 0) & (xx + yy > 0)
+    return np.where(good[:, None], ideal, np.nan)
+
+
+def through_lens(
+    bend: Callable[[Array, Array], Array],
+    points: ArrayLike,
+    intrinsics: NDArray[np.float64],
+    lens: NDArray[np.float64],
+) -> NDArray[np.float64]:
+    """Pixels (n, 2) after a lens function that works on the plane of distance 1."""
+    pixels = points_of(points, 2)
+    if not lens.any():
+        return pixels
+    inverse = np.linalg.inv(intrinsics)
+    plane = bend(pixels @ inverse[:2, :2].T + inverse[:2, 2], lens)
+    return np.asarray(plane @ intrinsics[:2, :2].T + intrinsics[:2, 2])
+
+
+def _seen(
+    points: NDArray[np.float64], lens: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], tuple[NDArray[np.float64], ...]]:
+    """Distorted points and the four derivatives dx'/dx, dx'/dy, dy'/dx, dy'/dy."""
+    k1, k2, p1, p2, k3 = lens
+    x, y = points.T
+    square = x * x + y * y
+    radial = 1 + square * (k1 + square * (k2 + square * k3))
+    # Derivative of `radial` by the square of the radius.
+    slope = k1 + square * (2 * k2 + square * 3 * k3)
+    seen = np.column_stack(
+        [
+            x * radial + 2 * p1 * x * y + p2 * (square + 2 * x * x),
+            y * radial + p1 * (square + 2 * y * y) + 2 * p2 * x * y,
+        ]
+    )
+    mixed = 2 * x * y * slope + 2 * p1 * x + 2 * p2 * y
+    xx = radial + 2 * x * x * slope + 2 * p1 * y + 6 * p2 * x
+    yy = radial + 2 * y * y * slope + 6 * p1 * y + 2 * p2 * x
+    return seen, (xx, mixed, mixed, yy)
+
 
 # The least ratio of the smallest to the largest singular value of the left 3 x 3 part, its columns
 # in pixels. A matrix below it belongs to a device at an infinite distance, which has no depth.

@@ -312,7 +312,8 @@ def take_capture(
 
                 outcome = photograph_until(session, parse_until(settings.until), estimated)
             facts = _facts(session, known, settings, outcome)
-            record.finish(patterns, facts, write_extras=write_extras, overwrite=overwrite)
+            record.write(target, patterns, facts, write_extras, overwrite=overwrite)
+            record.discard()
     _warn(record, known, settings.response)
     return Capture.open(output)
 

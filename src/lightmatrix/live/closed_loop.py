@@ -29,15 +29,12 @@ from lightmatrix.patterns.pattern_set import ImagePatterns
 from lightmatrix.ranges import check_number
 from lightmatrix.reprs import short_repr
 from lightmatrix.uses.compensation import Compensation, Compensator, compensator
+from lightmatrix.uses.images import Picture, wanted_samples, write_shown
 from lightmatrix.uses.loading import Transport
-from lightmatrix.uses.pattern_images import write_shown
-from lightmatrix.uses.wanted_image import Picture, wanted_samples
 
 USUAL_STEPS = 3
-# Frames that are averaged for each photograph, and for white and black. Chosen by hand.
+# Frames that are averaged for each photograph, and for white and black.
 _FRAMES = 4
-# White samples above this share of the clip level do not count where units are compared.
-_UNCLIPPED = 0.95
 
 
 @dataclass(frozen=True, eq=False)
@@ -177,7 +174,8 @@ def refine_compensation(
             found = shared.reaching(target, brightness, start=start, asked=asked)
         seen = loop.photograph(found.pattern)
         missed = np.where(counted, target - seen, 0)
-        errors.append(-_decibels(missed[counted] / found.scale))
+        mean_square = float(np.mean((missed[counted] / found.scale) ** 2))
+        errors.append(-10 * float(np.log10(max(mean_square, 1e-12))))
         if best is None or errors[-1] == max(errors):
             best = found, seen
         asked = asked + missed
@@ -188,11 +186,6 @@ def refine_compensation(
         write_shown(output, best[0].patterns, overwrite=overwrite)
     photograph = best[1].reshape(shared.light.camera_shape)
     return RefinedCompensation(best[0], photograph, np.array(errors))
-
-
-def _decibels(relative: NDArray[np.floating]) -> float:
-    """The mean square of relative errors in dB."""
-    return float(10 * np.log10(max(float(np.mean(relative**2)), 1e-12)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -236,7 +229,7 @@ class _ClosedLoop:
                 hint="give the matrix that this rig measured, without crop or binning",
             )
         # Clipped samples are too dark.
-        counted = shared.lit & (whites.white.mean.ravel() < _UNCLIPPED * whites.white.clip_level)
+        counted = shared.lit & (whites.white.mean.ravel() < 0.95 * whites.white.clip_level)
         expected = shared.light.white[counted]
         unit = float(light[counted] @ expected / max(float(expected @ expected), 1e-30))
         if not unit > 0:

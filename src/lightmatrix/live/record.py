@@ -26,7 +26,6 @@ from lightmatrix.patterns.pattern_set import PatternSet
 from lightmatrix.reprs import jsonable
 
 _STATE = "session.json"
-FORMAT, VERSION = "lightmatrix-session", 1
 
 
 @dataclass
@@ -166,21 +165,13 @@ class CaptureRecord:
 
     def save(self) -> None:
         """Write what is known of the frames."""
-        content = {"format": FORMAT, "version": VERSION, "wanted": self._wanted}
+        content = {"format": "lightmatrix-session", "version": 1, "wanted": self._wanted}
         text = json.dumps({**content, **asdict(self.state)})
         with self._results.keep(_STATE) as part:
             part.write_text(text + "\n")
 
-    def finish(
-        self,
-        patterns: PatternSet,
-        facts: CaptureFacts,
-        *,
-        write_extras: Callable[[Path], None],
-        overwrite: bool,
-    ) -> None:
-        """Make a capture folder, let `write_extras` add files, and discard the record."""
-        self.write(self._target, patterns, facts, write_extras, overwrite=overwrite)
+    def discard(self) -> None:
+        """Remove the record, once the capture is complete."""
         self._results.discard()
 
     def write(
@@ -200,7 +191,8 @@ class CaptureRecord:
         frame = self.read(numbers[0])
         assert frame is not None
         black = facts.black
-        if frame.ndim == 3 and all(map(self._is_grey, numbers)):
+        images = (self.read(k) for k in numbers)
+        if frame.ndim == 3 and all(image is not None and is_grey(image) for image in images):
             # Readers take files with three equal channels for grey images.
             black = black.mean(axis=2)
         sensor = Sensor(
@@ -222,10 +214,6 @@ class CaptureRecord:
             write_extras=write_extras,
             overwrite=overwrite,
         )
-
-    def _is_grey(self, frame: int) -> bool:
-        image = self.read(frame)
-        return image is not None and is_grey(image)
 
 
 def _name(frame: int) -> str:

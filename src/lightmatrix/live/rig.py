@@ -28,7 +28,7 @@ from lightmatrix.patterns.pattern_set import PatternSet, to_grey
 from lightmatrix.patterns.projector_curve import ProjectorResponse
 from lightmatrix.ranges import check_number
 from lightmatrix.simulation import library, realism
-from lightmatrix.simulation.procedural_scene import ProceduralScene
+from lightmatrix.simulation.procedural import ProceduralScene
 from lightmatrix.simulation.truth import Truth
 
 # Seconds to wait for a frame beyond its exposure.

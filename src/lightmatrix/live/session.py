@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from lightmatrix.errors import DeviceError
 from lightmatrix.live.pattern_match import PatternMatcher, choose_samples
 from lightmatrix.live.photograph import (
+    TRIES,
     Photographer,
     Shot,
     UntrustedFrameError,
@@ -31,13 +32,6 @@ from lightmatrix.live.record import CaptureRecord, FrameRecord
 from lightmatrix.live.references import Drift, References, measure_drift
 from lightmatrix.patterns.pattern_set import PatternSet
 
-# Photographs of a pattern before it is given up: one, and three repeats. Chosen by hand.
-TRIES = 4
-# The other frames need not be judged anew if at most this share was bad: few wrong frames change
-# the predictions little.
-_FEW_BAD = 0.1
-# The session ends if this many patterns in a row are given up: the rig does not work.
-_MOST_FAILURES = 4
 # Numbers for black and white images, which are shown between patterns.
 _BLACK, _WHITE = -1, -2
 MATCHED, CONFIRMED, UNCHECKED = "matched", "confirmed", "unchecked"
@@ -110,7 +104,9 @@ class CaptureSession:
         for _ in range(2):
             self._take_all([k for k in wanted if k not in self._frames])
             self._judge_all()
-        self._confirm_rest()
+        if self.check:
+            # What could not be judged is photographed again.
+            self._repeat([k for k, frame in self._frames.items() if frame.check == UNCHECKED])
 
     # ---- taking frames
 
@@ -124,7 +120,8 @@ class CaptureSession:
             if self.reference_every and count % self.reference_every == self.reference_every - 1:
                 self._look_at_references()
             failures = 0 if self._take(k) else failures + 1
-            if failures == _MOST_FAILURES:
+            # After four failures in a row the rig does not work.
+            if failures == 4:
                 reason = self.record.state.unmended[k]
                 raise DeviceError(
                     f"{failures} patterns in a row could not be photographed, {TRIES} tries each; "
@@ -155,7 +152,10 @@ class CaptureSession:
             complaint = self._judge(k, frame, shot, doubted) if self.check else None
             if complaint is None:
                 self.record.keep(k, shot.data, frame)
-                self._report(shot, frame.check)
+                if self.progress is not None:
+                    clipped = float((shot.data >= shot.frame.clip_level).mean())
+                    total = self.patterns.count
+                    self.progress(Step(len(self._frames), total, clipped, frame.check))
                 return True
             reason = complaint
             self._count_fault(reason)
@@ -269,13 +269,9 @@ class CaptureSession:
                     self._count_fault(complaint)
             self.record.save()
             self._repeat(bad)
-            if len(bad) <= _FEW_BAD * len(self._frames):
+            # Few wrong frames change the predictions of the others little.
+            if len(bad) <= 0.1 * len(self._frames):
                 return
-
-    def _confirm_rest(self) -> None:
-        """Photograph again what could not be judged."""
-        if self.check:
-            self._repeat([k for k, frame in self._frames.items() if frame.check == UNCHECKED])
 
     def _repeat(self, frames: list[int]) -> None:
         for k in sorted(frames):
@@ -315,8 +311,3 @@ class CaptureSession:
         words = " ".join("N" if word.strip(".,:%").isdigit() else word for word in reason.split())
         faults = self.record.state.faults
         faults[words] = faults.get(words, 0) + 1
-
-    def _report(self, shot: Shot, check: str) -> None:
-        if self.progress is not None:
-            clipped = float((shot.data >= shot.frame.clip_level).mean())
-            self.progress(Step(len(self._frames), self.patterns.count, clipped, check))

@@ -136,6 +136,14 @@ def both_axes(shape: tuple[int, int]) -> tuple[tuple[int, int], ...]:
     return tuple((axis, length) for axis, length in lengths if length > 1)
 
 
+def is_separable(patterns: PatternSet) -> bool:
+    """Whether no pattern varies along both rows and columns."""
+    if min(patterns.shape) == 1:
+        return False
+    stripes = stripes_of(patterns)
+    return stripes is not None and bool((stripes.axes != NOTHING).any())
+
+
 @dataclass(frozen=True, eq=False)
 class GrayCodePatterns(StripePatterns):
     """Gray code of the columns, then of the rows, then white and black.

@@ -17,35 +17,40 @@ from numpy.typing import NDArray
 from lightmatrix.camera.exposures import USUAL_NOISE
 from lightmatrix.errors import InputError
 
-# The strongest spot of a row is assumed to hold this share of its sum. The medians on the four
-# bundled scenes are 0.85, 0.98, 0.89 and 0.43.
-SPOT_SHARE = 0.85
-# Rows that must not clip are assumed to hold this share in their spot. It is higher where a camera
-# pixel sees no more than one projector pixel: with 0.85 such a rig has twice the error. With 1,
-# rows of global light have a twentieth more error.
-BRIGHT_SPOT_SHARE = 0.9
-# The projector does not reach camera pixels below this share of a bright one (0.99 quantile).
-# Chosen by hand.
-_LIT = 0.02
-# This share of the lit pixels, the brightest, may clip: glints must not darken all frames. Chosen
-# by hand.
-GLINTS = 0.001
-# If the noise exceeds this share of a typical pixel's light, longer exposures are added, each by
-# this factor. Chosen by hand; `python -m benchmarks.exposures` compares exposures.
-NOISE_LIMIT = 0.015
-STEP = 4.0
-# The shortest of several exposures serves few rows and gets this share of the frames, but at least
-# this many. Measured at 16 frames: with 4 of them bright rows are lost, 8 suffice.
-SHORTEST_SHARE = 0.25
-SHORTEST_FRAMES = 8
-# If more than this share of the lit pixels of a white frame clip, the scene's range is unknown.
-_MOST_CLIPPED = 0.5
-# Patterns light this share of the projector pixels, or the second one if the strongest response of
-# more than the third, a share of the lit camera pixels, clips. Where a fifth of them clips so, 0.25
-# is better than 0.5 and 0.1 (docs/planning.md, "Density").
+# Random patterns light this share of the projector pixels.
 DENSITY = 0.5
-DENSITY_WHERE_CLIPPED = 0.25
-_CLIPPED_SINGLY = 0.01
+
+
+@dataclass(frozen=True)
+class _Rules:
+    """What the advice assumes of scenes; `python -m benchmarks.exposures` compares exposures."""
+
+    # The strongest spot of a row is assumed to hold this share of its sum. The medians on the four
+    # bundled scenes are 0.85, 0.98, 0.89 and 0.43.
+    spot: float = 0.85
+    # Rows that must not clip are assumed to hold this share in their spot. It is higher where a
+    # camera pixel sees no more than one projector pixel: with 0.85 such a rig has twice the error.
+    # With 1, rows of global light have a twentieth more error.
+    bright_spot: float = 0.9
+    # The projector does not reach camera pixels below this share of a bright one (0.99 quantile).
+    lit: float = 0.02
+    # This share of the lit pixels, the brightest, may clip: glints must not darken all frames.
+    glints: float = 0.001
+    # If the noise exceeds this share of a typical pixel's light, longer exposures are added, each
+    # by this factor.
+    noise: float = 0.015
+    step: float = 4.0
+    # The shortest of several exposures serves few rows and gets this share of the frames, but at
+    # least this many. Measured at 16 frames: with 4 of them bright rows are lost, 8 suffice.
+    shortest_share: float = 0.25
+    shortest_frames: int = 8
+    # If the strongest response of more than this share of the lit camera pixels clips, half as many
+    # projector pixels are lit. Where a fifth of them clips so, a density of 0.25 is better than 0.5
+    # and 0.1 (docs/planning.md, "Density").
+    clipped_singly: float = 0.01
+
+
+RULES = _Rules()
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,9 +67,9 @@ class WhiteFrame:
                 "the white frame is dark",
                 hint="photograph the white pattern with a longer exposure",
             )
-        if self.clipped[self.lit].mean() > _MOST_CLIPPED:
+        if self.clipped_share > 0.5:
             raise InputError(
-                f"{100 * self.clipped[self.lit].mean():.0f} % of the white frame is clipped, so "
+                f"{100 * self.clipped_share:.0f} % of the white frame is clipped, so "
                 "the light of the scene is unknown",
                 hint="photograph the white pattern with a quarter of the exposure",
             )
@@ -72,7 +77,7 @@ class WhiteFrame:
     @property
     def lit(self) -> NDArray[np.bool_]:
         """Camera pixels that the projector reaches, (M,) bool."""
-        return np.asarray(self.levels > _LIT * np.quantile(self.levels, 0.99))
+        return np.asarray(self.levels > RULES.lit * np.quantile(self.levels, 0.99))
 
     @property
     def clipped_share(self) -> float:
@@ -82,7 +87,7 @@ class WhiteFrame:
     @property
     def brightest(self) -> float:
         """White level of the brightest pixels, except for glints."""
-        return float(np.quantile(self.levels[self.lit], 1 - GLINTS))
+        return float(np.quantile(self.levels[self.lit], 1 - RULES.glints))
 
     @property
     def typical(self) -> float:
@@ -106,16 +111,18 @@ def advise_exposures(
     8, but never more than the others. `shortest` is the camera's own limit.
     """
     check_camera(noise, shortest)
-    ladder = [1 / (BRIGHT_SPOT_SHARE * white.brightest)]
-    if white.clipped_share > GLINTS:
-        ladder.append(ladder[0] / STEP)
-    while noise > NOISE_LIMIT * white.typical * ladder[0] and ladder[0] * white.typical < 1:
-        ladder.insert(0, STEP * ladder[0])
+    ladder = [1 / (RULES.bright_spot * white.brightest)]
+    if white.clipped_share > RULES.glints:
+        ladder.append(ladder[0] / RULES.step)
+    while noise > RULES.noise * white.typical * ladder[0] and ladder[0] * white.typical < 1:
+        ladder.insert(0, RULES.step * ladder[0])
     if shortest is not None:
         kept = [exposure for exposure in ladder if exposure > shortest]
         ladder = kept if len(kept) == len(ladder) else [*kept, shortest]
     longer = len(ladder) - 1
-    least = max(SHORTEST_SHARE, SHORTEST_FRAMES / frames) if frames else SHORTEST_SHARE
+    least = RULES.shortest_share
+    if frames:
+        least = max(least, RULES.shortest_frames / frames)
     last = min(least, 1 / len(ladder)) if longer else 1.0
     shares = [*[(1 - last) / max(1, longer)] * longer, last]
     return [(_three_digits(e), share) for e, share in zip(ladder, shares, strict=True)]
@@ -142,18 +149,18 @@ def clipped_share(white: WhiteFrame, exposure: float, density: float = DENSITY) 
     and a broad rest of which the same share is always lit.
     """
     light = exposure * white.levels[white.lit]
-    rest = (1 - SPOT_SHARE) * density
-    dark, bright = light * rest >= 1, light * (SPOT_SHARE + rest) >= 1
+    rest = (1 - RULES.spot) * density
+    dark, bright = light * rest >= 1, light * (RULES.spot + rest) >= 1
     return float(np.mean((1 - density) * dark + density * bright))
 
 
 def single_clipped_share(white: WhiteFrame, exposures: Sequence[tuple[float, float]]) -> float:
     """Share of lit camera pixels whose strongest response clips at every exposure."""
     shortest = min(exposure for exposure, _ in exposures)
-    return float(np.mean(SPOT_SHARE * shortest * white.levels[white.lit] >= 1))
+    return float(np.mean(RULES.spot * shortest * white.levels[white.lit] >= 1))
 
 
 def advise_density(white: WhiteFrame, exposures: Sequence[tuple[float, float]]) -> float:
     """Share of projector pixels to light: a half, or a quarter if single responses clip."""
-    clipping = single_clipped_share(white, exposures) > _CLIPPED_SINGLY
-    return DENSITY_WHERE_CLIPPED if clipping else DENSITY
+    clipping = single_clipped_share(white, exposures) > RULES.clipped_singly
+    return DENSITY / 2 if clipping else DENSITY

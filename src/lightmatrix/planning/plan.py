@@ -1,9 +1,8 @@
-"""The errors to expect from a number of frames, measured on rendered scenes.
+"""`lm.plan`: advised exposures, patterns and frames, the expected error, and the commands.
 
-The entry `made_by` of table.json is the command that measures the table.
+The errors to expect were measured on rendered scenes. The entry `made_by` of table.json is the
+command that measures them.
 """
-# MERGED DOCS
-# """`lm.plan`: advised exposures, patterns and frames, the expected error, and the commands."""
 
 from __future__ import annotations
 
@@ -28,7 +27,7 @@ from lightmatrix.patterns.mix import FEWEST_MIXED, Mix, MixedPatterns, default_m
 from lightmatrix.patterns.pattern_set import PatternSet
 from lightmatrix.planning.exposure_advice import (
     DENSITY,
-    GLINTS,
+    RULES,
     WhiteFrame,
     advise_density,
     advise_exposures,
@@ -122,8 +121,6 @@ def _error_range(
 
 # The projector size that is assumed if none is stated.
 USUAL_SIZE = (128, 128)
-# The command for a capture folder; its capture.json holds what options of two folders cannot say.
-ESTIMATE_FOLDER = "lightmatrix estimate capture/ -o scene.zarr"
 
 
 @dataclass(frozen=True)
@@ -202,7 +199,12 @@ class Advice:
     @property
     def white_is_clipped(self) -> bool:
         """Whether more than single glints of the white frame clip."""
-        return self.white_clipped_share > GLINTS
+        return self.white_clipped_share > RULES.glints
+
+    @property
+    def too_bright(self) -> bool:
+        """Whether many single responses will clip, so that errors are larger than expected."""
+        return self.rows_that_clip_singly > RULES.clipped_singly
 
     @property
     def exposure(self) -> float | str:
@@ -324,16 +326,35 @@ def plan(
     if frames is not None and not 2 <= frames <= 1_000_000:
         raise InputError(f"{frames} frames", hint="use 2 to 1000000")
     check_camera(noise, shortest)
-    photograph = _Photograph(exposure, black, clip, response)
-    simulated = not isinstance(white, WhiteFrame) and _is_simulated(white)
+    of_photograph = {"exposure": exposure, "black": black, "clip": clip, "response": response}
+    projector, simulated = size or USUAL_SIZE, False
     if isinstance(white, WhiteFrame):
-        frame, projector = white, size or USUAL_SIZE
-    elif simulated:
-        photograph.check_unset()
-        frame, projector = _simulated(white, size, progress)
+        frame = white
+    elif isinstance(white, Truth) or str(white).lower().endswith(".npz") or str(white) in names():
+        present = [name for name, value in of_photograph.items() if value is not None]
+        if present:
+            raise InputError(
+                f"{', '.join(present)} with a scene",
+                hint="these settings are for photographs; leave them out",
+            )
+        simulated, known = True, library.truth(white, projector, progress=progress)
+        projector = known.projector_shape
+        if size not in (None, projector):
+            raise InputError(
+                f"{white if isinstance(white, str | Path) else 'the truth'} has a projector of "
+                f"{projector[0]} x {projector[1]}",
+                hint="leave the size out",
+            )
+        levels = known.matrix.sum(axis=1, dtype=np.float64)
+        frame = WhiteFrame(levels, np.zeros(len(levels), bool))
     else:
-        assert not isinstance(white, Truth)
-        frame, projector = photograph.read(white), size or USUAL_SIZE
+        unit = 1.0 if exposure is None else exposure
+        hint = "use a number above 0, such as 20"
+        check_number("an exposure", unit, most=1e9, above=True, hint=hint)
+        settings = ReadSettings(black=black, clip=clip, response=response)
+        photograph = read_white_frame(white, settings)
+        values = photograph.values[:, 0].astype(np.float64) / unit
+        frame = WhiteFrame(values, photograph.clipped[:, 0])
     count = frames_for(error) if frames is None else frames
     exposures = advise_exposures(frame, noise, shortest, count)
     density = advise_density(frame, exposures)
@@ -358,90 +379,32 @@ def plan(
         expected=tuple(e for k in sorted({count, *counts()}) for e in expectations(k)),
         commands=(),
     )
-    return replace(advice, commands=_commands(advice, photograph))
+    return replace(advice, commands=_commands(advice, black, clip, response))
 
 
-def _is_simulated(white: str | Path | Truth) -> bool:
-    """Whether a source is a truth or a scene instead of a photograph."""
-    return isinstance(white, Truth) or str(white).lower().endswith(".npz") or str(white) in names()
-
-
-def _simulated(
-    source: str | Path | Truth,
-    size: tuple[int, int] | None,
-    progress: Callable[[int, int], None] | None,
-) -> tuple[WhiteFrame, tuple[int, int]]:
-    """The white frame of a scene or truth, and its projector."""
-    known = library.truth(source, size or USUAL_SIZE, progress=progress)
-    if size not in (None, known.projector_shape):
-        raise InputError(
-            f"{source if isinstance(source, str | Path) else 'the truth'} has a projector of "
-            f"{known.projector_shape[0]} x {known.projector_shape[1]}",
-            hint="leave the size out",
-        )
-    levels = known.matrix.sum(axis=1, dtype=np.float64)
-    return WhiteFrame(levels, np.zeros(len(levels), bool)), known.projector_shape
-
-
-@dataclass(frozen=True)
-class _Photograph:
-    """How to read the photograph of a white pattern."""
-
-    exposure: float | None
-    black: str | Path | float | None
-    clip: float | None
-    response: str | None
-
-    def check_unset(self) -> None:
-        """Raise InputError if any of the settings is given, because a scene needs none."""
-        present = [name for name, value in vars(self).items() if value is not None]
-        if present:
-            raise InputError(
-                f"{', '.join(present)} with a scene",
-                hint="these settings are for photographs; leave them out",
-            )
-
-    def read(self, file: str | Path) -> WhiteFrame:
-        """The white frame at exposure 1, in the unit of the exposure."""
-        exposure = 1.0 if self.exposure is None else self.exposure
-        hint = "use a number above 0, such as 20"
-        check_number("an exposure", exposure, most=1e9, above=True, hint=hint)
-        settings = ReadSettings(black=self.black, clip=self.clip, response=self.response)
-        frame = read_white_frame(file, settings)
-        values = frame.values[:, 0].astype(np.float64) / exposure
-        return WhiteFrame(values, frame.clipped[:, 0])
-
-
-def _commands(advice: Advice, photograph: _Photograph) -> tuple[str, ...]:
+def _commands(
+    advice: Advice, black: str | Path | float | None, clip: float | None, response: str | None
+) -> tuple[str, ...]:
     """The commands that make the patterns, simulate if there is no rig, and estimate."""
     size = "x".join(map(str, advice.projector))
     patterns = f"lightmatrix patterns {advice.patterns} -k {advice.frames} --size {size}"
     if advice.density != DENSITY:
         patterns += f" --density {advice.density:g}"
     patterns += " -o patterns/"
-    if not advice.simulated:
-        return patterns, _estimate_command(advice, photograph)
-    exposure = advice.exposure if isinstance(advice.exposure, str) else f"{advice.exposure:g}"
-    simulate = (
-        f"lightmatrix simulate {shlex.quote(advice.source)} --patterns patterns/ "
-        f"--exposure {exposure} -o capture/"
-    )
-    return patterns, simulate, ESTIMATE_FOLDER
-
-
-def _estimate_command(advice: Advice, photograph: _Photograph) -> str:
-    """Estimate from two folders, or from a capture folder if only capture.json can say it all."""
-    black = photograph.black
+    whole = "lightmatrix estimate capture/ -o scene.zarr"
+    if advice.simulated:
+        exposure = advice.exposure if isinstance(advice.exposure, str) else f"{advice.exposure:g}"
+        simulate = (
+            f"lightmatrix simulate {shlex.quote(advice.source)} --patterns patterns/ "
+            f"--exposure {exposure} -o capture/"
+        )
+        return patterns, simulate, whole
+    # Only the capture.json of a capture folder can hold exposures and a black level.
     if len(advice.exposures) > 1 or isinstance(black, int | float):
-        return ESTIMATE_FOLDER
+        return patterns, whole
     line = "lightmatrix estimate --patterns patterns/ --images photos/"
-    options = (
-        ("--black", black),
-        ("--clip", photograph.clip),
-        ("--response", photograph.response),
-    )
-    for option, value in options:
+    for option, value in (("black", black), ("clip", clip), ("response", response)):
         if value is not None:
             text = f"{value:g}" if isinstance(value, float) else shlex.quote(str(value))
-            line += f" {option} {text}"
-    return f"{line} -o scene.zarr"
+            line += f" --{option} {text}"
+    return patterns, f"{line} -o scene.zarr"

@@ -2,8 +2,20 @@
 
 from __future__ import annotations
 
+import base64
 from dataclasses import dataclass
-from typing import ClassVar, Literal, TypeAlias
+from pathlib import Path
+from typing import Any, ClassVar, Literal, TypeAlias
+
+import matplotlib as mpl
+import numpy as np
+from numpy.typing import NDArray
+
+from lightmatrix.files.images import encode_image, read_image
+from lightmatrix.patterns.pattern_set import block_mean
+from lightmatrix.show.maps import Map
+from lightmatrix.show.style import display
+from lightmatrix.show.transport import FAINT
 
 
 @dataclass(frozen=True)
@@ -117,3 +129,153 @@ class Section:
     title: str
     lead: str
     elements: tuple[Element, ...]
+
+
+# Arrays as images of the report: small enough for one page, with alternative texts and scales.
+
+
+# The longer side of a picture has at most this many pixels, which fills a column of the page. The
+# second limit is that of thumbnails.
+MOST_PIXELS = 320
+THUMB_PIXELS = 72
+# Photographs of up to this many pixels a side are stored without loss: single pixels are visible on
+# the page, and noise does not make the file large.
+MOST_LOSSLESS = 128
+# This share of a picture's pixels, the brightest, is shown as white. Chosen by eye: highlights must
+# not make everything else dark.
+_GLINTS = 0.005
+# The scale of a difference holds this share of its pixels. Chosen by eye.
+_SCALED = 0.99
+# WebP quality of images with and without loss. Chosen by eye and by file size.
+_LOSSY_QUALITY, _LOSSLESS_QUALITY = 88, 60
+_BAR_PIXELS = 64
+
+Shrinking = Literal["mean", "largest", "sampled"]
+
+
+def image_of_map(shown: Map, caption: str = "") -> Image:
+    """A map over the camera, with the scale of its colours."""
+    pixels = _shrink(shown.pixels(), MOST_PIXELS, "sampled")
+    steps = np.linspace(0, 1, _BAR_PIXELS)
+    bar = np.asarray(shown.colour_map(steps, bytes=True))[None, :, :3]
+    scale = Scale(_address(bar), _number(shown.low), _number(shown.high), shown.label)
+    logarithmic = ", on a logarithmic scale" if shown.logarithmic else ""
+    known = shown.values[np.isfinite(shown.values)]
+    range_ = "no pixel has a value"
+    if known.size:
+        low, middle, high = np.quantile(known, (0.05, 0.5, 0.95))
+        range_ = (
+            f"90 % of the pixels lie between {low:.3g} and {high:.3g}, the median is {middle:.3g}"
+        )
+    alternative = f"Map over the camera of the {shown.label}{logarithmic}: {range_}."
+    return _image(pixels, alternative, shown.title, caption, scale)
+
+
+def photograph(
+    light: NDArray[Any], alternative: str, title: str = "", caption: str = "",
+    *, white: float | None = None, most: int = MOST_PIXELS, exact: bool = False,
+) -> Image:  # fmt: skip
+    """A linear image (rows, cols[, 3]) with gamma 2.2 and a longer side of `most` pixels."""
+    level = float(np.quantile(light, 1 - _GLINTS)) if white is None else white
+    shown = display(_shrink(np.asarray(light, float), most, "mean"), level)
+    small = max(shown.shape[:2]) <= MOST_LOSSLESS
+    return _image(_bytes(shown), alternative, title, caption, exact=exact and small)
+
+
+def pattern_image(
+    pattern: NDArray[Any], alternative: str, title: str = "", caption: str = "",
+    *, most: int = MOST_PIXELS,
+) -> Image:  # fmt: skip
+    """A pattern with its values in [0, 1] as grey levels."""
+    shown = np.clip(_shrink(np.asarray(pattern, float), most, "mean"), 0, 1)
+    return _image(_bytes(shown), alternative, title, caption)
+
+
+def colour_image(
+    colours: NDArray[np.floating], alternative: str, title: str = "", caption: str = ""
+) -> Image:
+    """An image (rows, cols, 3) of colours in [0, 1], as they are."""
+    return _image(_bytes(_shrink(colours, MOST_PIXELS, "sampled")), alternative, title, caption)
+
+
+def faint_image(light: NDArray[Any], alternative: str, title: str, caption: str = "") -> Image:
+    """A row or column of T, with the faint light around its bright spot made visible."""
+    brightest = max(float(light.max()), 1e-12)
+    shown = np.clip(_shrink(np.asarray(light, float), MOST_PIXELS, "largest") / brightest, 0, 1)
+    colours = mpl.colormaps["inferno"]
+    pixels = np.asarray(colours(shown**FAINT, bytes=True))[..., :3]
+    bar = np.asarray(colours(np.linspace(0, 1, _BAR_PIXELS), bytes=True))[None, :, :3]
+    half = _number(0.5 ** (1 / FAINT) * brightest)
+    label = f"relative to the clip level; the middle of the scale is {half}"
+    scale = Scale(_address(bar), "0", _number(brightest), label)
+    return _image(pixels, alternative, title, caption, scale)
+
+
+def difference_image(
+    difference: NDArray[Any], least: float, alternative: str, title: str, caption: str = ""
+) -> Image:
+    """A difference: grey where it is 0, darker below, brighter above.
+
+    The scale holds all but the largest differences, and ends at `least` or above.
+    """
+    grey = _grey(np.asarray(difference, float))
+    most = max(least, float(np.quantile(abs(grey), _SCALED)))
+    shown = np.clip(0.5 + 0.5 * _shrink(grey, MOST_PIXELS, "mean") / max(most, 1e-12), 0, 1)
+    bar = _bytes(np.linspace(0, 1, _BAR_PIXELS)[None])
+    scale = Scale(_address(bar), _number(-most), f"+{_number(most)}", "relative to the clip level")
+    return _image(_bytes(shown), alternative, title, caption, scale)
+
+
+def image_of_file(file: Path, alternative: str, title: str = "", caption: str = "") -> Image:
+    """A picture from a file, such as a figure."""
+    pixels = read_image(file)
+    rows, cols = pixels.shape[:2]
+    return Image(_address(pixels), cols, rows, alternative, title, caption)
+
+
+def _image(
+    pixels: NDArray[np.uint8], alternative: str, title: str, caption: str,
+    scale: Scale | None = None, *, exact: bool = True,
+) -> Image:  # fmt: skip
+    rows, cols = pixels.shape[:2]
+    return Image(_address(pixels, exact), cols, rows, alternative, title, caption, scale)
+
+
+def _address(pixels: NDArray[np.uint8], exact: bool = True) -> str:
+    """An image as a data: address, lossless if `exact`."""
+    options: dict[str, Any] = {"quality": _LOSSY_QUALITY}
+    if exact:
+        options = {"lossless": True, "quality": _LOSSLESS_QUALITY}
+    coloured = pixels if pixels.ndim == 3 else np.repeat(pixels[..., None], 3, axis=2)
+    encoded = encode_image(coloured, "webp", **options)
+    return "data:image/webp;base64," + base64.b64encode(encoded).decode("ascii")
+
+
+def _shrink(image: NDArray[Any], most: int, how: Shrinking) -> NDArray[Any]:
+    """An image of at most `most` pixels a side, shrunk by a whole number of pixels."""
+    block = -(-max(image.shape[:2]) // most)
+    if block == 1:
+        return image
+    if how == "sampled":
+        first = [min(block // 2, size - 1) for size in image.shape[:2]]
+        return image[first[0] :: block, first[1] :: block]
+    if how == "largest":
+        for axis in (0, 1):
+            starts = np.arange(0, image.shape[axis], block)
+            image = np.maximum.reduceat(image, starts, axis=axis)
+        return image
+    if image.ndim == 2:
+        return block_mean(image[None], (block, block))[0]
+    return np.moveaxis(block_mean(np.moveaxis(image, 2, 0), (block, block)), 0, 2)
+
+
+def _grey(image: NDArray[Any]) -> NDArray[Any]:
+    return image if image.ndim == 2 else image.mean(axis=2)
+
+
+def _bytes(shown: NDArray[Any]) -> NDArray[np.uint8]:
+    return np.rint(255 * shown).astype(np.uint8)
+
+
+def _number(value: float) -> str:
+    return f"{value:.2g}" if abs(value) < 100 else f"{value:.0f}"

@@ -3,9 +3,15 @@
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
+
+import numpy as np
+from jinja2 import Environment, PackageLoader, StrictUndefined
+from markupsafe import Markup, escape
 
 from lightmatrix._version import __version__
 from lightmatrix.capture.capture import Capture
@@ -13,6 +19,9 @@ from lightmatrix.diagnosis.finding import Finding
 from lightmatrix.errors import InputError
 from lightmatrix.estimators.settings import EstimateSettings
 from lightmatrix.evaluation.judgement import (
+    FAIR,
+    GOOD,
+    SINGLY_CLIPPED,
     Verdicts,
     correspondence_verdict,
     percent,
@@ -21,22 +30,172 @@ from lightmatrix.evaluation.judgement import (
 from lightmatrix.geometry.rig_geometry import RigGeometry
 from lightmatrix.outputs.kinds import REPORT
 from lightmatrix.outputs.writing import atomic_folder
-from lightmatrix.report.elements import Points, Section
-from lightmatrix.report.facts import Facts
-from lightmatrix.report.page import Page, html
-from lightmatrix.report.recommendations import recommendations
-from lightmatrix.report.sections.error_estimates import error_estimates
-from lightmatrix.report.sections.parameters import parameters
-from lightmatrix.report.sections.photographs import first_frames, photographs
-from lightmatrix.report.sections.relighting import relighting
-from lightmatrix.report.sections.transport_matrix import transport_matrix
-from lightmatrix.report.sections.uses import uses
-from lightmatrix.report.validation import Estimator, Validation, validate
+from lightmatrix.report.elements import Points, Section, Strip
+from lightmatrix.report.facts import Estimator, Facts, Validation, validate
+from lightmatrix.report.sections import (
+    error_estimates,
+    first_frames,
+    parameters,
+    photographs,
+    relighting,
+    transport_matrix,
+    uses,
+)
+from lightmatrix.shape.triangulation import geometry_of
+from lightmatrix.show.maps import has_diagnostic
 from lightmatrix.simulation.truth import Truth
 from lightmatrix.solvers.loop import Progress
 from lightmatrix.transport.matrix import LightTransport
-from lightmatrix.uses.triangulation import geometry_of
 from lightmatrix.viewer.export import export_viewer
+
+# Recommendations for the next capture, one sentence or two for each problem.
+
+
+# The report recommends something if more than these shares of the rows clip in half of their
+# samples, do not converge, or hardly see the projector. All limits here were chosen by hand.
+_OFTEN_CLIPPED, _UNFINISHED, _DARK = 0.1, 0.01, 0.2
+# A longer exposure is recommended if the brightest frame's mean lies below this share of the clip
+# level and hardly any sample clips. It is to reach half of the clip level in one step of at most 8.
+_DIM, _HARDLY_ANY = 0.1, 0.001
+_WANTED_LEVEL, _LONGEST_STEP = 0.5, 8.0
+# A projector in focus has footprints of fewer projector pixels than this (median over the rows).
+_WIDE = 12
+# A background that holds more than this share of the light is worth coarse patterns.
+_DIFFUSE = 0.3
+
+
+def recommendations(facts: Facts) -> tuple[str, ...]:
+    """Recommendations for the user, the most urgent first."""
+    sentences = [
+        *_about_exposure(facts),
+        *_about_prediction(facts),
+        *_about_convergence(facts),
+        *_about_the_rig(facts),
+    ]
+    return tuple(sentences) or (
+        "Nothing needs to change: use the same exposure, patterns and number of photographs.",
+    )
+
+
+def _about_exposure(facts: Facts) -> list[str]:
+    sentences = []
+    shares = np.asarray(facts.transport.diagnostics.get("clipped_share", np.zeros(1)))
+    often = float(np.mean(shares > 0.5))
+    if facts.singly_clipped > SINGLY_CLIPPED:
+        sentences.append(
+            f"{percent(facts.singly_clipped)} of the rows clip under a single projector pixel, so "
+            "their strongest entry is only a lower bound. Take a few frames at a quarter of the "
+            "exposure (`lightmatrix plan` says how many)."
+        )
+    elif often > _OFTEN_CLIPPED:
+        sentences.append(
+            f"{percent(often)} of the rows clipped in more than half of their samples. Choose an "
+            "exposure at which a white pattern just does not clip, or light fewer projector pixels "
+            "at a time (`lightmatrix plan` on a white frame)."
+        )
+    brightest = float(facts.frames.level.max())
+    if brightest < _DIM and float(facts.frames.clipped.max()) < _HARDLY_ANY:
+        factor = min(_LONGEST_STEP, _WANTED_LEVEL / max(brightest, 1e-3))
+        sentences.append(
+            f"The brightest frame reaches {percent(brightest)} of the clip level on average, and "
+            f"nothing clips. An exposure {factor:.2g} times as long would leave less noise."
+        )
+    return sentences
+
+
+def _about_prediction(facts: Facts) -> list[str]:
+    validation = facts.validation
+    if not isinstance(validation, Validation):
+        return [
+            f"The estimate was not tested on unseen photographs: {validation}. A few more random "
+            "patterns would make a test possible."
+        ]
+    if validation.error <= GOOD:
+        return []
+    error = f"Prediction error on unseen photographs: {percent(validation.error)}."
+    count = facts.capture.count
+    if validation.error <= FAIR:
+        return [f"{error} More patterns ({2 * count} instead of {count}) would lower it."]
+    return [
+        f"{error} Check that the frames follow the patterns, that they are linear in light and "
+        f"that the camera did not move. If so, take twice the patterns ({2 * count}), or average "
+        "projector pixels (--bin-projector 2)."
+    ]
+
+
+def _about_convergence(facts: Facts) -> list[str]:
+    converged = facts.transport.diagnostics.get("converged")
+    if converged is None or 1 - float(np.mean(converged)) <= _UNFINISHED:
+        return []
+    return [
+        f"{percent(1 - float(np.mean(converged)))} of the rows reached the iteration limit. Raise "
+        "it with --iterations."
+    ]
+
+
+def _about_the_rig(facts: Facts) -> list[str]:
+    sentences = []
+    transport = facts.transport
+    if facts.dark_share > _DARK:
+        sentences.append(
+            f"{percent(facts.dark_share)} of the camera pixels hardly see the projector. A mask "
+            "(--mask), or a camera that sees only the lit part, saves their time."
+        )
+    if has_diagnostic(transport, "footprint"):
+        size = float(np.nanmedian(transport.diagnostics["footprint"]))
+        if size > _WIDE:
+            sentences.append(
+                f"Footprints cover {size:.0f} projector pixels (median). Focus the projector, or "
+                "take more patterns."
+            )
+    is_mixed = int(np.max(facts.capture.patterns.kinds)) > 0
+    if transport.background_share > _DIFFUSE and not is_mixed:
+        sentences.append(
+            f"{percent(transport.background_share)} of the light is in the faint background. A few "
+            "coarse patterns among the fine ones resolve it (`lightmatrix patterns mix`)."
+        )
+    return sentences
+
+
+# The page of a report: sections laid out as HTML that needs no network and no script.
+
+
+@dataclass(frozen=True)
+class Page:
+    """The content of a report."""
+
+    title: str
+    verdicts: Verdicts
+    # The few numbers of the first screen.
+    numbers: dict[str, str]
+    # The viewer's page beside this one, if there is one.
+    viewer: str | None
+    # Problems of the frames, with remedies.
+    findings: tuple[str, ...]
+    first_frames: Strip
+    sections: tuple[Section, ...]
+    version: str
+
+
+def html(page: Page) -> str:
+    """A page as one self-contained HTML document."""
+    environment = Environment(
+        loader=PackageLoader("lightmatrix.report"),
+        # Names and values are text, whatever they hold.
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    environment.filters["code"] = _code
+    return environment.get_template("report.html").render(page=page) + "\n"
+
+
+def _code(text: str) -> Markup:
+    """Escaped text with `words` in backticks as code, and no line break before a %."""
+    together = str(escape(text)).replace(" %", "\N{NO-BREAK SPACE}%")
+    return Markup(re.sub(r"`([^`]+)`", r"<code>\1</code>", together))
+
 
 # The files of a report folder.
 PAGE, NUMBERS, VIEWER = "report.html", "report.json", "viewer.html"

@@ -14,8 +14,7 @@ from lightmatrix.files.images import fill_image
 from lightmatrix.outputs.kinds import THUMBNAILS
 from lightmatrix.outputs.writing import atomic_folder
 from lightmatrix.simulation import library
-from lightmatrix.simulation.llvm import load_mitsuba
-from lightmatrix.simulation.mitsuba_scene import mitsuba_scene
+from lightmatrix.simulation.mitsuba_scene import load_mitsuba, mitsuba_scene
 from lightmatrix.simulation.scenes import names, scene
 
 # The picture of a scene shows this multiple of this quantile of its image as white, so that a few

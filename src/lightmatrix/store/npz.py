@@ -20,8 +20,7 @@ from scipy.sparse import coo_array, csr_array
 from lightmatrix.errors import InputError, OutputError
 from lightmatrix.files.json_files import parse_json
 from lightmatrix.files.numpy_files import NpyHeader, read_npz
-from lightmatrix.geometry.files import checked_fields
-from lightmatrix.geometry.rig_geometry import RigGeometry
+from lightmatrix.geometry.rig_geometry import RigGeometry, checked_fields
 from lightmatrix.outputs.kinds import (
     CORRESPONDENCE,
     CORRESPONDENCE_MARK,

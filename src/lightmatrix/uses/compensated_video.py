@@ -19,8 +19,8 @@ from lightmatrix.patterns.pattern_set import ImagePatterns
 from lightmatrix.ranges import check_number
 from lightmatrix.reprs import short_repr
 from lightmatrix.uses.compensation import USUAL_ITERATIONS, compensator
+from lightmatrix.uses.images import Picture, wanted_samples
 from lightmatrix.uses.loading import Transport
-from lightmatrix.uses.wanted_image import Picture, wanted_samples
 
 # Iterations for a frame that starts from the pattern of the frame before. In a picture that pans by
 # a pixel a frame at 64 x 64, ten are within 0.05 dB of 25 from the start.

@@ -13,9 +13,9 @@ from lightmatrix.outputs.kinds import IMAGE
 from lightmatrix.outputs.writing import check_output
 from lightmatrix.transport.matrix import LightTransport
 from lightmatrix.uses.compensation import Compensation, compensator
+from lightmatrix.uses.images import write_shown
 from lightmatrix.uses.joint_light import joint_light
 from lightmatrix.uses.loading import Transport
-from lightmatrix.uses.pattern_images import write_shown
 from lightmatrix.uses.separation import pattern_or_white, separate
 
 # Iterations of the solver. Chosen by hand: twice as many as a compensation takes.

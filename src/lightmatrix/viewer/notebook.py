@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 from lightmatrix.errors import InputError, LightMatrixError, MissingExtraError
 from lightmatrix.ranges import check_finite
 from lightmatrix.transport.matrix import LightTransport
+from lightmatrix.viewer.export import STYLE, bundle, page_file
 from lightmatrix.viewer.messages import MessageError
-from lightmatrix.viewer.page_files import STYLE, bundle, page_file
 from lightmatrix.viewer.scene import Scene
 from lightmatrix.viewer.session import REST_MILLISECONDS, Session
 

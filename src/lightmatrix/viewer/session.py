@@ -10,11 +10,9 @@ from numpy.typing import NDArray
 
 from lightmatrix.errors import LightMatrixError
 from lightmatrix.transport.sparse_rows import SparseRows
-from lightmatrix.viewer.coarse import CoarseLight
-from lightmatrix.viewer.lights import Light
+from lightmatrix.viewer.lights import CoarseLight, Light
 from lightmatrix.viewer.messages import Ask, Compensate, Kind, MessageError, Paint, parse
-from lightmatrix.viewer.packed import packed
-from lightmatrix.viewer.tiles import Tiles, halves, tile_values, tiles_above
+from lightmatrix.viewer.packed import Tiles, halves, packed, tile_values, tiles_above
 
 # A pattern that changes in more than this share of its pixels is relit as a whole.
 _WHOLE = 1 / 16

@@ -29,11 +29,11 @@ from scipy.sparse import csr_array
 
 from lightmatrix import _core
 from lightmatrix.camera.samples import Samples
-from lightmatrix.diagnosis.pattern_faults import is_separable
 from lightmatrix.estimators.coherent.neighbourhood import mean_around, strongest_entries
 from lightmatrix.estimators.coherent.row_solver import RowSolver, WeightedRows
 from lightmatrix.patterns.atoms import AtomPatterns
 from lightmatrix.patterns.pattern_set import PatternSet
+from lightmatrix.patterns.stripes import is_separable
 from lightmatrix.resources.threads import core_threads
 from lightmatrix.solvers.fidelity import Fidelity
 from lightmatrix.solvers.problem import Result

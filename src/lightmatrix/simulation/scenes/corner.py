@@ -6,10 +6,8 @@ from math import sqrt
 
 import numpy as np
 
-from lightmatrix.simulation.geometry import Mesh, turn
-from lightmatrix.simulation.scenes.scene import Part, Scene, matt
-from lightmatrix.simulation.scenes.shapes import ball, box
-from lightmatrix.simulation.scenes.view import View
+from lightmatrix.simulation.scenes.scene import Part, Scene, View, matt
+from lightmatrix.simulation.scenes.shapes import Mesh, ball, box, turn
 
 # Height of the edge where the walls meet: the plane z = 0 cuts the walls, so that half of their lit
 # parts lies below it and half above.

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from lightmatrix.simulation.geometry import Mesh, extrude, revolve, turn
 from lightmatrix.simulation.scenes.scene import Part, Scene, matt, metal, plastic
-from lightmatrix.simulation.scenes.shapes import ball, box, rod, sheet
+from lightmatrix.simulation.scenes.shapes import Mesh, ball, box, extrude, revolve, rod, sheet, turn
 
 BODY = plastic((0.18, 0.19, 0.21), 0.2)
 STEEL = metal("Cr", 0.3)

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from lightmatrix.simulation.geometry import from_quaternion
 from lightmatrix.simulation.scenes.scene import Part, Scene, matt
-from lightmatrix.simulation.scenes.shapes import l_block, sheet
+from lightmatrix.simulation.scenes.shapes import from_quaternion, l_block, sheet
 
 # Where rigid blocks came to rest after falling on a table and on each other, computed once with a
 # rigid-body simulation: position of the middle (x, y, z), then the quaternion (w, x, y, z).

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from lightmatrix.simulation.geometry import from_quaternion
 from lightmatrix.simulation.scenes.scene import Part, Scene, matt, metal
-from lightmatrix.simulation.scenes.shapes import bolt, bracket, nut, ring, sheet
+from lightmatrix.simulation.scenes.shapes import bolt, bracket, from_quaternion, nut, ring, sheet
 
 PARTS = {
     "bolt": (bolt(radius=0.062, length=0.46, head_radius=0.115, head_height=0.085), "Cr", 0.2),

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from lightmatrix.simulation.geometry import Mesh, revolve, turn
 from lightmatrix.simulation.scenes.scene import Part, Scene, matt, plastic, translucent
-from lightmatrix.simulation.scenes.shapes import box, sheet
+from lightmatrix.simulation.scenes.shapes import Mesh, box, revolve, sheet, turn
 
 PAPER = translucent(0.88, 1.1)
 GLAZE = plastic((0.72, 0.70, 0.66), 0.14)

@@ -5,10 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from lightmatrix.simulation.geometry import Mesh, revolve
-from lightmatrix.simulation.scenes.scene import Part, Scene, matt, painted
-from lightmatrix.simulation.scenes.shapes import ball, sheet
-from lightmatrix.simulation.scenes.view import View
+from lightmatrix.simulation.scenes.scene import Part, Scene, View, matt, painted
+from lightmatrix.simulation.scenes.shapes import Mesh, ball, revolve, sheet
 
 # Vertices along the profile and around the vase: finer than the pixels of a megapixel camera would
 # see, so that paint and silhouette look smooth.

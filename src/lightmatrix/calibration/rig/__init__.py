@@ -1,1 +1,0 @@
-"""The geometry of a rig, measured: from photographs of a board, or from any scene."""

@@ -1,0 +1,616 @@
+"""The estimated T in pictures: correspondence, white and dual image, background, rows, columns."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lightmatrix.errors import InputError
+from lightmatrix.evaluation.judgement import percent
+from lightmatrix.evaluation.metrics import relighting_error, unseen_patterns
+from lightmatrix.geometry.rig_geometry import RigGeometry
+from lightmatrix.report.elements import (
+    THUMB_PIXELS,
+    Bars,
+    Columns,
+    Element,
+    Gallery,
+    Image,
+    Pair,
+    Section,
+    Strip,
+    Table,
+    Text,
+    colour_image,
+    difference_image,
+    faint_image,
+    image_of_map,
+    pattern_image,
+    photograph,
+)
+from lightmatrix.report.facts import Facts, Validation
+from lightmatrix.reprs import shown_value
+from lightmatrix.shape.shape import depth_map, normal_colours
+from lightmatrix.shape.triangulation import triangulate
+from lightmatrix.show.maps import (
+    Map,
+    clipping_map,
+    correspondence_maps,
+    error_map,
+    estimated_error_map,
+    footprint_map,
+    gap_map,
+    has_diagnostic,
+)
+from lightmatrix.transport.matrix import LightTransport, labelled
+from lightmatrix.uses.compensation import Compensation, compensator
+from lightmatrix.uses.separation import separate
+
+# All parameters of the estimate, enough to repeat it.
+
+
+# Longer values, such as lists of one exposure per frame, are cut to this many characters.
+_LONGEST = 200
+
+
+def parameters(facts: Facts) -> Section:
+    """The provenance of the estimate."""
+    rows = tuple(_flat(facts.transport.provenance))
+    lead = "The parameters as the store of the estimate holds them."
+    tables = (Table("Parameters", ("parameter", "value"), rows),) if rows else ()
+    return Section("parameters", "All parameters", lead, tables)
+
+
+def _flat(values: Mapping[str, Any], before: str = "") -> Iterator[tuple[str, str]]:
+    for key, value in values.items():
+        name = f"{before}{key}".replace("_", " ")
+        if isinstance(value, Mapping):
+            yield from _flat(value, f"{name}: ")
+            continue
+        text = shown_value(value)
+        yield name, text if len(text) <= _LONGEST else f"{text[:_LONGEST]} ..."
+
+
+# What this T can be used for: direct and global light, a compensated picture, the shape.
+
+
+# Larger cameras are left out. This many camera samples (512 x 512) take 11 s of one processor core,
+# nearly all of it for the separation, in proportion to their number.
+_MOST_SAMPLES = 1 << 18
+
+
+def uses(facts: Facts) -> Section:
+    """Direct and global light, a picture with and without compensation, depth and normals."""
+    lead = "What this T is good for, under patterns that were never projected."
+    transport = facts.transport
+    if transport.shape[0] > _MOST_SAMPLES:
+        elements: tuple[Element, ...] = (
+            Text(
+                "For a camera of this size, use `lightmatrix separate SCENE.zarr -o FOLDER`, "
+                "`lightmatrix compensate SCENE.zarr WANTED.png -o PATTERN.png` and "
+                "`lightmatrix triangulate SCENE.zarr --geometry RIG.json -o CLOUD.ply`."
+            ),
+        )
+    else:
+        elements = (
+            *_separated(transport),
+            *_compensated(transport),
+            *_triangulated(transport, facts.geometry),
+        )
+    return Section("uses", "Uses", lead, elements)
+
+
+def _separated(transport: LightTransport) -> tuple[Element, ...]:
+    """The images of direct and of global light under a white pattern."""
+    try:
+        parts = separate(transport)
+    except InputError as error:
+        return (Text(f"Direct and global light cannot be separated: {error.message}."),)
+    white = np.ones(transport.projector_shape, np.float32)
+    direct, others = parts.direct.relight(white), parts.global_.relight(white)
+    share = float(others.sum() / max(float((direct + others).sum()), 1e-12))
+    level = float(np.quantile(direct + others, 0.99))
+    text = (
+        f"Direct light met one surface, global light several: {percent(share)} of the light is "
+        "global. `lightmatrix separate` splits T itself, so that both parts can be relit."
+    )
+    images = (
+        photograph(
+            direct, "Direct light under a white pattern", "Direct light", white=level, exact=True
+        ),
+        photograph(
+            others,
+            f"Global light under a white pattern, {percent(share)} of all light",
+            "Global light",
+            "On the same scale.",
+            white=level,
+            exact=True,
+        ),
+    )
+    return Text(text), Gallery(images)
+
+
+def _compensated(transport: LightTransport) -> tuple[Element, ...]:
+    """A chart, what the camera sees without and with compensation, and the pattern for it."""
+    chart = _chart(transport.camera_shape)
+    shared = compensator(transport)
+    try:
+        found = shared.solve(chart.ravel())
+    except InputError as error:
+        return (Text(f"No picture can be compensated: {error.message}."),)
+    plain = transport.relight(_placed(transport, chart))
+    level = float(np.quantile(found.target, 0.99))
+    reached = float(found.reachable.mean())
+    text = (
+        "The pattern that makes the scene look like a chart. Predicted PSNR where the projector's "
+        f"light arrives: {found.psnr:.0f} dB; {percent(reached)} of the camera pixels are within "
+        "5 % of wanted white. `lightmatrix compensate` takes a picture of your own."
+    )
+    return Text(text), Gallery(
+        (
+            photograph(found.target, "The wanted chart", "Wanted", white=level, exact=True),
+            photograph(
+                plain * _same_light(plain, found),
+                "The chart projected onto the scene without compensation",
+                "Without compensation",
+                "The chart at its place, in the scene's own colours; as bright as the next image.",
+                white=level,
+                exact=True,
+            ),
+            photograph(
+                found.predicted, "The compensated chart", "Compensated", white=level, exact=True
+            ),
+            pattern_image(found.patterns[0], "The pattern of the compensated chart", "Its pattern"),
+        )
+    )
+
+
+def _triangulated(transport: LightTransport, geometry: RigGeometry | None) -> tuple[Element, ...]:
+    """Maps of depth and normals, if the geometry of the rig is known."""
+    if geometry is None:
+        return (
+            Text(
+                "With the geometry of the rig, T gives the shape of the scene: "
+                "`lightmatrix calibrate` measures it, `lightmatrix triangulate` uses it, and "
+                "`--geometry` shows depth and normals here."
+            ),
+        )
+    shape = triangulate(transport, geometry)
+    if not shape.kept.any():
+        return (Text("No camera pixel sees light on its epipolar line, so there is no shape."),)
+    summary = shape.summary()
+    units = f" {geometry.units}" if geometry.units else ""
+    text = (
+        f"The surface that the camera sees. {percent(float(shape.kept.mean()))} of the camera "
+        f"pixels have a depth; its median is {summary['median_depth']:.4g}{units}, with a standard "
+        f"deviation of {summary['median_uncertainty']:.2g}{units}. `lightmatrix triangulate` "
+        "writes points, normals and a mesh."
+    )
+    return Text(text), Gallery(
+        (
+            image_of_map(depth_map(shape.depth, geometry.units), "Grey: no depth."),
+            colour_image(
+                normal_colours(shape.camera_normals),
+                "Map over the camera of the normals of the surface as colours",
+                "Normals",
+                "Right, up and towards the camera are red, green and blue. Grey: no normal.",
+            ),
+        )
+    )
+
+
+def _chart(camera_shape: tuple[int, ...]) -> NDArray[np.float32]:
+    """Grey steps above a bright disc and a dark one, as the camera is to see them."""
+    rows, cols = camera_shape[:2]
+    down, right = np.meshgrid(np.linspace(0, 1, rows), np.linspace(0, 1, cols), indexing="ij")
+    steps = 0.25 + 0.75 * np.floor(right * 5.999) / 5
+    image = np.where(down < 1 / 3, steps, 0.5)
+    for centre, level in ((0.3, 1.0), (0.7, 0.25)):
+        image[(down - 0.67) ** 2 + (right - centre) ** 2 < 0.17**2] = level
+    channels = camera_shape[2:] or (1,)
+    whole = np.repeat(image[..., None], channels[0], axis=2).reshape(camera_shape)
+    return np.asarray(whole, np.float32)
+
+
+def _placed(transport: LightTransport, chart: NDArray[np.float32]) -> NDArray[np.float32]:
+    """The chart on the projector: each pixel shows the mean of what it is to light."""
+    weight = transport.dual(np.ones(transport.camera_shape, np.float32))
+    light = transport.dual(chart)
+    placed = np.divide(light, weight, out=np.zeros_like(light), where=weight > 0)
+    return np.clip(placed, 0, 1)
+
+
+def _same_light(plain: NDArray[np.float32], found: Compensation) -> float:
+    """The factor that makes an image as bright as the compensated one."""
+    return float(found.predicted.sum() / max(float(plain.sum()), 1e-12))
+
+
+# The scene relit by patterns that were never projected, beside the truth where it is known.
+
+
+_SHOWN = ("disc", "stripes")
+# White is this quantile of the true image, and the scale of its difference does not end below this
+# share of white. Chosen by eye.
+_WHITE_QUANTILE, _SMALLEST_SCALE = 0.99, 0.01
+
+
+def relighting(facts: Facts) -> Section:
+    """Relit images, and the errors of T where the truth is known."""
+    patterns = unseen_patterns(facts.transport.projector_shape)
+    elements: list[Element] = [_images(facts, name, patterns[name]) for name in _SHOWN]
+    lead = "The scene under patterns that were never projected, without clipping: c = T p."
+    if facts.truth is None:
+        if isinstance(facts.validation, Validation):
+            expected = percent(facts.validation.error)
+            elements.append(Text(f"Expect errors as on unseen photographs: {expected}."))
+    else:
+        error = relighting_error(facts.transport, facts.truth, np.stack(list(patterns.values())))
+        lead += f" Mean error of the images: {percent(error)}."
+        elements.append(_against_truth(facts))
+    return Section("relighting", "Relighting", lead, tuple(elements))
+
+
+def _against_truth(facts: Facts) -> Columns:
+    assert facts.row_errors is not None
+    caption = "Error of each camera pixel's rows of T, relative to their size."
+    errors = Gallery((image_of_map(error_map(facts.row_errors), caption),))
+    values = {"relative error of T": facts.relative_error}
+    if facts.errors is not None:
+        values = labelled(facts.errors.as_dict())
+    rows = tuple((name, shown_value(value)) for name, value in values.items())
+    return Columns((Table("Errors against the truth", ("error", "value"), rows),), (errors,))
+
+
+def _images(facts: Facts, name: str, pattern: np.ndarray) -> Gallery:
+    image = facts.transport.relight(pattern)
+    images = [pattern_image(pattern, f"The pattern: {name}", f"Pattern: {name}")]
+    if facts.truth is None:
+        alternative = f"The relit scene ({name}), computed from T"
+        images.append(photograph(image, alternative, "The relit scene", exact=True))
+        return Gallery(tuple(images))
+    known = facts.truth.relight(pattern)
+    white = float(np.quantile(known, _WHITE_QUANTILE))
+    error = float(np.linalg.norm(image - known) / max(float(np.linalg.norm(known)), 1e-12))
+    images += [
+        photograph(image, f"Computed from T: {name}", "Computed from T", white=white, exact=True),
+        photograph(known, f"The truth: {name}", "The truth", white=white, exact=True),
+        difference_image(
+            image - known,
+            _SMALLEST_SCALE * white,
+            f"Difference: {percent(error)} of the image",
+            "Difference",
+            f"Relative error of the image: {percent(error)}.",
+        ),
+    ]
+    return Gallery(tuple(images))
+
+
+# How accurate the estimate is: its summary, duality gaps, estimated errors, unseen photographs.
+
+
+# The page shows this many of the unseen photographs.
+_COMPARED = 2
+# The scale of a difference does not end below this share of the clip level, three times the usual
+# noise, so that noise does not look like an error. Chosen by eye.
+_SMALLEST_SCALE_ERROR_ESTIMATES = 0.01
+
+
+def error_estimates(facts: Facts) -> Section:
+    """The summary of the estimate, maps of its errors, and predictions beside photographs."""
+    summary = labelled(facts.transport.summary())
+    rows = tuple((name, shown_value(value)) for name, value in summary.items())
+    table = Table("The estimate", ("property", "value"), rows)
+    maps = tuple(image_of_map(shown, caption) for shown, caption in _maps(facts))
+    elements = [Columns((table,), (Gallery(maps),) if maps else ()), *_unseen_photographs(facts)]
+    lead = (
+        "A duality gap certifies that the solver solved its problem. Whether the solution is what "
+        "the camera sees, only unseen photographs can show."
+    )
+    return Section("accuracy", "Accuracy of the estimate", lead, tuple(elements))
+
+
+def _maps(facts: Facts) -> list[tuple[Map, str]]:
+    maps = []
+    if has_diagnostic(facts.transport, "estimated_error"):
+        caption = "Each camera pixel's own estimate, from its samples and its neighbours."
+        maps.append((estimated_error_map(facts.transport), caption))
+    if has_diagnostic(facts.transport, "gap"):
+        caption = (
+            "How far the objective of each row can be from its optimum. A small gap means solved, "
+            "not necessarily right."
+        )
+        maps.append((gap_map(facts.transport), caption))
+    return maps
+
+
+def _unseen_photographs(facts: Facts) -> list[Element]:
+    validation = facts.validation
+    if not isinstance(validation, Validation):
+        return [Text(f"The estimate was not tested on unseen photographs: {validation}.")]
+    where = ""
+    if validation.region is not None:
+        rows, cols = validation.region
+        where = (
+            " The camera is large, so only its rows "
+            f"{rows.start} to {rows.stop - 1} and columns {cols.start} to {cols.stop - 1} were "
+            "tested."
+        )
+    count = min(_COMPARED, len(validation.frames))
+    return [
+        Text(
+            f"Prediction error on unseen photographs: {percent(validation.error)}. For comparison: "
+            f"the mean of the other photographs, which ignores the pattern, misses them by "
+            f"{percent(validation.mean_error)}."
+        ),
+        Text(
+            f"{_named(validation)} left out, T was estimated again from the other "
+            f"{validation.others}, and each of the unseen photographs was predicted from its "
+            "pattern. The error is relative; samples that clip in both images are left out. The "
+            "second estimate has fewer photographs, so it is a little worse than the one that this "
+            f"report describes.{where}"
+        ),
+        *(Gallery(_comparison(facts, validation, k)) for k in range(count)),
+    ]
+
+
+def _comparison(facts: Facts, validation: Validation, index: int) -> tuple[Image, ...]:
+    number = int(validation.frames[index])
+    pattern = facts.capture.patterns.images(number, number + 1)[0]
+    difference = validation.difference[index]
+    mean = float(abs(difference).mean())
+    return (
+        pattern_image(pattern, f"Pattern {number}", f"Pattern {number}"),
+        photograph(
+            validation.photographs[index],
+            f"Photograph {number}",
+            f"Photograph {number}",
+            "White is the clip level.",
+            white=1.0,
+            exact=True,
+        ),
+        photograph(
+            validation.predictions[index],
+            f"Prediction of photograph {number}",
+            "Its prediction",
+            "From an estimate that has not seen the photograph.",
+            white=1.0,
+            exact=True,
+        ),
+        difference_image(
+            difference,
+            _SMALLEST_SCALE_ERROR_ESTIMATES,
+            f"Difference: {percent(mean)} of the clip level on average",
+            "Prediction minus photograph",
+            "Grey where they agree.",
+        ),
+    )
+
+
+def _named(validation: Validation) -> str:
+    numbers = [str(k) for k in validation.frames]
+    if len(numbers) == 1:
+        return f"Photograph {numbers[0]} was"
+    return f"Photographs {', '.join(numbers[:-1])} and {numbers[-1]} were"
+
+
+# The photographs: patterns and frames in order, and how many samples clipped.
+
+
+# The first screen shows this many frames, and the whole page at most this many.
+FIRST, MOST = 8, 48
+# A chart has at most this many bars; of more frames, a bar stands for several.
+_BARS = 256
+
+
+def first_frames(facts: Facts) -> Strip:
+    """The first patterns and photographs, which show at a glance whether their order is right."""
+    return Strip(tuple(_pair(facts, k) for k in range(min(FIRST, facts.capture.count))))
+
+
+def photographs(facts: Facts) -> Section:
+    """A table of the capture, charts and a map of clipping, and frames."""
+    capture = facts.capture
+    frames = facts.frames
+    maps: list[Element] = []
+    if "clipped_share" in facts.transport.diagnostics:
+        caption = (
+            "Clipping is no error: a clipped sample is a lower bound. But a camera pixel that "
+            "clips in nearly every frame carries little information."
+        )
+        maps.append(Gallery((image_of_map(clipping_map(facts.transport), caption),)))
+    rows = tuple((name, str(value)) for name, value in _settings(facts).items())
+    table = Table("The capture", ("property", "value"), rows)
+    charts = (
+        _bars("Clipped samples per frame", frames.clipped),
+        _bars("Mean level per frame, relative to the clip level", frames.level),
+    )
+    elements: list[Element] = [Columns((table, *maps), charts)]
+    if capture.count > FIRST:
+        shown = np.unique(np.linspace(FIRST, capture.count - 1, MOST - FIRST).astype(int))
+        elements.append(Strip(tuple(_pair(facts, int(k)) for k in shown)))
+    lead = (
+        f"The capture has {capture.count} photographs, one per pattern. "
+        f"{percent(float(frames.clipped.mean()))} of the samples clipped."
+    )
+    if capture.count > MOST:
+        lead += f" The page shows {MOST} of them, spread over the capture."
+    return Section("photographs", "Patterns and photographs", lead, tuple(elements))
+
+
+def _settings(facts: Facts) -> dict[str, object]:
+    capture = facts.capture
+    decoder = capture.decoder
+    settings: dict[str, object] = dict(capture.summary())
+    settings["clipped samples"] = percent(float(facts.frames.clipped.mean()))
+    settings["response"] = decoder.response.name
+    settings["black frame"] = "subtracted" if decoder.black_frame is not None else "none"
+    if capture.bin_camera != (1, 1):
+        settings["camera binning"] = " x ".join(map(str, capture.bin_camera))
+    if capture.bin_projector != (1, 1):
+        settings["projector binning"] = " x ".join(map(str, capture.bin_projector))
+    masked = int((~capture.valid).sum())
+    if masked:
+        settings["masked camera samples"] = masked
+    return settings
+
+
+def _pair(facts: Facts, index: int) -> Pair:
+    capture = facts.capture
+    pattern = capture.patterns.images(index, index + 1)[0]
+    note = f"{percent(float(facts.frames.clipped[index]))} clip"
+    if np.ptp(capture.exposures) > 0:
+        note += f", exposure {capture.exposures[index]:g}"
+    image = photograph(
+        _linear_frame(facts, index), f"Photograph {index}: {note}", white=1.0, most=THUMB_PIXELS
+    )
+    return Pair(index, pattern_image(pattern, f"Pattern {index}", most=THUMB_PIXELS), image, note)
+
+
+def _linear_frame(facts: Facts, index: int) -> NDArray[np.float64]:
+    """A frame as linear light, 1 at its clip level, with black not subtracted."""
+    decoder = facts.capture.decoder
+    raw = np.asarray(facts.capture.frame(index), float)
+    light = decoder.response.linearise(np.clip(raw / decoder.full_scale, 0, None))
+    clip = np.broadcast_to(np.asarray(decoder.clip, float), (facts.capture.count,))[index]
+    return np.asarray(light / decoder.response.linearise(clip / decoder.full_scale))
+
+
+def _bars(title: str, values: NDArray[np.float64]) -> Bars:
+    """A chart of one value per frame, or of the largest value of several frames."""
+    starts = np.unique(np.linspace(0, len(values), _BARS + 1).astype(int)[:-1])
+    largest = np.maximum.reduceat(values, starts)
+    top = float(largest.max())
+    if len(starts) < len(values):
+        title += " (each bar: the largest of neighbouring frames)"
+    return Bars(
+        title,
+        f"From {percent(float(values.min()))} to {percent(float(values.max()))}, median "
+        f"{percent(float(np.median(values)))}.",
+        tuple(float(value) / max(top, 1e-12) for value in largest),
+        percent(top),
+        0,
+        len(values) - 1,
+    )
+
+
+def transport_matrix(facts: Facts) -> Section:
+    """Pictures of T, from the geometry to single rows and columns."""
+    transport = facts.transport
+    captions = (
+        "The row of the projector pixel that each camera pixel sees most.",
+        "The column of that pixel.",
+        "How much of a camera pixel's light comes from that pixel. Dark: the light comes from many "
+        "places, by way of other surfaces.",
+    )
+    maps = correspondence_maps(facts.correspondence)
+    images = [image_of_map(*pair) for pair in zip(maps, captions, strict=True)]
+    if has_diagnostic(transport, "footprint"):
+        caption = "How many projector pixels a camera pixel sees: many where it is out of focus."
+        images.append(image_of_map(footprint_map(transport), caption))
+    elements: list[Element] = [
+        Text(
+            "The projector pixel that each camera pixel sees most. `lightmatrix show SCENE.zarr "
+            "--correspondence -o map.npz` writes the numbers, to fractions of a pixel."
+        ),
+        Gallery(tuple(images)),
+        Gallery(_views(facts)),
+        Text(
+            "A row of T shows on the projector where the light of a camera pixel comes from. A "
+            "column of T shows in the camera where the light of a projector pixel goes. Faint "
+            "light is brightened, so that it is visible beside the bright spot."
+        ),
+        Gallery(_rows_and_columns(facts)),
+    ]
+    lead = "How light travels from the projector to the camera, directly and via other surfaces."
+    return Section("matrix", "The light transport matrix", lead, tuple(elements))
+
+
+def _views(facts: Facts) -> tuple[Image, ...]:
+    transport = facts.transport
+    rows, cols, *_ = transport.camera_shape
+    background = transport.background.sum(axis=1).reshape(transport.camera_shape)
+    share = percent(transport.background_share)
+    level = float(np.quantile(facts.white, 0.99))
+    dual = transport.dual_image()
+    return (
+        photograph(
+            facts.white,
+            f"The scene under a white pattern, {rows} x {cols} pixels, computed from T",
+            "White pattern",
+            "The scene with every projector pixel lit, without clipping.",
+            exact=True,
+        ),
+        photograph(
+            background,
+            f"Light of the background: {share} of all light",
+            "Background",
+            f"{share} of the light comes faintly from everywhere; shown on the same scale.",
+            white=level,
+            exact=True,
+        ),
+        photograph(
+            dual,
+            "The scene seen from the projector, lit from the camera",
+            "Dual image",
+            "The scene as the projector would photograph it, lit from the camera.",
+            exact=True,
+        ),
+    )
+
+
+def _rows_and_columns(facts: Facts) -> tuple[Image, ...]:
+    transport = facts.transport
+    images = []
+    pixels = _example_pixels(facts)
+    for why, (row, col) in pixels.items():
+        index = (row, col) if len(transport.camera_shape) == 2 else (row, col, 0)
+        images.append(
+            faint_image(
+                transport.row(*index),
+                f"Row of T on the projector: camera pixel {row}, {col}",
+                f"Row of camera pixel {row}, {col}",
+                why,
+            )
+        )
+    for why, (row, col) in pixels.items():
+        seen = facts.correspondence.pixel[row, col]
+        image = transport.column(int(seen[0]), int(seen[1]))
+        images.append(
+            faint_image(
+                image if image.ndim == 2 else image.mean(axis=2),
+                f"Column of T over the camera: projector pixel {seen[0]}, {seen[1]} alone",
+                f"Column of projector pixel {seen[0]}, {seen[1]}",
+                f"The projector pixel that {why[0].lower()}{why[1:]} sees most.",
+            )
+        )
+    return tuple(images)
+
+
+def _example_pixels(facts: Facts) -> dict[str, tuple[int, int]]:
+    """A few camera pixels that differ from each other, each with its description."""
+    matches = facts.correspondence
+    white = facts.white if facts.white.ndim == 2 else facts.white.sum(axis=2)
+    lit = matches.valid & (white > np.quantile(white, 0.5))
+    if not lit.any():
+        lit = matches.valid
+    if not lit.any():
+        return {}
+    confidence = np.where(lit, matches.confidence, np.nan)
+    middle = float(np.nanmedian(confidence))
+    chosen = {
+        "A typical bright camera pixel": np.nanargmin(np.abs(confidence - middle)),
+        "The bright camera pixel with the most indirect light": np.nanargmin(confidence),
+    }
+    shares = facts.transport.diagnostics.get("clipped_share")
+    if shares is not None and np.any(shares > 0):
+        often = np.asarray(shares).reshape(*white.shape, -1).max(axis=2)
+        most_clipped = np.argmax(np.where(matches.valid, often, -1))
+        chosen["The camera pixel that clipped most often"] = most_clipped
+    pixels = {}
+    for why, flat in chosen.items():
+        row, col = np.unravel_index(int(flat), white.shape)
+        pixels[why] = int(row), int(col)
+    return pixels

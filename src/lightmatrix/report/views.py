@@ -1,0 +1,291 @@
+"""`lm.show` and `lm.write_pictures`: views of T as pictures or numbers, and their files.
+
+Views of the shape need the geometry of the rig.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lightmatrix import store
+from lightmatrix.errors import InputError
+from lightmatrix.files.colours import holds_colour
+from lightmatrix.files.images import fill_image
+from lightmatrix.geometry.rig_geometry import RigGeometry
+from lightmatrix.outputs.kinds import IMAGE, NUMBERS, NUMBERS_MARK, PICTURES, FileKind
+from lightmatrix.outputs.writing import atomic_file, atomic_folder, check_output
+from lightmatrix.shape.shape import Shape, depth_map, normals_picture
+from lightmatrix.shape.triangulation import triangulate
+from lightmatrix.show import diagnostics, maps
+from lightmatrix.show.transport import (
+    DPI,
+    Picture,
+    show_column,
+    show_dual,
+    show_row,
+    show_spectrum,
+    spectrum,
+)
+from lightmatrix.store.zarr_store import open_colour
+from lightmatrix.transport.correspondence import correspondence
+from lightmatrix.transport.matrix import ColourTransport, LightTransport
+
+Numbers = Mapping[str, NDArray[Any]]
+# Format version of the .npz files.
+_VERSION = 1
+
+
+@dataclass(frozen=True)
+class _View:
+    """A view: how to draw it, its numbers, and the diagnostic that it needs, if any."""
+
+    picture: Callable[..., Picture]
+    numbers: Callable[..., Numbers]
+    needs: str = ""
+    # Whether it shows the shape in place of T, which takes the geometry of the rig.
+    of_shape: bool = False
+
+
+def _values(make: Callable[[LightTransport], maps.Map]) -> Callable[[LightTransport], Numbers]:
+    return lambda transport: {"values": make(transport).values}
+
+
+def _correspondence(transport: LightTransport) -> Numbers:
+    matches = correspondence(transport)
+    return {"pixel": matches.pixel, "place": matches.place, "confidence": matches.confidence}
+
+
+def _depth(shape: Shape) -> maps.Map:
+    return depth_map(shape.depth, shape.geometry.units)
+
+
+VIEWS: dict[str, _View] = {
+    "row": _View(show_row, lambda transport, *index: {"values": transport.row(*index)}),
+    "column": _View(show_column, lambda transport, *index: {"values": transport.column(*index)}),
+    "dual": _View(show_dual, lambda transport: {"values": transport.dual_image()}),
+    "correspondence": _View(diagnostics.show_correspondence, _correspondence),
+    "spectrum": _View(show_spectrum, spectrum),
+    "clipping": _View(diagnostics.show_clipping, _values(maps.clipping_map), needs="clipped_share"),
+    "gap": _View(diagnostics.show_gaps, _values(maps.gap_map), needs="gap"),
+    "footprint": _View(diagnostics.show_footprints, _values(maps.footprint_map), needs="footprint"),
+    "estimated-error": _View(
+        diagnostics.show_estimated_errors,
+        _values(maps.estimated_error_map),
+        needs="estimated_error",
+    ),
+    "depth": _View(
+        lambda shape: diagnostics.draw(_depth(shape)),
+        lambda shape: {"values": shape.depth},
+        of_shape=True,
+    ),
+    "normals": _View(
+        lambda shape: normals_picture(shape.camera_normals),
+        lambda shape: {"values": shape.normals},
+        of_shape=True,
+    ),
+}
+# Views of one row or column, and how many numbers their index may have.
+_INDEXED = {"row": (2, 3), "column": (2,)}
+# Maps over the whole camera, which `lightmatrix info` writes.
+_OVERVIEW = ("correspondence", *(name for name, view in VIEWS.items() if view.needs))
+
+
+def show(
+    transport: LightTransport | ColourTransport | str | Path,
+    view: str,
+    *index: int,
+    geometry: RigGeometry | str | Path | None = None,
+    output: str | Path | None = None,
+    raw: bool = False,
+    overwrite: bool = False,
+) -> Picture:
+    """Draw a view of a light transport matrix, and write it or its numbers to a file.
+
+    Parameters
+    ----------
+    transport : LightTransport, ColourTransport, str or Path
+        T, or where `open` finds it. Of a colour projector, whose T is a folder of three stores,
+        there is the view "dual", in its primaries.
+    view : str
+        "row" and "column" of T; "dual", the scene seen from the projector; "correspondence", the
+        projector pixel that each camera pixel sees most; "spectrum", the 50 largest singular
+        values; a diagnostic of an estimate: "clipping", "gap", "footprint" or "estimated-error"
+        (the estimated error); or "depth" and "normals" of the surface, as `triangulate` finds them.
+    index : int
+        For a row: row and column of the camera pixel and, for a colour camera, channel. For a
+        column: row and column of the projector pixel. Other views have no index.
+    geometry : RigGeometry, str or Path, optional
+        Where camera and projector stand, or its file. Depth and normals need it, no other view.
+    output : str or Path, optional
+        File to write: .png for the picture; .npz for its numbers (``values``, or ``pixel``,
+        ``place`` and ``confidence`` of `Correspondence`); .tiff, .exr or .npy for its values as
+        one image.
+    raw : bool
+        Whether a .png of a correspondence holds numbers instead of a picture: column, row and
+        confidence (0 to 65535) as red, green and blue of 16 bits.
+    overwrite : bool
+        Whether an existing file may be replaced.
+
+    Returns
+    -------
+    Picture
+        A Matplotlib figure.
+
+    Raises
+    ------
+    InputError
+        On an unknown view, a wrong index, a diagnostic that the matrix does not have, or depth and
+        normals without a geometry of these images.
+    OutputError
+        If the file cannot be written.
+
+    Examples
+    --------
+    >>> import lightmatrix as lm
+    >>> known = lm.truth("metal").transport()
+    >>> picture = lm.show(known, "row", 20, 30, output="row.png")
+    >>> picture = lm.show(known, "correspondence", output="map.npz")
+    >>> np.load("map.npz")["place"].shape
+    (64, 64, 2)
+    >>> known = lm.truth("metal")
+    >>> picture = lm.show(known.transport(), "depth", geometry=known.geometry, output="depth.tiff")
+    """
+    if view not in VIEWS:
+        raise InputError(f"there is no view {view!r}", hint=f"use one of {', '.join(VIEWS)}")
+    if len(index) not in _INDEXED.get(view, (0,)):
+        needs = "the row and column of its pixel" if view in _INDEXED else "no pixel"
+        raise InputError(
+            f"the view {view} with the index {', '.join(map(str, index)) or 'of no pixel'}",
+            hint=f"it takes {needs}",
+        )
+    of_shape = VIEWS[view].of_shape
+    if of_shape != (geometry is not None):
+        raise InputError(
+            f"the view {view} {'without' if of_shape else 'with'} a geometry",
+            hint="depth and normals need the geometry of the rig, a file of `calibrate`; no other "
+            "view takes one",
+        )
+    if output is not None:
+        _check_format(view, Path(output), raw)
+        check_output(output, _kind(output), overwrite=overwrite)
+    matrix = _opened(transport, view)
+    shown = matrix if geometry is None else triangulate(matrix, geometry)
+    drawing = VIEWS[view].picture(shown, *index)
+    if output is not None:
+        _write(shown, view, index, drawing, Path(output), raw=raw, overwrite=overwrite)
+    return drawing
+
+
+def _opened(transport: LightTransport | ColourTransport | str | Path, view: str) -> Any:
+    """T in memory, of a grey projector or, for the view that has one, of a colour projector."""
+    if isinstance(transport, str | Path):
+        if not holds_colour(transport):
+            return store.open(transport)
+        transport = open_colour(transport)
+    if isinstance(transport, ColourTransport) and view != "dual":
+        raise InputError(
+            f"the view {view} of a colour projector",
+            hint="give the matrix of one primary, such as red.zarr in the folder",
+        )
+    return transport
+
+
+def write_pictures(
+    folder: str | Path, transport: LightTransport | str | Path, *, overwrite: bool = False
+) -> list[Path]:
+    """Write all maps over the camera of a light transport matrix, one picture each.
+
+    Parameters
+    ----------
+    folder : str or Path
+        The folder to make: correspondence.png and, as far as an estimate has these diagnostics,
+        clipping.png, gap.png, footprint.png and estimated-error.png.
+    transport : LightTransport, str or Path
+        T, or where `open` finds it.
+    overwrite : bool
+        Whether an existing folder of such maps may be replaced.
+
+    Returns
+    -------
+    list of Path
+        The pictures.
+
+    Raises
+    ------
+    OutputError
+        If the folder exists, holds something else, or cannot be written.
+
+    Examples
+    --------
+    >>> import lightmatrix as lm
+    >>> [path.name for path in lm.write_pictures("maps", lm.truth("metal").transport())]
+    ['correspondence.png']
+    """
+    matrix = transport if isinstance(transport, LightTransport) else store.open(transport)
+    written = []
+    with atomic_folder(folder, PICTURES, overwrite=overwrite) as part:
+        for name in _OVERVIEW:
+            view = VIEWS[name]
+            if not view.needs or maps.has_diagnostic(matrix, view.needs):
+                _save(view.picture(matrix), part / f"{name}.png")
+                written.append(Path(folder) / f"{name}.png")
+    return written
+
+
+def _kind(output: str | Path) -> FileKind:
+    """The kind of output that a path names by its suffix."""
+    return NUMBERS if Path(output).suffix.lower() == ".npz" else IMAGE
+
+
+def _check_format(view: str, output: Path, raw: bool) -> None:
+    suffix = output.suffix.lower()
+    if raw and (suffix != ".png" or view != "correspondence"):
+        raise InputError(
+            f"raw numbers of the view {view} in {output}",
+            hint="only a correspondence has a raw PNG; write .npz for the numbers of any view",
+        )
+    if view in ("correspondence", "spectrum") and suffix not in (".png", ".npz"):
+        raise InputError(
+            f"a {view} in {output}",
+            hint="end the output in .png (a picture) or .npz (numbers)",
+        )
+
+
+def _write(
+    shown: LightTransport | Shape,
+    view: str,
+    index: tuple[int, ...],
+    drawing: Picture,
+    output: Path,
+    *,
+    raw: bool,
+    overwrite: bool,
+) -> None:
+    suffix = output.suffix.lower()
+    if suffix == ".npz":
+        numbers = VIEWS[view].numbers(shown, *index)
+        with atomic_file(output, NUMBERS, overwrite=overwrite) as part, part.open("wb") as stream:
+            # The mark comes first, so that even a truncated file is recognised.
+            marked: dict[str, Any] = {NUMBERS_MARK: np.array(_VERSION), **numbers}
+            np.savez_compressed(stream, **marked)
+    elif suffix != ".png":
+        values = VIEWS[view].numbers(shown, *index)["values"]
+        with atomic_file(output, IMAGE, overwrite=overwrite) as part:
+            # A pixel may have no value, such as no depth.
+            fill_image(part, values, missing=True)
+    else:
+        with atomic_file(output, IMAGE, overwrite=overwrite) as part:
+            if raw and isinstance(shown, LightTransport):
+                fill_image(part, correspondence(shown).levels())
+            else:
+                _save(drawing, part)
+
+
+def _save(drawing: Picture, file: Path) -> None:
+    drawing.savefig(file, facecolor="white", dpi=DPI)

@@ -1,0 +1,1 @@
+"""Shape: the rig's geometry is calibrated, stripes are decoded, and depth is triangulated."""

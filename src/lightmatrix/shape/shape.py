@@ -1,0 +1,426 @@
+"""`Shape`: the surface that a camera sees, pixel by pixel."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from enum import IntEnum
+from pathlib import Path
+from typing import Any
+
+import matplotlib as mpl
+import numpy as np
+import tifffile
+from matplotlib.colors import BoundaryNorm, ListedColormap
+from numpy.typing import NDArray
+from scipy.ndimage import uniform_filter
+
+from lightmatrix.errors import MissingExtraError
+from lightmatrix.geometry.projection import decomposed
+from lightmatrix.geometry.rig_geometry import RigGeometry
+from lightmatrix.outputs.kinds import CLOUD, DEPTH, PLY_MARK
+from lightmatrix.outputs.writing import atomic_file
+from lightmatrix.reprs import short_repr
+from lightmatrix.show.maps import UNKNOWN, Map
+from lightmatrix.show.style import COLOURS, STYLE, panel
+from lightmatrix.show.transport import Picture
+
+# Normals and triangles of a surface of which the depth of each camera pixel is known.
+
+
+# Neighbouring pixels lie on one surface if it need not be inclined by more than this to the image
+# plane, in degrees. Chosen by hand: steeper surfaces reflect little of the projector's light.
+_STEEPEST = 70.0
+# Pixels to both sides whose points a normal is fitted to, and the fewest of them.
+_REACH, _FEWEST = 2, 6
+# Side of the square of pixels over which errors are averaged.
+_AVERAGED = 5
+
+
+def local_mean(values: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Mean of the finite values within 5 x 5 pixels, (rows, cols); NaN where there are none."""
+    known = np.isfinite(values)
+    shares = uniform_filter(known.astype(np.float64), _AVERAGED, mode="constant")
+    sums = uniform_filter(np.where(known, values, 0.0), _AVERAGED, mode="constant")
+    # Running sums leave rounding errors where nothing is known.
+    least = 0.5 / _AVERAGED**2
+    return np.where(shares > least, np.maximum(sums, 0) / np.maximum(shares, least), np.nan)
+
+
+def steepest_step(depth: NDArray[np.floating], geometry: RigGeometry) -> NDArray[np.float64]:
+    """The largest change of depth from a pixel to the next on one surface, (rows, cols)."""
+    focal = float(np.sqrt(np.prod(np.diag(geometry.camera_intrinsics)[:2])))
+    return np.asarray(depth / focal * np.tan(np.radians(_STEEPEST)), np.float64)
+
+
+def surface_normals(
+    points: NDArray[np.float32], depth: NDArray[np.float32], geometry: RigGeometry
+) -> NDArray[np.float32]:
+    """Unit normals (rows, cols, 3) that face the camera, by planes through 5 x 5 points.
+
+    The plane n . x = 1, relative to the camera, is the least-squares solution over the neighbours
+    on the same surface; its right-hand side weighs all of them alike.
+    """
+    rows, cols = depth.shape
+    centre = geometry.camera_centre
+    # Relative to the camera, and of size about 1, so that the normal equations stay well scaled.
+    scale = float(np.nanmedian(depth)) if np.isfinite(depth).any() else 1.0
+    local = (points - centre) / scale
+    limit = steepest_step(depth, geometry)
+    known = np.nan_to_num(local.astype(np.float64))
+    # The products of two coordinates, the coordinates, and 1: what the normal equations sum up.
+    pairs = [(i, j) for i in range(3) for j in range(i, 3)]
+    terms = [known[..., i] * known[..., j] for i, j in pairs]
+    terms += [*np.moveaxis(known, -1, 0), np.ones((rows, cols))]
+    sums = np.zeros((len(terms), rows, cols))
+    for down in range(-_REACH, _REACH + 1):
+        for right in range(-_REACH, _REACH + 1):
+            here = _shifted(rows, -down), _shifted(cols, -right)
+            there = _shifted(rows, down), _shifted(cols, right)
+            steps = max(abs(down), abs(right))
+            near = np.abs(depth[there] - depth[here]) <= steps * limit[here]
+            for total, term in zip(sums, terms, strict=True):
+                total[here] += term[there] * near
+    counts = sums[-1]
+    good = counts >= _FEWEST
+    normals = np.full((rows, cols, 3), np.nan)
+    if good.any():
+        # A trace of the unit matrix keeps points on a line from being singular.
+        matrix = np.empty((int(good.sum()), 3, 3))
+        for total, (i, j) in zip(sums, pairs, strict=False):
+            matrix[:, i, j] = matrix[:, j, i] = total[good]
+        right_side = sums[len(pairs) : -1][:, good].T[..., None]
+        plane = np.linalg.solve(matrix + 1e-12 * np.eye(3), right_side)[..., 0]
+        # The plane through the points does not pass through the camera, which lies at n . x = 0.
+        normals[good] = -plane / np.linalg.norm(plane, axis=1, keepdims=True)
+    return normals.astype(np.float32)
+
+
+def surface_faces(depth: NDArray[np.float32], geometry: RigGeometry) -> NDArray[np.int64]:
+    """Triangles (n, 3) of pixel numbers, two for each square of four pixels on one surface.
+
+    They are counter-clockwise as the camera sees them.
+    """
+    number = np.arange(depth.size).reshape(depth.shape)
+    limit = steepest_step(depth, geometry)
+    corners = (np.s_[:-1, :-1], np.s_[1:, :-1], np.s_[1:, 1:], np.s_[:-1, 1:])
+    faces = []
+    for one, two, three in ((0, 1, 2), (0, 2, 3)):
+        chosen = [corners[k] for k in (one, two, three)]
+        depths = np.stack([depth[corner] for corner in chosen])
+        # Comparisons with NaN are False.
+        flat = np.ptp(depths, axis=0) <= 1.5 * limit[chosen[0]]
+        faces.append(np.stack([number[corner][flat] for corner in chosen], axis=1))
+    return np.concatenate(faces)
+
+
+def _shifted(size: int, by: int) -> slice:
+    """The part of an axis that still lies inside once it is moved back by so many pixels."""
+    return slice(max(0, by), size - max(0, -by))
+
+
+# A shape as pictures: maps of depth and normals, and why pixels have none.
+
+
+# Colours of kept pixels and of the tests that others failed.
+_TESTS = ListedColormap(("#f2f2f2", "#404040", *COLOURS[:4]))
+# The scale of depths leaves out this share of the points at either end. Chosen by eye: a few wrong
+# points must not make all others alike.
+_STRAY = 0.005
+_NORMALS = "Normals: right, up, near as red, green, blue"
+
+
+def depth_map(depth: NDArray[np.floating], units: str | None) -> Map:
+    """Depth (rows, cols) as a map over the camera, near surfaces bright."""
+    known = depth[np.isfinite(depth)]
+    low, high = np.quantile(known, [_STRAY, 1 - _STRAY]).tolist() if known.size else (0.0, 1.0)
+    # A plane that faces the camera has one depth only.
+    high = max(high, low + 1e-6 * max(1.0, abs(low)))
+    label = f"distance along the camera's axis, {units or 'in the unit of the geometry'}"
+    return Map("depth", "Depth", label, depth.astype(np.float64), low, high, "viridis_r")
+
+
+def normal_colours(normals: NDArray[np.floating]) -> NDArray[np.float64]:
+    """Normals (rows, cols, 3) in the camera's frame as colours in [0, 1].
+
+    Right, up and towards the camera are red, green and blue; pixels without a normal are grey.
+    """
+    colours = 0.5 + 0.5 * normals.astype(np.float64) * np.array([1, -1, -1])
+    known = np.isfinite(colours).all(axis=-1, keepdims=True)
+    return np.asarray(np.where(known, colours, np.array(UNKNOWN)))
+
+
+def shape_picture(
+    depth: NDArray[np.float32],
+    normals: NDArray[np.float32],
+    test: NDArray[np.uint8],
+    names: list[str],
+    units: str | None,
+) -> Picture:
+    """Maps of depth (rows, cols), normals in the camera's frame, and failed tests by `names`."""
+    rows, cols = depth.shape
+    with mpl.rc_context(STYLE):
+        drawing = Picture(figsize=(11, 1 + 3 * rows / cols), layout="constrained")
+        depths, directions, tests = drawing.subplots(1, 3)
+        shown = depth_map(depth, units)
+        options: dict[str, Any] = {"cmap": shown.colour_map, "norm": shown.norm}
+        options |= {"vmin": None, "vmax": None}
+        image = panel(depths, shown.shown, shown.title, **options)
+        drawing.colorbar(image, ax=depths, label=shown.label, shrink=0.8)
+        panel(directions, normal_colours(normals), _NORMALS)
+        count = len(names)
+        options |= {"cmap": _TESTS, "norm": BoundaryNorm(np.arange(count + 1) - 0.5, count)}
+        image = panel(tests, test, "Which test a pixel failed", **options)
+        bar = drawing.colorbar(image, ax=tests, ticks=range(count), shrink=0.8)
+        bar.set_ticklabels([name.lower().replace("_", " ") for name in names])
+    return drawing
+
+
+def normals_picture(normals: NDArray[np.float32]) -> Picture:
+    """Normals (rows, cols, 3) in the camera's frame."""
+    with mpl.rc_context(STYLE):
+        drawing = Picture(figsize=(4.4, 3.6), layout="constrained")
+        panel(drawing.subplots(), normal_colours(normals), _NORMALS)
+    return drawing
+
+
+# A shape as files: points or triangles as PLY, depth as TIFF.
+
+
+# Albedos at this quantile are shown white, as (light) ** (1 / 2.2), which screens undo.
+_WHITE_QUANTILE, _GAMMA = 0.99, 2.2
+
+
+def write_cloud(
+    path: str | Path,
+    points: NDArray[np.float32],
+    normals: NDArray[np.float32],
+    albedo: NDArray[np.float32],
+    uncertainty: NDArray[np.float32],
+    faces: NDArray[np.int64] | None,
+    *,
+    overwrite: bool,
+) -> None:
+    """Write the points (rows, cols, 3) that are known, with triangles of pixel numbers (n, 3)."""
+    known = np.isfinite(points).all(axis=-1).ravel()
+    grey = grey_levels(albedo).ravel()[known]
+    attributes: dict[str, NDArray[Any]] = {}
+    vectors = {("x", "y", "z"): points, ("nx", "ny", "nz"): np.nan_to_num(normals)}
+    for names, vector in vectors.items():
+        for axis, name in enumerate(names):
+            attributes[name] = vector[..., axis].ravel()[known].astype(np.float32)
+    attributes |= dict.fromkeys(("red", "green", "blue"), grey)
+    attributes["uncertainty"] = uncertainty.ravel()[known].astype(np.float32)
+    triangles = None
+    if faces is not None:
+        number = np.cumsum(known) - 1
+        triangles = number[faces]
+    with atomic_file(path, CLOUD, overwrite=overwrite) as part:
+        _fill_ply(part, attributes, triangles)
+
+
+def write_depth(path: str | Path, depth: NDArray[np.float32], *, overwrite: bool) -> None:
+    """Write a depth map (rows, cols) as float32, NaN where there is no depth."""
+    with atomic_file(path, DEPTH, overwrite=overwrite) as part:
+        if part.suffix.lower() == ".npy":
+            np.save(part, depth)
+        else:
+            tifffile.imwrite(part, depth)
+
+
+def grey_levels(albedo: NDArray[np.float32]) -> NDArray[np.uint8]:
+    """Albedo as grey values for a screen, uint8."""
+    bright = float(np.quantile(albedo, _WHITE_QUANTILE)) if albedo.size else 0.0
+    share = np.clip(albedo / max(bright, 1e-12), 0, 1)
+    return np.rint(255 * share ** (1 / _GAMMA)).astype(np.uint8)
+
+
+def _fill_ply(
+    path: Path, attributes: Mapping[str, NDArray[Any]], faces: NDArray[np.integer] | None = None
+) -> None:
+    """Write a PLY file (Turk 1994) in binary.
+
+    It has points, each attribute (n,) float32 or uint8, and triangles (m, 3) between them.
+    """
+    names = {"f4": "float", "u1": "uchar"}
+    columns = {name: np.asarray(values) for name, values in attributes.items()}
+    count = len(next(iter(columns.values())))
+    kinds = [(name, values.dtype.newbyteorder("<")) for name, values in columns.items()]
+    points = np.empty(count, kinds)
+    for name, values in columns.items():
+        points[name] = values
+    lines = ["ply", "format binary_little_endian 1.0", PLY_MARK, f"element vertex {count}"]
+    lines += [f"property {names[kind.str[1:]]} {name}" for name, kind in kinds]
+    if faces is not None:
+        lines += [f"element face {len(faces)}", "property list uchar int vertex_indices"]
+    with path.open("wb") as stream:
+        stream.write(("\n".join([*lines, "end_header"]) + "\n").encode("ascii"))
+        stream.write(points.tobytes())
+        if faces is not None:
+            triangles = np.empty(len(faces), [("count", "u1"), ("corners", "<i4", 3)])
+            triangles["count"] = 3
+            triangles["corners"] = faces
+            stream.write(triangles.tobytes())
+
+
+class ShapeTest(IntEnum):
+    """What became of a camera pixel, the values of `Shape.test`.
+
+    Examples
+    --------
+    >>> import lightmatrix as lm
+    >>> known = lm.truth("metal")
+    >>> shape = lm.triangulate(known.transport(), known.geometry)
+    >>> bool((shape.test == lm.ShapeTest.OFF_LINE).any())
+    True
+    """
+
+    KEPT = 0
+    # There is no light beside its epipolar line, or its code is not readable.
+    NO_LIGHT = 1
+    # The spot holds too small a share of the row's light.
+    WEAK = 2
+    # The spot lies too far from the line.
+    OFF_LINE = 3
+    # The estimate states too large an error.
+    UNCERTAIN = 4
+    # The point would lie behind the camera or the projector.
+    BEHIND = 5
+
+
+@dataclass(frozen=True, eq=False)
+class Shape:
+    """The surface that a camera sees, pixel by pixel.
+
+    Parameters
+    ----------
+    depth : (rows, cols) float32
+        Distance along the camera's axis in the unit of the geometry; NaN where there is none.
+    points : (rows, cols, 3) float32
+        Points of the world; NaN where there is none.
+    normals : (rows, cols, 3) float32
+        Unit normals that face the camera, from the neighbours within 2 pixels; NaN where too few
+        neighbours have a depth.
+    albedo : (rows, cols) float32
+        Direct light under a white pattern, in units of the clip level.
+    uncertainty : (rows, cols) float32
+        Standard deviation of the depth, from how far this pixel and its neighbours lie from their
+        epipolar lines, on which exact places would lie.
+    test : (rows, cols) uint8
+        Which test a pixel failed first, see `ShapeTest`; 0 where the point was kept.
+    place : (rows, cols, 2) float32
+        Row and column of the projector pixel that lights each point, before its projection onto the
+        epipolar line.
+    from_line : (rows, cols) float32
+        Its distance from the line, in projector pixels.
+    geometry : RigGeometry
+        Of images of these sizes.
+
+    Examples
+    --------
+    >>> import lightmatrix as lm
+    >>> known = lm.truth("l_objects")
+    >>> shape = lm.triangulate(known.transport(), known.geometry)
+    >>> bool(np.nanmedian(np.abs(shape.depth - known.depth)) < 0.01)
+    True
+    """
+
+    depth: NDArray[np.float32]
+    points: NDArray[np.float32]
+    normals: NDArray[np.float32]
+    albedo: NDArray[np.float32]
+    uncertainty: NDArray[np.float32]
+    test: NDArray[np.uint8]
+    place: NDArray[np.float32]
+    from_line: NDArray[np.float32]
+    geometry: RigGeometry
+
+    __repr__ = short_repr
+
+    @property
+    def kept(self) -> NDArray[np.bool_]:
+        """The pixels that have a depth, (rows, cols)."""
+        return self.test == ShapeTest.KEPT
+
+    @property
+    def camera_normals(self) -> NDArray[np.float32]:
+        """The normals in the camera's frame: to the right, down, forwards; (rows, cols, 3)."""
+        turn = decomposed(self.geometry.camera_matrix)[1]
+        return np.asarray(self.normals @ turn.T, np.float32)
+
+    def summary(self) -> dict[str, Any]:
+        """Number of points, their median depth and uncertainty, and pixels by `ShapeTest`."""
+        points = int(self.kept.sum())
+        depth, error = (
+            float(np.median(values[self.kept])) if points else float("nan")
+            for values in (self.depth, self.uncertainty)
+        )
+        return {
+            "points": points,
+            "median_depth": depth,
+            "median_uncertainty": error,
+            "pixels": {test.name.lower(): int((self.test == test).sum()) for test in ShapeTest},
+        }
+
+    def save(self, path: str | Path, *, mesh: bool = False, overwrite: bool = False) -> None:
+        """Write the points as PLY, with normals, grey values and the uncertainty of the depth.
+
+        Parameters
+        ----------
+        path : str or Path
+            The file, .ply.
+        mesh : bool
+            Whether to write triangles between neighbouring pixels on one surface too.
+        overwrite : bool
+            Whether an existing point cloud may be replaced.
+
+        Raises
+        ------
+        OutputError
+            If the file exists, is not one of ours, or cannot be written.
+        """
+        faces = surface_faces(self.depth, self.geometry) if mesh else None
+        write_cloud(
+            path,
+            self.points,
+            self.normals,
+            self.albedo,
+            self.uncertainty,
+            faces,
+            overwrite=overwrite,
+        )
+
+    def save_depth(self, path: str | Path, *, overwrite: bool = False) -> None:
+        """Write the depth as float32, NaN where there is none: .tif, .tiff or .npy.
+
+        Raises
+        ------
+        OutputError
+            If the file exists or cannot be written.
+        """
+        write_depth(path, self.depth, overwrite=overwrite)
+
+    def show(self) -> Picture:
+        """A Matplotlib figure: maps of depth and normals, and which test a pixel failed."""
+        names = [test.name for test in ShapeTest]
+        units = self.geometry.units
+        return shape_picture(self.depth, self.camera_normals, self.test, names, units)
+
+    def mesh(self) -> Any:
+        """The surface as a `trimesh.Trimesh`, which writes STL, OBJ and GLB and measures meshes.
+
+        Raises
+        ------
+        MissingExtraError
+            If trimesh is not installed.
+        """
+        try:
+            import trimesh
+        except ImportError as error:
+            raise MissingExtraError(
+                "meshes need trimesh", hint="install it with `pip install 'lightmatrix[shape]'`"
+            ) from error
+        faces = surface_faces(self.depth, self.geometry)
+        used, corners = np.unique(faces, return_inverse=True)
+        points = self.points.reshape(-1, 3)[used]
+        return trimesh.Trimesh(points, corners.reshape(-1, 3), process=False)

@@ -1,0 +1,1 @@
+"""Pictures of a light transport matrix and of its diagnostics."""
