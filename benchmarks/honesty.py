@@ -27,8 +27,8 @@ import lightmatrix as lm
 from benchmarks.synthetic_captures import DAMAGES, PATTERNS, SCENES, SyntheticCapture, draw
 from experiments.harness import Row, show, write_json
 from experiments.harness import options as options_of
-from lightmatrix.diagnosis.finding import NOTES
-from lightmatrix.evaluation.metrics import relative_error
+from lightmatrix.check.finding import NOTES
+from lightmatrix.judgement.metrics import relative_error
 from lightmatrix.show.style import COLOURS, figure, fix_ticks, save
 from lightmatrix.simulation import library
 

@@ -11,7 +11,7 @@ from benchmarks.synthetic_captures import draw
 from lightmatrix.estimators import choice, plain
 from lightmatrix.estimators.choice import check_and_choose, choose_estimator
 from lightmatrix.estimators.coherent import rounds
-from lightmatrix.evaluation.metrics import relative_error
+from lightmatrix.judgement.metrics import relative_error
 
 SIZE = 24
 

@@ -12,7 +12,7 @@ from scipy.sparse import csr_array
 
 from lightmatrix.estimators.work import SolveTile, TilesInMemory, complete
 from lightmatrix.solvers.loop import Progress
-from lightmatrix.store import ROWS
+from lightmatrix.transport.checkpoint import ROWS
 from lightmatrix.transport.sparse_rows import SparseRows
 
 SPANS = [(0, 3), (3, 4), (4, 9), (9, 10), (12, 20)]

@@ -25,7 +25,7 @@ from lightmatrix.cli.source import Source, refuse_unknown_projector, with_source
 from lightmatrix.cli.terminal import as_options, progress, say, show_json, show_table
 from lightmatrix.errors import InputError
 from lightmatrix.files.colours import COLOURS
-from lightmatrix.outputs.kinds import COLOUR_STORES, REPORT, STORE
+from lightmatrix.files.kinds import COLOUR_STORES, REPORT, STORE
 from lightmatrix.transport.matrix import labelled
 
 if TYPE_CHECKING:

@@ -109,7 +109,7 @@ class Stages:
             self._begin("looking at the rig", "looks")
 
     def photographed(self, step: Any) -> None:
-        """Progress of a capture after a frame, a `lightmatrix.live.session.Step`."""
+        """Progress of a capture after a frame, a `lightmatrix.rig.session.Step`."""
         note = f"{100 * step.clipped:.1f} % clipped, {step.check}"
         self._update("photographing", "frames", step.done, step.total, note)
 

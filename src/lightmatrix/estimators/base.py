@@ -16,17 +16,17 @@ import scipy
 from numpy.typing import NDArray
 
 from lightmatrix._version import __version__
-from lightmatrix.camera.samples import Samples
 from lightmatrix.capture.capture import Capture
-from lightmatrix.diagnosis.finding import FINDINGS
+from lightmatrix.capture.samples import Samples
+from lightmatrix.check.finding import FINDINGS
 from lightmatrix.estimators.work import TilesInMemory, Work, WorkerPool, complete
-from lightmatrix.outputs.writing import final_target
+from lightmatrix.files.writing import final_target
 from lightmatrix.resources.disk import check_disk_space
 from lightmatrix.resources.threads import one_blas_thread
 from lightmatrix.solvers import Solver
 from lightmatrix.solvers.loop import Progress
 from lightmatrix.solvers.problem import Result, check_regularization
-from lightmatrix.store import ROWS, Checkpoint
+from lightmatrix.transport.checkpoint import ROWS, Checkpoint
 from lightmatrix.transport.matrix import LightTransport
 from lightmatrix.transport.sparse_rows import SparseRows
 

@@ -16,7 +16,7 @@ from dataclasses import replace
 import numpy as np
 
 from lightmatrix.capture.capture import Capture
-from lightmatrix.diagnosis.finding import Finding
+from lightmatrix.check.finding import Finding
 from lightmatrix.estimators.automatic_regularization import held_out_path
 from lightmatrix.estimators.base import Estimator
 from lightmatrix.estimators.camera_window import window_of_light

@@ -22,11 +22,11 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from lightmatrix.camera.camera_curve import AUTOMATIC, Response
+from lightmatrix.capture.camera_curve import AUTOMATIC, Response
 from lightmatrix.capture.capture import Capture, open_capture
-from lightmatrix.diagnosis.curves import FOUND_RESPONSE, with_projector, with_response
-from lightmatrix.diagnosis.finding import FINDINGS
-from lightmatrix.diagnosis.refusals import refuse_unordered, refuse_unusable, warn_of
+from lightmatrix.check.curves import FOUND_RESPONSE, with_projector, with_response
+from lightmatrix.check.finding import FINDINGS
+from lightmatrix.check.refusals import refuse_unordered, refuse_unusable, warn_of
 from lightmatrix.errors import InputError, warn
 from lightmatrix.estimators.choice import check_and_choose, choose_estimator
 from lightmatrix.estimators.plain import PlainEstimator
@@ -34,8 +34,8 @@ from lightmatrix.estimators.resource_estimate import estimate_resources
 from lightmatrix.estimators.settings import EstimateSettings
 from lightmatrix.estimators.unknown_projector import find_responses
 from lightmatrix.estimators.workers.pool import open_workers
-from lightmatrix.outputs.kinds import STORE
-from lightmatrix.outputs.writing import check_output
+from lightmatrix.files.kinds import STORE
+from lightmatrix.files.writing import check_output
 from lightmatrix.patterns.colour import ColourPatterns
 from lightmatrix.patterns.projector_curve import ProjectorResponse
 from lightmatrix.progress_bar import progress_bar

@@ -13,8 +13,7 @@ from typing import Protocol
 
 from lightmatrix.capture.capture import Capture
 from lightmatrix.solvers.loop import Progress
-from lightmatrix.store import ROWS, Checkpoint
-from lightmatrix.store.checkpoint import Span, unfinished_spans
+from lightmatrix.transport.checkpoint import ROWS, Checkpoint, Span, unfinished_spans
 from lightmatrix.transport.sparse_rows import SparseRows
 
 # Solves the rows start..stop of a step, and reports how many of them are done.

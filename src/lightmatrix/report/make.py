@@ -15,11 +15,14 @@ from markupsafe import Markup, escape
 
 from lightmatrix._version import __version__
 from lightmatrix.capture.capture import Capture
-from lightmatrix.diagnosis.curves import as_estimated
-from lightmatrix.diagnosis.finding import Finding
+from lightmatrix.check.curves import as_estimated
+from lightmatrix.check.finding import Finding
 from lightmatrix.errors import InputError
 from lightmatrix.estimators.settings import EstimateSettings
-from lightmatrix.evaluation.judgement import (
+from lightmatrix.files.kinds import REPORT
+from lightmatrix.files.writing import atomic_folder
+from lightmatrix.geometry.rig_geometry import RigGeometry
+from lightmatrix.judgement.judgement import (
     FAIR,
     GOOD,
     SINGLY_CLIPPED,
@@ -28,9 +31,6 @@ from lightmatrix.evaluation.judgement import (
     percent,
     stored_findings,
 )
-from lightmatrix.geometry.rig_geometry import RigGeometry
-from lightmatrix.outputs.kinds import REPORT
-from lightmatrix.outputs.writing import atomic_folder
 from lightmatrix.report.elements import Points, Section, Strip
 from lightmatrix.report.facts import Estimator, Facts, Validation, validate
 from lightmatrix.report.sections import (

@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 from scipy.ndimage import maximum_filter
 from scipy.sparse import csr_array
 
-from lightmatrix.camera.samples import Samples
 from lightmatrix.capture.capture import Capture
+from lightmatrix.capture.samples import Samples
 from lightmatrix.estimators.base import rows_with_diagnostics
 from lightmatrix.estimators.certainty import with_certainty
 from lightmatrix.estimators.coherent.neighbourhood import REACH, CameraGrid, Neighbourhood
@@ -41,8 +41,7 @@ from lightmatrix.estimators.work import TILE_BYTES, ReadStep, SolveTile, cut_row
 from lightmatrix.resources.threads import computed_once, core_threads
 from lightmatrix.solvers.loop import Progress
 from lightmatrix.solvers.problem import Result
-from lightmatrix.store import ROWS
-from lightmatrix.store.checkpoint import Span
+from lightmatrix.transport.checkpoint import ROWS, Span
 from lightmatrix.transport.sparse_rows import SparseRows, footprint_sizes
 
 # The diagnostic that holds which share of its light changed in a row's last round.

@@ -41,8 +41,7 @@ from lightmatrix.estimators.workers.worker import (
     versions,
 )
 from lightmatrix.resources.threads import core_threads
-from lightmatrix.store import Checkpoint
-from lightmatrix.store.checkpoint import Span, tile_name
+from lightmatrix.transport.checkpoint import Checkpoint, Span, tile_name
 
 if TYPE_CHECKING:
     from distributed import Client

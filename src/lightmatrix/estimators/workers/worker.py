@@ -25,7 +25,13 @@ from lightmatrix.errors import ClusterError, InputError, LightMatrixError
 from lightmatrix.estimators.work import SolveTile, Work
 from lightmatrix.resources.memory import available_bytes
 from lightmatrix.resources.threads import core_threads
-from lightmatrix.store.checkpoint import Span, fingerprint_token, read_tile, tile_name, write_tile
+from lightmatrix.transport.checkpoint import (
+    Span,
+    fingerprint_token,
+    read_tile,
+    tile_name,
+    write_tile,
+)
 from lightmatrix.transport.sparse_rows import SparseRows
 
 
