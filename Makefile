@@ -81,7 +81,7 @@ live-test-slow: test-install ## run the tests that are left out of `make test`: 
 	$(BIN)/python -m pytest -m slow
 
 faults: test-install ## capture 200 times with a rig that fails, or make live-faults N=20
-	$(BIN)/python -m tests.live.rig_faults --count $(or $(N),200)
+	$(BIN)/python -m tests.rig.rig_faults --count $(or $(N),200)
 
 kills: test-install ## kill 50 estimates and their workers at random moments, or make kills N=10
 	$(BIN)/python -m tests.estimators.kills --count $(or $(N),50)

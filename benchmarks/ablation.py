@@ -24,7 +24,7 @@ from experiments.rigs import RIGS, Case, rig_capture, rig_truth
 from lightmatrix.estimators.coherent import neighbourhood, schedule
 from lightmatrix.estimators.coherent.estimator import CoherentEstimator
 from lightmatrix.estimators.coherent.row_solver import Backgrounds
-from lightmatrix.evaluation.metrics import relative_error
+from lightmatrix.judgement.metrics import relative_error
 
 # In each of these rigs another part of the estimate matters.
 USUAL_RIGS = ("sharp", "blur 1", "camera 4x coarser")

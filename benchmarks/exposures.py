@@ -14,10 +14,10 @@ import numpy as np
 from benchmarks.plan_calibration import SCENES, SIZE, photograph, some_rows
 from experiments.harness import markdown
 from experiments.harness import options as options_of
-from lightmatrix.camera import exposures as noise
+from lightmatrix.capture import exposures as noise
 from lightmatrix.estimators.coherent.estimator import CoherentEstimator
 from lightmatrix.estimators.plain import PlainEstimator
-from lightmatrix.evaluation.metrics import relative_error
+from lightmatrix.judgement.metrics import relative_error
 from lightmatrix.patterns.bits import BernoulliPatterns
 from lightmatrix.planning.exposure_advice import WhiteFrame
 from lightmatrix.simulation.library import truth

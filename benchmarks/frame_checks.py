@@ -22,12 +22,12 @@ from numpy.typing import NDArray
 
 from experiments.harness import markdown, write_json
 from experiments.harness import options as options_of
-from lightmatrix.camera.sensor import Sensor
 from lightmatrix.capture.capture import Capture
-from lightmatrix.diagnosis.all_checks import check_capture
-from lightmatrix.diagnosis.finding import Finding
-from lightmatrix.diagnosis.frame_order import missing_places
-from lightmatrix.diagnosis.survey import Survey
+from lightmatrix.capture.sensor import Sensor
+from lightmatrix.check.all_checks import check_capture
+from lightmatrix.check.finding import Finding
+from lightmatrix.check.frame_order import missing_places
+from lightmatrix.check.survey import Survey
 from lightmatrix.files.images import decode_image, encode_image
 from lightmatrix.patterns.bits import BernoulliPatterns
 from lightmatrix.patterns.pattern_set import PatternSet

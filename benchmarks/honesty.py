@@ -27,8 +27,8 @@ import lightmatrix as lm
 from benchmarks.synthetic_captures import DAMAGES, PATTERNS, SCENES, SyntheticCapture, draw
 from experiments.harness import Row, show, write_json
 from experiments.harness import options as options_of
-from lightmatrix.diagnosis.finding import NOTES
-from lightmatrix.evaluation.metrics import relative_error
+from lightmatrix.check.finding import NOTES
+from lightmatrix.judgement.metrics import relative_error
 from lightmatrix.show.style import COLOURS, figure, fix_ticks, save
 from lightmatrix.simulation import library
 
@@ -131,13 +131,11 @@ def measure(case: Case) -> Outcome:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         try:
-            findings = lm.check(drawn.capture)
-            kinds = tuple(sorted({each.kind for each in findings}))
-            lm.refuse_disorder(findings)
-            estimate = lm.estimate(drawn.capture, check=False)
+            estimate = lm.estimate(drawn.capture)
         except lm.InputError as error:
             return Outcome(case, "refused", error.message, seconds=seconds())
-    verdict = lm.verdict(estimate).with_findings(kinds)
+    kinds = tuple(sorted({each["kind"] for each in estimate.provenance["findings"]}))
+    verdict = lm.verdict(estimate)
     true = relative_error(estimate, drawn.truth)
     return Outcome(case, verdict.level, verdict.sentence, kinds, true, verdict.error, seconds())
 

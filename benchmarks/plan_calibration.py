@@ -22,12 +22,12 @@ from scipy.sparse import csr_array
 
 from experiments.harness import markdown
 from experiments.harness import options as options_of
-from lightmatrix.camera.exposures import exposure_sequence
-from lightmatrix.camera.sensor import Sensor
 from lightmatrix.capture.capture import Capture
+from lightmatrix.capture.exposures import exposure_sequence
+from lightmatrix.capture.sensor import Sensor
 from lightmatrix.estimators.coherent.estimator import CoherentEstimator
 from lightmatrix.estimators.plain import PlainEstimator
-from lightmatrix.evaluation.metrics import (
+from lightmatrix.judgement.metrics import (
     benchmark_exposure,
     relative_error,
     relighting_error,

@@ -14,8 +14,8 @@ from scipy.sparse import csr_array
 
 from benchmarks import solver_reference
 from experiments.harness import Row, best_seconds
-from lightmatrix.camera.samples import Samples
-from lightmatrix.evaluation.metrics import benchmark_exposure
+from lightmatrix.capture.samples import Samples
+from lightmatrix.judgement.metrics import benchmark_exposure
 from lightmatrix.patterns.bits import BernoulliPatterns
 from lightmatrix.patterns.hadamard import HadamardPatterns
 from lightmatrix.patterns.pattern_set import PatternSet

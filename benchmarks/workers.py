@@ -23,6 +23,7 @@ import psutil
 
 import lightmatrix as lm
 from experiments.harness import options as options_of
+from lightmatrix.estimators.choice import choose_estimator
 from lightmatrix.estimators.workers.pool import DaskPool, dask_pool
 
 
@@ -72,7 +73,7 @@ def measured(place: Path, coherent: bool, repeats: int) -> dict[str, Any]:
 def estimated(capture: lm.Capture, coherent: bool, pool: DaskPool) -> lm.LightTransport:
     """An estimate by workers."""
     settings = lm.EstimateSettings(coherent=coherent)
-    return lm.choose_estimator(capture, settings).estimate(capture, pool=pool)
+    return choose_estimator(capture, settings).estimate(capture, pool=pool)
 
 
 def spent(pool: DaskPool) -> float:

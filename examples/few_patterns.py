@@ -16,7 +16,7 @@ from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
 
 import lightmatrix as lm
-from lightmatrix.evaluation.metrics import benchmark_exposure, squared_errors
+from lightmatrix.judgement.metrics import benchmark_exposure, squared_errors
 
 PICTURES = {"errors.png": "Relative error of each row of T, by three estimates"}
 

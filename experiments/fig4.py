@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from experiments.harness import Experiment, Measured, all_rows
-from lightmatrix.camera.samples import Samples
+from lightmatrix.capture.samples import Samples
 from lightmatrix.patterns.pattern_set import ImagePatterns, PatternSet
 from lightmatrix.show.style import COLOURS, figure, save
 from lightmatrix.solvers import ADMM, ROMP, Fidelity, Problem, SaturationADMM, Solver, solve

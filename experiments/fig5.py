@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 
 from experiments.harness import Experiment, Measured
 from experiments.measured_scene import LETTERED, SCENES
-from lightmatrix.camera.sensor import Sensor
+from lightmatrix.capture.sensor import Sensor
 from lightmatrix.errors import MissingExtraError
-from lightmatrix.evaluation.metrics import diffuse_rows
+from lightmatrix.judgement.metrics import diffuse_rows
 from lightmatrix.patterns.bits import BernoulliPatterns
 from lightmatrix.show.style import display, figure, mark_clipped, panel, save
 from lightmatrix.simulation import library

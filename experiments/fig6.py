@@ -42,8 +42,8 @@ from experiments.methods import (
     ROMP_SPARSITY,
     Reach,
 )
-from lightmatrix.camera.exposures import USUAL_NOISE
 from lightmatrix.capture.capture import Capture
+from lightmatrix.capture.exposures import USUAL_NOISE
 from lightmatrix.estimators.coherent.estimator import WORTH_IT_UP_TO
 from lightmatrix.patterns.blocks import sampled_pixels
 from lightmatrix.show.style import figure, save

@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lightmatrix.camera.exposures import USUAL_NOISE, exposure_sequence
-from lightmatrix.camera.sensor import Sensor
 from lightmatrix.capture.capture import Capture
-from lightmatrix.evaluation.metrics import (
+from lightmatrix.capture.exposures import USUAL_NOISE, exposure_sequence
+from lightmatrix.capture.sensor import Sensor
+from lightmatrix.judgement.metrics import (
     UNCLIPPED_RESPONSE,
     benchmark_exposure,
     diffuse_rows,

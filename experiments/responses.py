@@ -10,14 +10,14 @@ from typing import Any
 import numpy as np
 
 from experiments.harness import Experiment, Measured, Row, all_rows
-from lightmatrix.camera.camera_curve import Response
+from lightmatrix.capture.camera_curve import Response
 from lightmatrix.capture.capture import Capture
-from lightmatrix.diagnosis.curves import FoundResponse, exponent, largest_difference, with_response
+from lightmatrix.check.curves import FoundResponse, exponent, largest_difference, with_response
 from lightmatrix.errors import InputError
 from lightmatrix.estimators.estimate import estimate
 from lightmatrix.estimators.unknown_projector import find_projector_response
 from lightmatrix.estimators.unknown_response import find_response
-from lightmatrix.evaluation.metrics import relative_error
+from lightmatrix.judgement.metrics import relative_error
 from lightmatrix.patterns.bits import BernoulliPatterns
 from lightmatrix.patterns.pattern_set import ImagePatterns, PatternSet
 from lightmatrix.patterns.projector_curve import ProjectorResponse

@@ -16,17 +16,17 @@ from scipy.stats import spearmanr
 from experiments.harness import Experiment, Measured, Row, all_rows, means
 from experiments.measured_scene import SCENES
 from experiments.responses import S_CURVE, camera_of, photographed
-from lightmatrix.camera.camera_curve import Response
+from lightmatrix.capture.camera_curve import Response
 from lightmatrix.capture.capture import Capture
 from lightmatrix.capture.frames import ArrayStack
-from lightmatrix.diagnosis.curves import with_response
+from lightmatrix.check.curves import with_response
 from lightmatrix.errors import InputError
 from lightmatrix.estimators.colour.estimate import estimate_colour
 from lightmatrix.estimators.estimate import estimate
-from lightmatrix.evaluation.evaluate import joint_relighting_error
-from lightmatrix.evaluation.judgement import OwnError
-from lightmatrix.evaluation.metrics import squared_errors
 from lightmatrix.files.colours import COLOURS as PRIMARIES
+from lightmatrix.judgement.evaluate import joint_relighting_error
+from lightmatrix.judgement.judgement import OwnError
+from lightmatrix.judgement.metrics import squared_errors
 from lightmatrix.patterns.bits import BernoulliPatterns
 from lightmatrix.patterns.colour import ColourPatterns, colour_bernoulli
 from lightmatrix.planning.plan import plan

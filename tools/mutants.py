@@ -46,8 +46,8 @@ TARGETS = [
 # record: those of the live rig wait for devices, those of the faults run the command line in
 # processes whose lines are not recorded, and those of stores and plans run few of these lines.
 SUITES = [
-    *("tests/solvers", "tests/estimators", "tests/capture", "tests/diagnosis", "tests/transport"),
-    *("tests/evaluation", "tests/core", "tests/camera"),
+    *("tests/solvers", "tests/estimators", "tests/capture", "tests/check", "tests/transport"),
+    *("tests/judgement", "tests/core", "tests/capture"),
     *("tests/cli/test_bad_input.py", "tests/cli/test_same_from_python.py"),
 ]
 # Modules that are imported once, before the children are forked: a child then starts in one second

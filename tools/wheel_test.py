@@ -34,8 +34,8 @@ transport = lm.estimate(lm.simulate("metal", patterns), coherent=False, iteratio
 print(transport)
 """
 # The limit for the base install, in millions of bytes: without extras, and without the packages of
-# an empty environment. It takes 405 today (docs/platforms.md); much more means a new dependency.
-MOST_MEGABYTES = 420
+# an empty environment. It takes 485 today (docs/platforms.md); much more means a new dependency.
+MOST_MEGABYTES = 500
 # Variables that would lead to other code than the wheel's, or to kernels an emulated CPU lacks.
 _FOREIGN = ("PYTHONPATH", "PYTHONHOME", "VIRTUAL_ENV", "OPENBLAS_CORETYPE")
 

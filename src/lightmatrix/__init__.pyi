@@ -32,10 +32,10 @@ from .patterns.pattern_set import (
 from .patterns.stripes import PhasePatterns as PhasePatterns
 
 # Captures, photographed and simulated.
-from .camera.decoder import Decoder as Decoder
-from .camera.camera_curve import Response as Response
-from .camera.samples import Samples as Samples
-from .camera.sensor import Sensor as Sensor
+from .capture.decoder import Decoder as Decoder
+from .capture.camera_curve import Response as Response
+from .capture.samples import Samples as Samples
+from .capture.sensor import Sensor as Sensor
 from .capture.capture import Capture as Capture
 from .capture.convert import convert as convert
 from .capture.packing import pack as pack
@@ -60,18 +60,18 @@ from .simulation.thumbnails import write_thumbnails as write_thumbnails
 from .simulation.truth import Truth as Truth
 
 # Rigs that photograph, real and virtual.
-from .live.rig_measurements import (
+from .rig.rig_measurements import (
     RigMeasurements as RigMeasurements,
     measure_rig as measure_rig,
 )
-from .live.capturing import CaptureSettings as CaptureSettings
-from .live.capturing import take_capture as take_capture
-from .live.devices.registry import (
+from .rig.capturing import CaptureSettings as CaptureSettings
+from .rig.capturing import take_capture as take_capture
+from .rig.devices.registry import (
     list_devices as list_devices,
     open_camera as open_camera,
     open_projector as open_projector,
 )
-from .live.rig import (
+from .rig.rig import (
     Rig as Rig,
     open_rig as open_rig,
 )
@@ -86,13 +86,9 @@ from .shape.self_calibration import self_calibrate as self_calibrate
 from .geometry.rig_geometry import RigGeometry as RigGeometry
 
 # What is wrong with a capture.
-from .diagnosis.finding import Finding as Finding
-from .diagnosis.refusals import (
-    refuse_disorder as refuse_disorder,
-    refuse_unusable as refuse_unusable,
-)
-from .diagnosis.all_checks import check as check
-from .diagnosis.curves import FoundResponse as FoundResponse
+from .check.finding import Finding as Finding
+from .check.all_checks import check as check
+from .check.curves import FoundResponse as FoundResponse
 
 # Responses, measured from photographs.
 from .patterns.projector_curve import ProjectorResponse as ProjectorResponse
@@ -103,8 +99,6 @@ from .responses.camera import (
 from .responses.projector import projector_response as projector_response
 
 # Estimates.
-from .estimators.choice import check_and_choose as check_and_choose
-from .estimators.choice import choose_estimator as choose_estimator
 from .estimators.estimate import estimate as estimate
 from .estimators.colour.estimate import estimate_colour as estimate_colour
 from .estimators.resource_estimate import (
@@ -119,7 +113,6 @@ from .estimators.unknown_response import (
     find_response as find_response,
 )
 from .estimators.coherent.estimator import CoherentEstimator as CoherentEstimator
-from .estimators.workers.pool import open_workers as open_workers
 from .estimators.multiscale import MultiScaleEstimator as MultiScaleEstimator
 from .estimators.plain import PlainEstimator as PlainEstimator
 from .solvers import (
@@ -135,7 +128,7 @@ from .solvers import (
 
 # Correspondence without T, from stripes.
 from .shape.decode import decode as decode
-from .store.npz import (
+from .transport.npz import (
     read_correspondence as read_correspondence,
     write_correspondence as write_correspondence,
 )
@@ -159,17 +152,12 @@ from .report.make import report as report
 from .viewer.export import export_viewer as export_viewer
 from .viewer.notebook import view as view
 from .viewer.server import serve_viewer as serve_viewer
-from .evaluation.evaluate import evaluate as evaluate
-from .evaluation.evaluate import evaluate_colour as evaluate_colour
-from .store import (
-    ColumnIndex as ColumnIndex,
-    StoredTransport as StoredTransport,
-    export as export,
-    index_columns as index_columns,
-    open as open,
-    save as save,
-)
-from .store.zarr_store import (
+from .judgement.evaluate import evaluate as evaluate
+from .judgement.evaluate import evaluate_colour as evaluate_colour
+from .transport.column_index import ColumnIndex as ColumnIndex, index_columns as index_columns
+from .transport.store import StoredTransport as StoredTransport, open as open, save as save
+from .transport.npz import export as export
+from .transport.store import (
     open_colour as open_colour,
     save_colour as save_colour,
 )
@@ -178,8 +166,8 @@ from .transport.correspondence import (
     Correspondence as Correspondence,
     correspondence as correspondence,
 )
-from .evaluation.evaluate import ColourErrors as ColourErrors
-from .evaluation.evaluate import Errors as Errors
+from .judgement.evaluate import ColourErrors as ColourErrors
+from .judgement.evaluate import Errors as Errors
 from .transport.matrix import LightTransport as LightTransport
 from .transport.operator import singular_values as singular_values
 from .uses.compensated_video import (
@@ -192,7 +180,7 @@ from .uses.compensation import (
     compensate as compensate,
 )
 from .uses.inverse_light import cancel_global as cancel_global
-from .live.closed_loop import (
+from .rig.closed_loop import (
     RefinedCompensation as RefinedCompensation,
     refine_compensation as refine_compensation,
 )
@@ -218,7 +206,7 @@ from .uses.separation import (
     Separation as Separation,
     separate as separate,
 )
-from .evaluation.judgement import (
+from .judgement.judgement import (
     Verdict as Verdict,
     Verdicts as Verdicts,
     verdict as verdict,

@@ -15,23 +15,23 @@ import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from lightmatrix.camera.exposures import USUAL_NOISE
-from lightmatrix.camera.sensor import Sensor
 from lightmatrix.capture.capture import Capture
+from lightmatrix.capture.exposures import USUAL_NOISE
 from lightmatrix.capture.folder import write_capture
+from lightmatrix.capture.sensor import Sensor
 from lightmatrix.estimators.choice import choose_estimator
 from lightmatrix.estimators.plain import PlainEstimator
 from lightmatrix.estimators.settings import EstimateSettings
-from lightmatrix.evaluation.judgement import percent
-from lightmatrix.evaluation.metrics import (
+from lightmatrix.files.kinds import DEMO
+from lightmatrix.files.writing import atomic_folder
+from lightmatrix.judgement.judgement import percent
+from lightmatrix.judgement.metrics import (
     relative_error,
     relighting_error,
     response_rmse,
     row_maximum,
     unseen_patterns,
 )
-from lightmatrix.outputs.kinds import DEMO
-from lightmatrix.outputs.writing import atomic_folder
 from lightmatrix.patterns.bits import BernoulliPatterns
 from lightmatrix.report.elements import Gallery, Section, Table, image_of_file
 from lightmatrix.report.facts import Estimator

@@ -14,13 +14,13 @@ from numpy.typing import NDArray
 from PIL import Image
 
 import lightmatrix as lm
-from lightmatrix.camera.decoder import Decoder
-from lightmatrix.camera.samples import Samples
-from lightmatrix.camera.sensor import Sensor
 from lightmatrix.capture.capture import Capture
+from lightmatrix.capture.decoder import Decoder
 from lightmatrix.capture.folder import write_capture
+from lightmatrix.capture.samples import Samples
+from lightmatrix.capture.sensor import Sensor
 from lightmatrix.capture.settings import KEYS, ReadSettings
-from lightmatrix.diagnosis.refusals import refuse_unusable
+from lightmatrix.check.refusals import refuse_unusable
 from lightmatrix.errors import InputError, LightMatrixWarning, OutputError
 from lightmatrix.files.images import write_image
 from lightmatrix.patterns.bits import BernoulliPatterns

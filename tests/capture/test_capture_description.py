@@ -13,12 +13,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from lightmatrix.camera.camera_curve import Response
-from lightmatrix.camera.decoder import Decoder
-from lightmatrix.camera.sensor import Sensor
+from lightmatrix.capture.camera_curve import Response
 from lightmatrix.capture.capture import Capture
+from lightmatrix.capture.decoder import Decoder
 from lightmatrix.capture.decoding import read_white_frame
 from lightmatrix.capture.folder import write_capture
+from lightmatrix.capture.sensor import Sensor
 from lightmatrix.capture.settings import ReadSettings
 from lightmatrix.errors import InputError, LightMatrixWarning
 from lightmatrix.estimators.plain import PlainEstimator

@@ -11,14 +11,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from lightmatrix.camera.exposures import exposure_sequence, parse_exposures
-from lightmatrix.camera.sensor import Sensor
 from lightmatrix.capture.capture import Capture
+from lightmatrix.capture.exposures import exposure_sequence, parse_exposures
+from lightmatrix.capture.sensor import Sensor
+from lightmatrix.check.refusals import refuse_unordered
 from lightmatrix.cli import main
-from lightmatrix.diagnosis.refusals import refuse_unordered
 from lightmatrix.errors import InputError
 from lightmatrix.estimators.plain import PlainEstimator
-from lightmatrix.evaluation.metrics import benchmark_exposure, relative_error, unclipped_rows
+from lightmatrix.judgement.metrics import benchmark_exposure, relative_error, unclipped_rows
 from lightmatrix.patterns.bits import BernoulliPatterns
 from lightmatrix.patterns.mix import MixedPatterns, default_mix, interleave, parse_shares
 from lightmatrix.patterns.pattern_set import PatternSet

@@ -15,10 +15,10 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 import lightmatrix as lm
-from lightmatrix.camera.camera_curve import Response
-from lightmatrix.camera.decoder import Decoder
 from lightmatrix.capture import packing
+from lightmatrix.capture.camera_curve import Response
 from lightmatrix.capture.capture import Capture
+from lightmatrix.capture.decoder import Decoder
 from lightmatrix.capture.frames import PixelFrames
 from lightmatrix.capture.packed import PackedFrames
 from lightmatrix.capture.settings import ReadSettings

@@ -16,10 +16,10 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
 from benchmarks.gray_decoding import BLACK, CLIP, COLUMN_BITS, ROW_BITS, WHITE, decoded, strongest
-from lightmatrix.camera.samples import Samples
 from lightmatrix.capture.capture import Capture
+from lightmatrix.capture.samples import Samples
 from lightmatrix.capture.settings import ReadSettings
-from lightmatrix.diagnosis.refusals import refuse_unordered, refuse_unusable
+from lightmatrix.check.refusals import refuse_unordered, refuse_unusable
 from lightmatrix.errors import InputError
 from lightmatrix.estimators.automatic_regularization import automatic_regularization
 from lightmatrix.estimators.coherent.estimator import CoherentEstimator

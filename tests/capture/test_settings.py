@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from lightmatrix.camera.sensor import Sensor
 from lightmatrix.capture.capture import Capture
+from lightmatrix.capture.sensor import Sensor
 from lightmatrix.capture.settings import ReadSettings
 from lightmatrix.cli.source import read_source
 from lightmatrix.errors import InputError

@@ -16,13 +16,14 @@ import numpy as np
 import pytest
 from scipy.sparse import csr_array
 
-from lightmatrix import store
-from lightmatrix.camera.sensor import Sensor
 from lightmatrix.capture.folder import write_capture
+from lightmatrix.capture.sensor import Sensor
 from lightmatrix.cli import main
 from lightmatrix.files.images import read_image, write_image
 from lightmatrix.patterns.bits import BernoulliPatterns
+from lightmatrix.transport import store as store
 from lightmatrix.transport.matrix import LightTransport
+from lightmatrix.transport.npz import export
 from tests.helpers.surface import CAMERA, PROJECTOR, surface
 
 COUNT = 48
@@ -47,7 +48,7 @@ def good(tmp_path_factory: pytest.TempPathFactory) -> Path:
         PROJECTOR,
     )
     store.save(folder / "T.zarr", empty)
-    store.export(folder / "T.npz", empty)
+    export(folder / "T.npz", empty)
     return folder
 
 

@@ -15,13 +15,13 @@ import typer
 from scipy.sparse import load_npz
 
 import lightmatrix
-from lightmatrix import store
 from lightmatrix.cli import main
 from lightmatrix.cli.app import app
 from lightmatrix.files.images import read_image, write_image
 from lightmatrix.patterns.folder import read_patterns
 from lightmatrix.simulation import library
 from lightmatrix.simulation.procedural import ProceduralScene
+from lightmatrix.transport import store as store
 
 COMMANDS: dict[str, Any] = typer.main.get_command(app).commands  # type: ignore[attr-defined]
 

@@ -11,20 +11,20 @@ import pytest
 from scipy.sparse import csr_array
 
 import lightmatrix as lm
-from lightmatrix.camera.exposures import EXAMPLE as EXPOSURES_EXAMPLE
-from lightmatrix.camera.exposures import USUAL_NOISE
+from lightmatrix.capture.exposures import EXAMPLE as EXPOSURES_EXAMPLE
+from lightmatrix.capture.exposures import USUAL_NOISE
 from lightmatrix.cli import estimate as estimate_command
 from lightmatrix.cli import main, options
 from lightmatrix.cli import patterns as patterns_command
 from lightmatrix.cli.app import STAGES
 from lightmatrix.estimators import settings as estimate_settings
 from lightmatrix.estimators.coherent.estimator import WORTH_IT_UP_TO
-from lightmatrix.live import capturing
-from lightmatrix.live.rig import USUAL_PATIENCE
-from lightmatrix.live.rig_measurements import PARTS
 from lightmatrix.patterns import making, mix
 from lightmatrix.planning.plan import USUAL_SIZE
 from lightmatrix.resources.memory import memory_bytes
+from lightmatrix.rig import capturing
+from lightmatrix.rig.rig import USUAL_PATIENCE
+from lightmatrix.rig.rig_measurements import PARTS
 from lightmatrix.simulation.library import DEFAULT_SAMPLES
 from lightmatrix.simulation.procedural import ProceduralScene
 from lightmatrix.viewer.scene import PAGE_BYTES

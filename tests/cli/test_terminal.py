@@ -16,7 +16,7 @@ import lightmatrix as lm
 from lightmatrix import cli
 from lightmatrix.cli import main
 from lightmatrix.errors import InputError
-from lightmatrix.evaluation.evaluate import Errors
+from lightmatrix.judgement.evaluate import Errors
 from lightmatrix.solvers import solve
 from lightmatrix.transport.matrix import labelled
 from tests.helpers.systems import SHELL, SIGNALS
@@ -157,7 +157,7 @@ def test_ctrl_c_after_the_output_says_that_it_is_finished(
 
 
 @pytest.mark.parametrize(
-    "where", ["lightmatrix.verdicts", "lightmatrix.store.zarr_store.StoredTransport.load"]
+    "where", ["lightmatrix.verdicts", "lightmatrix.transport.store.StoredTransport.load"]
 )
 @pytest.mark.parametrize(
     "error", [MemoryError(), RuntimeError("can't start new thread"), InputError("s.zarr: 9 GiB")]
@@ -189,7 +189,7 @@ def test_lack_of_memory_before_the_json_is_a_failure(
 
     lm.simulate("metal", lm.BernoulliPatterns((64, 64), 8)).save("capture")
     line = "estimate capture -o s.zarr --solver romp --iterations 1 --json"
-    monkeypatch.setattr("lightmatrix.store.zarr_store.StoredTransport.load", failing)
+    monkeypatch.setattr("lightmatrix.transport.store.StoredTransport.load", failing)
     assert main(line.split()) == 3
     assert "error: s.zarr is finished; " in capsys.readouterr().err
     assert main(line.split()) == 2

@@ -33,13 +33,13 @@ from typing import Any, NoReturn
 import numpy as np
 import psutil
 
-from lightmatrix import store
 from lightmatrix.capture.capture import Capture
 from lightmatrix.estimators.coherent import schedule
 from lightmatrix.estimators.coherent.estimator import WINDOWS, CoherentEstimator
 from lightmatrix.estimators.workers.pool import dask_pool
 from lightmatrix.patterns.bits import BernoulliPatterns
 from lightmatrix.simulation.procedural import ProceduralScene, simulate_procedural
+from lightmatrix.transport import store as store
 
 # Half widths of the windows, sides of camera and projector, patterns.
 LARGER = (WINDOWS, 48, 40, 32)

@@ -9,9 +9,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from lightmatrix.camera.sensor import Sensor
 from lightmatrix.capture.capture import Capture
 from lightmatrix.capture.folder import write_capture
+from lightmatrix.capture.sensor import Sensor
 from lightmatrix.cli import main
 from lightmatrix.errors import InputError
 from lightmatrix.estimators.automatic_regularization import (
@@ -20,7 +20,7 @@ from lightmatrix.estimators.automatic_regularization import (
     reached_level,
 )
 from lightmatrix.estimators.plain import PlainEstimator
-from lightmatrix.evaluation.metrics import relative_error
+from lightmatrix.judgement.metrics import relative_error
 from lightmatrix.patterns.bits import BernoulliPatterns
 from lightmatrix.patterns.pattern_set import PatternSet
 from lightmatrix.simulation.irradiance import irradiance

@@ -10,21 +10,21 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_array
 from scipy.sparse.linalg import norm
 
-from lightmatrix import store
-from lightmatrix.camera.sensor import Sensor
 from lightmatrix.capture.capture import Capture
+from lightmatrix.capture.sensor import Sensor
 from lightmatrix.errors import InputError
 from lightmatrix.estimators.coherent import schedule
 from lightmatrix.estimators.coherent.estimator import CoherentEstimator
 from lightmatrix.estimators.coherent.row_solver import Backgrounds
 from lightmatrix.estimators.plain import PlainEstimator
-from lightmatrix.evaluation.metrics import relative_error, unclipped_rows
+from lightmatrix.judgement.metrics import relative_error, unclipped_rows
 from lightmatrix.patterns.bits import BernoulliPatterns
 from lightmatrix.simulation import library
 from lightmatrix.simulation.irradiance import irradiance
 from lightmatrix.simulation.procedural import ProceduralScene
 from lightmatrix.simulation.truth import Truth
 from lightmatrix.solvers import ActiveSet
+from lightmatrix.transport import store as store
 from lightmatrix.transport.matrix import LightTransport
 
 EXPOSURE = 2.5

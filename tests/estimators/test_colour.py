@@ -16,7 +16,7 @@ from lightmatrix.errors import InputError
 from lightmatrix.estimators.coherent.estimator import CoherentEstimator
 from lightmatrix.estimators.colour.mixing import ColourSamples, fit_gains, light_of_primaries
 from lightmatrix.estimators.colour.unmixing import grey_capture, unmixed_capture
-from lightmatrix.evaluation.metrics import relative_error
+from lightmatrix.judgement.metrics import relative_error
 from lightmatrix.simulation.colour import in_all_primaries
 
 SIDE = 16

@@ -16,20 +16,20 @@ import numpy as np
 import pytest
 
 import lightmatrix as lm
-from lightmatrix import store
-from lightmatrix.camera.sensor import Sensor
 from lightmatrix.capture.capture import Capture
 from lightmatrix.capture.folder import write_capture
+from lightmatrix.capture.sensor import Sensor
 from lightmatrix.errors import InputError, OutputError
 from lightmatrix.estimators import plain
 from lightmatrix.estimators.base import solver_provenance
 from lightmatrix.estimators.plain import PlainEstimator
-from lightmatrix.evaluation.metrics import relative_error, unclipped_rows
+from lightmatrix.judgement.metrics import relative_error, unclipped_rows
 from lightmatrix.patterns.bits import BernoulliPatterns
 from lightmatrix.simulation.irradiance import irradiance
 from lightmatrix.simulation.procedural import ProceduralScene
 from lightmatrix.simulation.truth import Truth
 from lightmatrix.solvers import ADMM, ROMP, ActiveSet, Fidelity, SaturationADMM, Solver, solve
+from lightmatrix.transport import store as store
 
 EXPOSURE = 2.5
 

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from scipy.sparse import csr_array
 
-from lightmatrix.camera.sensor import Sensor
 from lightmatrix.capture.capture import Capture
+from lightmatrix.capture.sensor import Sensor
 from lightmatrix.estimators.coherent import schedule
 from lightmatrix.estimators.coherent.estimator import SIZES, WINDOWS, CoherentEstimator
 from lightmatrix.estimators.coherent.neighbourhood import CameraGrid, Neighbourhood
@@ -23,7 +23,7 @@ from lightmatrix.estimators.coherent.row_errors import (
 )
 from lightmatrix.estimators.coherent.row_solver import RowSolver
 from lightmatrix.estimators.coherent.schedule import Round
-from lightmatrix.evaluation.metrics import relative_error
+from lightmatrix.judgement.metrics import relative_error
 from lightmatrix.patterns.atoms import AtomPatterns
 from lightmatrix.patterns.bits import BernoulliPatterns
 from lightmatrix.simulation.irradiance import irradiance

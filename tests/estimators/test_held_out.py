@@ -10,8 +10,8 @@ import lightmatrix as lm
 from benchmarks.synthetic_captures import draw
 from lightmatrix.estimators.coherent import row_errors
 from lightmatrix.estimators.coherent.row_errors import HeldOut, held_out_frames
-from lightmatrix.evaluation.judgement import OwnError
-from lightmatrix.evaluation.metrics import relative_error
+from lightmatrix.judgement.judgement import OwnError
+from lightmatrix.judgement.metrics import relative_error
 
 BASE = lm.BernoulliPatterns((16, 16), 16, seed=1).rows(0, 16).reshape(16, 16, 16)
 

@@ -10,16 +10,15 @@ import pytest
 from scipy.ndimage import binary_dilation
 from scipy.sparse import csr_array
 
-from lightmatrix import store
-from lightmatrix.camera.samples import Samples
-from lightmatrix.camera.sensor import Sensor
 from lightmatrix.capture.capture import Capture
+from lightmatrix.capture.samples import Samples
+from lightmatrix.capture.sensor import Sensor
 from lightmatrix.cli import main
 from lightmatrix.errors import InputError
 from lightmatrix.estimators import multiscale
 from lightmatrix.estimators.multiscale import MultiScaleEstimator, active_blocks, scales, split
 from lightmatrix.estimators.plain import PlainEstimator
-from lightmatrix.evaluation.metrics import relative_error
+from lightmatrix.judgement.metrics import relative_error
 from lightmatrix.patterns.bits import BernoulliPatterns
 from lightmatrix.patterns.hadamard import HadamardPatterns
 from lightmatrix.patterns.pattern_set import ImagePatterns
@@ -38,6 +37,7 @@ from lightmatrix.solvers import (
 )
 from lightmatrix.solvers.admm import System, centred_energy
 from lightmatrix.solvers.problem import objective, relative_gap
+from lightmatrix.transport import store as store
 
 SOLVERS = [ActiveSet(), SaturationADMM(), SaturationADMM(Fidelity.CLIPPED), ADMM(), ROMP()]
 

@@ -8,16 +8,18 @@ import pytest
 
 import lightmatrix as lm
 from benchmarks.synthetic_captures import draw
-from lightmatrix.estimators import neighbours_help, plain
+from lightmatrix.estimators import choice, plain
+from lightmatrix.estimators.choice import check_and_choose, choose_estimator
 from lightmatrix.estimators.coherent import rounds
-from lightmatrix.evaluation.metrics import relative_error
+from lightmatrix.judgement.metrics import relative_error
 
 SIZE = 24
 
 
 def test_independent_speckle_is_estimated_row_by_row() -> None:
     drawn = draw("speckle", "random", "none", SIZE, seed=3)
-    chosen = lm.estimate(drawn.capture, progress=False)
+    with pytest.warns(lm.LightMatrixWarning, match="estimating row by row"):
+        chosen = lm.estimate(drawn.capture, progress=False)
     coherent = lm.estimate(drawn.capture, coherent=True, progress=False)
     assert chosen.provenance["estimator"] == "plain"
     assert coherent.provenance["estimator"] == "coherent"
@@ -27,15 +29,15 @@ def test_independent_speckle_is_estimated_row_by_row() -> None:
 @pytest.mark.parametrize("scene", ["wall", "fibres", "permutation", "glints"])
 def test_neighbours_are_used_where_they_do_no_harm(scene: str) -> None:
     drawn = draw(scene, "random", "none", SIZE, seed=3)
-    assert isinstance(lm.choose_estimator(drawn.capture), lm.CoherentEstimator)
+    assert isinstance(choose_estimator(drawn.capture), lm.CoherentEstimator)
 
 
 def test_settings_come_first() -> None:
     capture = draw("speckle", "random", "none", SIZE, seed=3).capture
-    coherent = lm.choose_estimator(capture, lm.EstimateSettings(coherent=True))
+    coherent = choose_estimator(capture, lm.EstimateSettings(coherent=True))
     assert isinstance(coherent, lm.CoherentEstimator)
     wall = draw("wall", "random", "none", SIZE, seed=3).capture
-    alone = lm.choose_estimator(wall, lm.EstimateSettings(coherent=False))
+    alone = choose_estimator(wall, lm.EstimateSettings(coherent=False))
     assert isinstance(alone, lm.PlainEstimator)
 
 
@@ -62,15 +64,15 @@ def test_what_is_tried_is_not_judged(monkeypatch: pytest.MonkeyPatch) -> None:
     for module in (plain, rounds):
         monkeypatch.setattr(module, "with_certainty", refused)
     capture = draw("speckle", "random", "none", SIZE, seed=3).capture
-    assert isinstance(lm.choose_estimator(capture), lm.PlainEstimator)
+    assert isinstance(choose_estimator(capture), lm.PlainEstimator)
 
 
 def test_the_middle_of_the_light_stands_for_a_larger_camera(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     capture = draw("speckle", "random", "none", SIZE, seed=3).capture
-    monkeypatch.setattr(neighbours_help, "_TRIED", 144)
-    assert isinstance(lm.choose_estimator(capture), lm.PlainEstimator)
+    monkeypatch.setattr(choice, "_TRIED", 144)
+    assert isinstance(choose_estimator(capture), lm.PlainEstimator)
 
 
 @pytest.mark.parametrize(("coherent", "beside"), [(None, True), (True, False), (False, False)])
@@ -83,15 +85,19 @@ def test_frames_are_checked_while_both_ways_are_tried(coherent: bool | None, bes
         threads.append(threading.current_thread())
         return lm.check(capture)
 
-    estimator, findings = lm.check_and_choose(check, capture, settings)
+    estimator, findings = check_and_choose(
+        check, capture, settings, lm.estimate_resources(capture, settings)
+    )
     assert [each is not threading.main_thread() for each in threads] == [beside]
-    assert estimator == lm.choose_estimator(capture, settings)
+    assert estimator == choose_estimator(capture, settings)
     assert findings == lm.check(capture)
     assert findings
 
 
 def test_what_a_check_raises_comes_first(monkeypatch: pytest.MonkeyPatch) -> None:
     capture = draw("speckle", "random", "none", SIZE, seed=3).capture
+    settings = lm.EstimateSettings()
+    resources = lm.estimate_resources(capture, settings)
 
     def refuse() -> list[lm.Finding]:
         raise lm.InputError("frame 1 and frame 2 look swapped")
@@ -101,9 +107,9 @@ def test_what_a_check_raises_comes_first(monkeypatch: pytest.MonkeyPatch) -> Non
 
     monkeypatch.setattr(lm.PlainEstimator, "estimate", fail)
     with pytest.raises(lm.InputError, match="look swapped"):
-        lm.check_and_choose(refuse, capture, lm.EstimateSettings())
+        check_and_choose(refuse, capture, settings, resources)
     with pytest.raises(lm.SolverError, match="no solution"):
-        lm.check_and_choose(list, capture, lm.EstimateSettings())
+        check_and_choose(list, capture, settings, resources)
 
 
 @pytest.mark.parametrize("patterns", ["stripes", "one pixel"])
@@ -117,4 +123,4 @@ def test_nothing_is_tried_where_no_frame_can_be_held_out(
 
     monkeypatch.setattr(lm.PlainEstimator, "estimate", fail)
     monkeypatch.setattr(lm.CoherentEstimator, "estimate", fail)
-    assert isinstance(lm.choose_estimator(capture), lm.CoherentEstimator)
+    assert isinstance(choose_estimator(capture), lm.CoherentEstimator)

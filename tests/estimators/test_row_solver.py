@@ -7,9 +7,9 @@ from typing import Any
 
 import numpy as np
 
-from lightmatrix.camera.samples import Samples
-from lightmatrix.camera.sensor import Sensor
 from lightmatrix.capture.capture import Capture
+from lightmatrix.capture.samples import Samples
+from lightmatrix.capture.sensor import Sensor
 from lightmatrix.estimators.coherent.row_solver import RowSolver
 from lightmatrix.patterns.bits import BernoulliPatterns
 from lightmatrix.solvers import ActiveSet

@@ -2,16 +2,39 @@
 
 import threading
 import time
+from collections.abc import Callable
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
 from scipy.sparse import csr_array
 
-from lightmatrix.estimators.side_by_side import solve_tiles
+from lightmatrix.estimators.work import SolveTile, TilesInMemory, complete
 from lightmatrix.solvers.loop import Progress
+from lightmatrix.transport.checkpoint import ROWS
 from lightmatrix.transport.sparse_rows import SparseRows
 
 SPANS = [(0, 3), (3, 4), (4, 9), (9, 10), (12, 20)]
+
+
+def solve_tiles(
+    solve_tile: SolveTile,
+    spans: list[tuple[int, int]],
+    together: int,
+    report: Callable[[int], None] = lambda done: None,
+    kept: TilesInMemory | None = None,
+) -> None:
+    """Complete a work of one step with these tiles."""
+    work: Any = SimpleNamespace(
+        capture=SimpleNamespace(rows=20),
+        steps={ROWS: ()},
+        tiles=lambda step, parts, shrinking: iter(spans),
+        prepare=lambda step, read: solve_tile,
+        together=together,
+        solved=lambda step, done: done,
+    )
+    complete(work, kept or TilesInMemory(), lambda done, total: report(done))
 
 
 def rows(start: int, stop: int, progress: Progress) -> SparseRows:
@@ -23,19 +46,19 @@ def rows(start: int, stop: int, progress: Progress) -> SparseRows:
 
 @pytest.mark.parametrize("together", [1, 2, 3])
 def test_every_tile_is_kept_and_progress_never_falls(together: int) -> None:
-    kept, reported = dict[tuple[int, int], SparseRows](), list[int]()
+    kept, reported = TilesInMemory(), list[int]()
     threads = set[int]()
 
     def report(done: int) -> None:
         threads.add(threading.get_ident())
         reported.append(done)
 
-    solve_tiles(rows, SPANS, together, kept.__setitem__, report)
-    assert sorted(kept) == SPANS
-    for (start, stop), part in kept.items():
+    solve_tiles(rows, SPANS, together, report, kept)
+    assert kept.spans() == SPANS
+    for (start, stop), part in kept.rows[ROWS].items():
         assert part.background.ravel().tolist() == list(range(start, stop))
     assert reported == sorted(reported)
-    assert max(reported) <= sum(stop - start for start, stop in SPANS)
+    assert max(reported) <= 20
     # Progress bars of other programs may not be used from other threads.
     assert threads == {threading.get_ident()}
 
@@ -47,7 +70,7 @@ def test_two_tiles_are_solved_at_a_time() -> None:
         meeting.wait()
         return rows(start, stop, progress)
 
-    solve_tiles(meet, SPANS[:4], 2, lambda span, part: None, lambda done: None)
+    solve_tiles(meet, SPANS[:4], 2)
 
 
 def test_one_tile_is_solved_by_the_thread_that_asks() -> None:
@@ -57,13 +80,13 @@ def test_one_tile_is_solved_by_the_thread_that_asks() -> None:
         threads.append(threading.get_ident())
         return rows(start, stop, progress)
 
-    solve_tiles(solve, SPANS[:1], 2, lambda span, part: None, lambda done: None)
+    solve_tiles(solve, SPANS[:1], 2)
     assert threads == [threading.get_ident()]
 
 
 @pytest.mark.parametrize("together", [1, 2])
 def test_after_an_error_finished_tiles_are_kept_and_running_ones_end(together: int) -> None:
-    kept, ended = list[tuple[int, int]](), list[int]()
+    kept, ended = TilesInMemory(), list[int]()
 
     def solve(start: int, stop: int, progress: Progress) -> SparseRows:
         if start == 4:
@@ -77,12 +100,12 @@ def test_after_an_error_finished_tiles_are_kept_and_running_ones_end(together: i
         return rows(start, stop, progress)
 
     with pytest.raises(ValueError, match="a tile fails"):
-        solve_tiles(solve, SPANS, together, lambda span, part: kept.append(span), lambda done: None)
-    assert (0, 3) in kept
-    assert (9, 10) not in kept
+        solve_tiles(solve, SPANS, together, kept=kept)
+    assert (0, 3) in kept.spans()
+    assert (9, 10) not in kept.spans()
     # The tile that would have run for ten seconds has ended, and was not kept.
     assert 3 in ended
-    assert ((3, 4) in kept) == (together == 1)
+    assert ((3, 4) in kept.spans()) == (together == 1)
 
 
 def test_ctrl_c_ends_running_tiles() -> None:
@@ -95,4 +118,4 @@ def test_ctrl_c_ends_running_tiles() -> None:
         raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        solve_tiles(endless, SPANS, 2, lambda span, part: None, interrupt)
+        solve_tiles(endless, SPANS, 2, interrupt)

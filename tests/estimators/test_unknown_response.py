@@ -12,7 +12,7 @@ from PIL import Image
 
 import lightmatrix as lm
 from experiments.responses import photographed
-from lightmatrix.diagnosis.curves import (
+from lightmatrix.check.curves import (
     GammaBend,
     SmoothBends,
     exponent,
@@ -21,7 +21,7 @@ from lightmatrix.diagnosis.curves import (
     raised,
     with_response,
 )
-from lightmatrix.diagnosis.linearity import WindowPower
+from lightmatrix.check.linearity import WindowPower
 from lightmatrix.estimators import unknown_response
 from lightmatrix.estimators.camera_window import window_of_levels
 from lightmatrix.estimators.unknown_response import refined_response

@@ -22,7 +22,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import lightmatrix as lm
-from lightmatrix import store
 from lightmatrix.capture.packed import PackedFrames
 from lightmatrix.cli import main
 from lightmatrix.errors import ClusterError, InputError, MissingExtraError
@@ -34,6 +33,8 @@ from lightmatrix.estimators.work import LEAST_TILE, cut_rows
 from lightmatrix.estimators.workers import pool, worker
 from lightmatrix.estimators.workers.pool import dask_pool
 from lightmatrix.solvers import ActiveSet
+from lightmatrix.transport import store as store
+from lightmatrix.transport.checkpoint import Checkpoint
 from lightmatrix.transport.matrix import LightTransport
 from tests.helpers.systems import SIGNALS
 
@@ -302,7 +303,7 @@ def test_a_capture_that_workers_do_not_see(
 def test_an_output_that_workers_do_not_see(
     capture: lm.Capture, cluster: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(store.Checkpoint, "folder", Path("/elsewhere/s.zarr.partial"))
+    monkeypatch.setattr(Checkpoint, "folder", Path("/elsewhere/s.zarr.partial"))
     cluster_client = distributed.Client(cluster, set_as_default=False)
     with cluster_client:
         cluster_client.run(_impatient)

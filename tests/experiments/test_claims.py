@@ -15,7 +15,7 @@ from experiments.measured_scene import THREE_EXPOSURES, MeasuredScene
 from experiments.rigs import rig_capture, rig_truth
 from experiments.uses import compensation_rows, separation_rows
 from lightmatrix.estimators.coherent.estimator import CoherentEstimator
-from lightmatrix.evaluation.metrics import relative_error
+from lightmatrix.judgement.metrics import relative_error
 from lightmatrix.shape.shape import Shape
 from lightmatrix.simulation import library
 from lightmatrix.simulation.other_cameras import seen

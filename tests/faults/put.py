@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from zarr.codecs import Crc32cCodec
 
 from lightmatrix.files.zarr_arrays import SMALL
-from lightmatrix.store.zarr_store import seal
+from lightmatrix.transport.store import seal
 
 from .case import Prepare
 from .run import SkipError

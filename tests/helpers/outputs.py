@@ -5,8 +5,8 @@ from __future__ import annotations
 import stat
 from pathlib import Path
 
-from lightmatrix.outputs.kinds import FileKind, FolderKind
-from lightmatrix.outputs.writing import atomic_folder
+from lightmatrix.files.kinds import FileKind, FolderKind
+from lightmatrix.files.writing import atomic_folder
 
 CAPTURE = FolderKind("capture")
 TEXT = FileKind("text", (), lambda file: file.read_text().startswith("ours"))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from lightmatrix.diagnosis.prediction import FramePrediction
+from lightmatrix.check.prediction import FramePrediction
 
 
 def prediction(

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from lightmatrix.camera.samples import Samples
+from lightmatrix.capture.samples import Samples
 from lightmatrix.patterns.bits import BernoulliPatterns
 from lightmatrix.solvers import Problem
 

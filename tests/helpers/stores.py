@@ -8,7 +8,7 @@ import numpy as np
 import scipy.sparse
 from scipy.sparse import csr_array
 
-from lightmatrix import store
+from lightmatrix.transport.checkpoint import Checkpoint
 from lightmatrix.transport.matrix import LightTransport
 from lightmatrix.transport.sparse_rows import SparseRows
 
@@ -45,13 +45,13 @@ def assert_same(found: LightTransport, expected: LightTransport) -> None:
     assert dict(found.provenance) == dict(expected.provenance)
 
 
-def write_tile(running: store.Checkpoint, start: int, stop: int) -> None:
+def write_tile(running: Checkpoint, start: int, stop: int) -> None:
     whole = transport()
     rows = SparseRows(whole.sparse, whole.background, whole.diagnostics)
     running.write(start, stop, rows.rows(slice(start, stop)))
 
 
-def finish(running: store.Checkpoint) -> LightTransport:
+def finish(running: Checkpoint) -> LightTransport:
     whole = transport()
     return running.finish(
         camera_shape=whole.camera_shape,
@@ -63,7 +63,7 @@ def finish(running: store.Checkpoint) -> LightTransport:
 
 def run(path: Path, fail_at: int | None = None, overwrite: bool = False) -> int:
     """Compute all tiles; returns how many rows an earlier run had finished."""
-    with store.Checkpoint.open(path, FINGERPRINT, overwrite=overwrite) as running:
+    with Checkpoint.open(path, FINGERPRINT, overwrite=overwrite) as running:
         resumed = sum(stop - start for start, stop in running.spans())
         for start, stop in TILES:
             if start == fail_at:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from lightmatrix.camera.sensor import Sensor
+from lightmatrix.capture.sensor import Sensor
 from lightmatrix.patterns.pattern_set import PatternSet
 
 PROJECTOR = (16, 20)

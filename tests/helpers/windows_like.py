@@ -1,7 +1,7 @@
 """Runs the command line or tests in a process that behaves like Windows, as far as Linux can.
 
     python -m tests.helpers.windows_like FOLDER
-    python -m tests.helpers.windows_like pytest tests/outputs/test_writing.py
+    python -m tests.helpers.windows_like pytest tests/files/test_writing.py
 
 The first writes every kind of output into a folder. The second runs tests, except those that are
 marked as needing more than Windows has (`systems.py`).

@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 
 import lightmatrix as lm
+from lightmatrix.estimators.choice import choose_estimator
 from lightmatrix.patterns import making
 
 HEAVY = ("numpy", "scipy", "matplotlib", "zarr", "rich", "typer", "PIL")
@@ -189,15 +190,13 @@ def test_no_photograph_with_numbers_out_of_range(name: str, value: object) -> No
 
 def test_a_chosen_estimator_is_the_one_that_was_asked_for() -> None:
     few = lm.simulate("metal", lm.BernoulliPatterns((64, 64), 8))
-    assert isinstance(lm.choose_estimator(few), lm.CoherentEstimator)
+    assert isinstance(choose_estimator(few), lm.CoherentEstimator)
     for settings in ({"coherent": False}, {"signed": True}, {"solver": "romp"}):
-        assert isinstance(
-            lm.choose_estimator(few, lm.EstimateSettings(**settings)), lm.PlainEstimator
-        )
-    scaled = lm.choose_estimator(few, lm.EstimateSettings(multi_scale=True))
+        assert isinstance(choose_estimator(few, lm.EstimateSettings(**settings)), lm.PlainEstimator)
+    scaled = choose_estimator(few, lm.EstimateSettings(multi_scale=True))
     assert isinstance(scaled, lm.MultiScaleEstimator)
     many = lm.simulate("metal", lm.BernoulliPatterns((64, 64), 257))
-    assert isinstance(lm.choose_estimator(many), lm.PlainEstimator)
+    assert isinstance(choose_estimator(many), lm.PlainEstimator)
 
 
 def test_pictures_are_drawn(tmp_path: Path) -> None:

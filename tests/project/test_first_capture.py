@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from lightmatrix.cli import main
-from lightmatrix.live.devices.virtual import VirtualSettings
+from lightmatrix.rig.devices.virtual import VirtualSettings
 
 PAGE = (Path(__file__).parents[2] / "docs" / "first-capture.md").read_text()
 

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from scipy.optimize import minimize
 from scipy.sparse import csr_array
 
-from lightmatrix.camera.samples import Samples
+from lightmatrix.capture.samples import Samples
 from lightmatrix.errors import InputError, SolverError
 from lightmatrix.patterns.bits import BernoulliPatterns
 from lightmatrix.patterns.blocks import BlockPatterns
@@ -412,7 +412,7 @@ def test_ctrl_c_stops_within_a_second() -> None:
         "import signal\n"
         "signal.signal(signal.SIGINT, signal.default_int_handler)\n"
         "import numpy as np\n"
-        "from lightmatrix.camera.samples import Samples\n"
+        "from lightmatrix.capture.samples import Samples\n"
         "from lightmatrix.patterns.bits import BernoulliPatterns\n"
         "from lightmatrix.solvers import ActiveSet, Problem, solve\n"
         "p = BernoulliPatterns((64, 64), 512)\n"

@@ -16,7 +16,7 @@ from scipy.sparse import csr_array
 
 import lightmatrix as lm
 from lightmatrix.show import maps
-from lightmatrix.store import zarr_store
+from lightmatrix.transport import store as stores
 from lightmatrix.viewer import lights, packed, session
 from lightmatrix.viewer.layers import LAYERS, LayerSource
 from lightmatrix.viewer.lights import CoarseLight
@@ -116,7 +116,7 @@ def _small_parts(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(session, "_MOST_TILES", 3)
     monkeypatch.setattr(lights, "_BLOCK_ENTRIES", 500)
     monkeypatch.setattr(lights, "_GROUP_ROWS", 16)
-    monkeypatch.setattr(zarr_store, "_BLOCK_ENTRIES", 500)
+    monkeypatch.setattr(stores, "_BLOCK_ENTRIES", 500)
     monkeypatch.setattr("lightmatrix.viewer.lights._SQUARES", 7)
     monkeypatch.setattr("lightmatrix.viewer.lights._CELLS", 5)
     monkeypatch.setattr("lightmatrix.viewer.lights._PART", 300)

@@ -16,9 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lightmatrix.camera.decoder import Decoder
-from lightmatrix.camera.samples import Samples
-from lightmatrix.camera.sensor import Sensor
+from lightmatrix.capture.decoder import Decoder
 from lightmatrix.capture.folder import holds_capture, read_capture, read_folders
 from lightmatrix.capture.frames import (
     ArrayStack,
@@ -29,6 +27,8 @@ from lightmatrix.capture.frames import (
     cut,
     in_memory,
 )
+from lightmatrix.capture.samples import Samples
+from lightmatrix.capture.sensor import Sensor
 from lightmatrix.capture.settings import ReadSettings
 from lightmatrix.errors import InputError
 from lightmatrix.patterns.pattern_set import PatternSet, block_size

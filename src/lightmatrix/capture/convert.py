@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lightmatrix.camera.sensor import Sensor
 from lightmatrix.capture.folder import write_capture
+from lightmatrix.capture.sensor import Sensor
 from lightmatrix.errors import InputError
 from lightmatrix.files.colours import COLOURS
 from lightmatrix.files.images import READABLE, read_image

@@ -10,10 +10,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lightmatrix.camera.camera_curve import Response, range_end
-from lightmatrix.camera.decoder import Decoder
-from lightmatrix.camera.samples import Samples
+from lightmatrix.capture.camera_curve import Response, range_end
+from lightmatrix.capture.decoder import Decoder
 from lightmatrix.capture.frames import Frames, level_blocks
+from lightmatrix.capture.samples import Samples
 from lightmatrix.capture.settings import ReadSettings
 from lightmatrix.errors import InputError, warn
 from lightmatrix.files.images import HIGHEST_LEVELS, is_grey, read_image

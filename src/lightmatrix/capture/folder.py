@@ -21,11 +21,11 @@ from typing import Any
 
 from numpy.typing import NDArray
 
-from lightmatrix.camera.camera_curve import AUTOMATIC
-from lightmatrix.camera.sensor import Sensor
+from lightmatrix.capture.camera_curve import AUTOMATIC
 from lightmatrix.capture.decoding import CaptureParts, make_decoder, read_mask
 from lightmatrix.capture.packed import FORMAT as PACKED_FORMAT
 from lightmatrix.capture.packed import is_packed, read_packed
+from lightmatrix.capture.sensor import Sensor
 from lightmatrix.capture.settings import (
     FORMAT,
     NAME,
@@ -37,10 +37,10 @@ from lightmatrix.capture.settings import (
 from lightmatrix.errors import InputError, warn
 from lightmatrix.files.images import READABLE, fill_image
 from lightmatrix.files.json_files import errors_naming
+from lightmatrix.files.kinds import CAPTURE
 from lightmatrix.files.stacks import ImageStack, is_stack
+from lightmatrix.files.writing import atomic_folder
 from lightmatrix.files.zarr_arrays import read_attributes
-from lightmatrix.outputs.kinds import CAPTURE
-from lightmatrix.outputs.writing import atomic_folder
 from lightmatrix.patterns.bits import with_white
 from lightmatrix.patterns.colour import ColourPatterns
 from lightmatrix.patterns.folder import fill_pattern_folder, read_patterns

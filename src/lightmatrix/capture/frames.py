@@ -11,9 +11,9 @@ from typing import Any, Protocol, runtime_checkable
 import numpy as np
 from numpy.typing import NDArray
 
-from lightmatrix.camera.decoder import Decoder
-from lightmatrix.camera.exposures import frame_weights
-from lightmatrix.camera.samples import Samples, bin_samples
+from lightmatrix.capture.decoder import Decoder
+from lightmatrix.capture.exposures import frame_weights
+from lightmatrix.capture.samples import Samples, bin_samples
 from lightmatrix.errors import InputError
 from lightmatrix.ranges import check_finite, real_array
 from lightmatrix.regions import Region

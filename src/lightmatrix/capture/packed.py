@@ -14,11 +14,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lightmatrix.camera.camera_curve import AUTOMATIC, Response
-from lightmatrix.camera.decoder import Decoder
+from lightmatrix.capture.camera_curve import AUTOMATIC, Response
+from lightmatrix.capture.decoder import Decoder
 from lightmatrix.capture.decoding import CaptureParts
 from lightmatrix.capture.settings import KEYS, Description, ReadSettings, parse_description
 from lightmatrix.errors import InputError
+from lightmatrix.files.kinds import PACKED_CAPTURE, STORE
 from lightmatrix.files.reading import check_image_size
 from lightmatrix.files.zarr_arrays import (
     CHUNK,
@@ -27,7 +28,6 @@ from lightmatrix.files.zarr_arrays import (
     as_damage_error,
     read_attributes,
 )
-from lightmatrix.outputs.kinds import PACKED_CAPTURE, STORE
 from lightmatrix.patterns.bits import BitPatterns
 from lightmatrix.patterns.making import remake_patterns
 from lightmatrix.patterns.pattern_set import ImagePatterns, PatternSet

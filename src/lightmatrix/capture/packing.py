@@ -14,8 +14,8 @@ import numpy as np
 import zarr
 from numpy.typing import NDArray
 
-from lightmatrix.camera.decoder import Decoder
 from lightmatrix.capture.capture import Capture, open_capture
+from lightmatrix.capture.decoder import Decoder
 from lightmatrix.capture.frames import Frames, PixelFrames, in_order
 from lightmatrix.capture.packed import (
     BITS,
@@ -29,9 +29,9 @@ from lightmatrix.capture.packed import (
 )
 from lightmatrix.capture.settings import DEPTH, GEOMETRY, TRUTH
 from lightmatrix.errors import InputError
+from lightmatrix.files.kinds import PACKED_CAPTURE
+from lightmatrix.files.writing import atomic_folder, check_output
 from lightmatrix.files.zarr_arrays import create_array, write_parts
-from lightmatrix.outputs.kinds import PACKED_CAPTURE
-from lightmatrix.outputs.writing import atomic_folder, check_output
 from lightmatrix.patterns.pattern_set import PatternSet
 from lightmatrix.reprs import jsonable
 from lightmatrix.resources.disk import check_disk_space

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lightmatrix.camera.camera_curve import (
+from lightmatrix.capture.camera_curve import (
     AUTOMATIC,
     MOST_LEVEL,
     RESPONSES,

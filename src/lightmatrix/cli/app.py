@@ -45,7 +45,7 @@ from lightmatrix.cli.scenes import scenes
 from lightmatrix.cli.separate import separate
 from lightmatrix.cli.show import show
 from lightmatrix.cli.simulate import simulate
-from lightmatrix.cli.terminal import say, warn
+from lightmatrix.cli.terminal import as_options, say, warn
 from lightmatrix.cli.triangulate import triangulate
 from lightmatrix.cli.view import view
 from lightmatrix.errors import LightMatrixError, LightMatrixWarning
@@ -192,7 +192,7 @@ def _show_warning(
     message: Warning | str, category: type[Warning], *_: object, **__: object
 ) -> None:
     if issubclass(category, LightMatrixWarning):
-        warn(f"warning: {message}", style="yellow")
+        warn(as_options(f"warning: {message}"), style="yellow")
 
 
 def report(error: BaseException) -> int:
@@ -216,8 +216,7 @@ def _explain(error: BaseException) -> tuple[int, list[str]]:
     if is_stop(error):
         return STOPPED, ["; ".join(["stopped", *getattr(error, "__notes__", [])])]
     if isinstance(error, LightMatrixError):
-        # Hints name parameters: `overwrite=True` is --overwrite here.
-        hint = re.sub(r"\b([a-z_]+)=True", lambda name: _option(name[1]), error.hint or "")
+        hint = as_options(error.hint or "")
         return BAD, [f"error: {error.message}", *([hint] if hint else [])]
     if isinstance(error, typer.TyperException):
         message, hint = _usage_error(error)
@@ -267,10 +266,6 @@ def _usage_error(error: typer.TyperException) -> tuple[str, str]:
         near = get_close_matches(choice[1], re.findall(r"'([^']*)'", choice[2]), n=1)
         hint = f"did you mean {near[0]}? {hint}" if near else hint
     return message, hint
-
-
-def _option(parameter: str) -> str:
-    return f"--{parameter.replace('_', '-')}"
 
 
 def _give_up(stream: TextIO) -> None:

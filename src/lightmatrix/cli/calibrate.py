@@ -13,7 +13,7 @@ from lightmatrix.cli.claims import claim
 from lightmatrix.cli.options import Json, Overwrite, size
 from lightmatrix.cli.terminal import progress, say, show_json
 from lightmatrix.errors import InputError
-from lightmatrix.outputs.kinds import GEOMETRY
+from lightmatrix.files.kinds import GEOMETRY
 
 if TYPE_CHECKING:
     from lightmatrix import RigCalibration

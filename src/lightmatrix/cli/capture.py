@@ -25,7 +25,7 @@ from lightmatrix.cli.options import (
     Seed,
 )
 from lightmatrix.cli.terminal import progress, say, show_json, stages
-from lightmatrix.outputs.kinds import LIVE_CAPTURE, STORE
+from lightmatrix.files.kinds import LIVE_CAPTURE, STORE
 
 
 def capture(

@@ -8,7 +8,7 @@ import typer
 
 from lightmatrix.cli.options import Json
 from lightmatrix.cli.source import Source, with_source
-from lightmatrix.cli.terminal import say, show_json
+from lightmatrix.cli.terminal import as_options, say, show_json
 
 if TYPE_CHECKING:
     from lightmatrix import Finding
@@ -40,5 +40,5 @@ def check(*, source: Source, as_json: Json = False) -> None:
 def show_findings(findings: list[Finding]) -> None:
     """Print findings, each with its advice."""
     for finding in findings:
-        say(f"{finding.kind}: {finding.message}", style="yellow")
-        say(f"  {finding.advice}")
+        say(as_options(f"{finding.kind}: {finding.message}"), style="yellow")
+        say(as_options(f"  {finding.advice}"))

@@ -7,8 +7,8 @@ from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
 from lightmatrix.errors import InputError
-from lightmatrix.outputs.kinds import PARTIAL, OutputKind
-from lightmatrix.outputs.writing import claimed
+from lightmatrix.files.kinds import PARTIAL, OutputKind
+from lightmatrix.files.writing import claimed
 
 # `lightmatrix.cli.app` closes them when the command ends.
 outputs = ExitStack()

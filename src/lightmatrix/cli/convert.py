@@ -11,7 +11,7 @@ import lightmatrix as lm
 from lightmatrix.cli.claims import claim
 from lightmatrix.cli.options import FIND_HELP, Json, Overwrite
 from lightmatrix.cli.terminal import progress, say, show_json
-from lightmatrix.outputs.kinds import CAPTURE
+from lightmatrix.files.kinds import CAPTURE
 
 
 def convert(

@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Mapping
+from dataclasses import asdict, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
 import lightmatrix as lm
 from lightmatrix.cli.claims import claim, say_what_is_kept
-from lightmatrix.cli.estimate_colour import estimate_colour, in_colour
-from lightmatrix.cli.estimate_preparation import prepared
-from lightmatrix.cli.estimate_report import check_report, write_report
 from lightmatrix.cli.options import (
     ADMM_ITERATIONS,
     COHERENT_UP_TO,
@@ -23,24 +22,20 @@ from lightmatrix.cli.options import (
     size,
 )
 from lightmatrix.cli.source import Source, refuse_unknown_projector, with_source
-from lightmatrix.cli.terminal import progress, say, show_json, show_table, warn
+from lightmatrix.cli.terminal import as_options, progress, say, show_json, show_table
 from lightmatrix.errors import InputError
-from lightmatrix.outputs.kinds import REPORT, STORE
+from lightmatrix.files.colours import COLOURS
+from lightmatrix.files.kinds import COLOUR_STORES, REPORT, STORE
 from lightmatrix.transport.matrix import labelled
 
 if TYPE_CHECKING:
     from lightmatrix import (
-        Capture,
+        ColourTransport,
+        EstimateSettings,
         LightTransport,
         ResourceEstimate,
-        RigGeometry,
+        Verdicts,
     )
-
-# The command says what an estimate takes if it takes longer than this many seconds, or more than
-# this share of the free memory. Chosen by hand: shorter and smaller ones need no warning.
-_LONG, _MUCH = 60, 0.25
-# The command advises to raise --iterations if a smaller share of the rows converged.
-_ENOUGH_CONVERGED = 0.99
 
 # What is written where no other name is given.
 _OUTPUT = Path("scene.zarr")
@@ -241,88 +236,137 @@ def estimate(
         cluster=cluster,
     )
     # A mistyped input is named first, whatever the output.
-    whole = source.open(finds_projector=True)
-    if in_colour(whole):
-        refuse_unknown_projector(whole)
-        estimate_colour(
-            whole.bin(projector=size(bin_projector), camera=size(bin_camera)),
-            Path("scene") if output == _OUTPUT else output,
-            settings,
-            {"--report": report, "--viewer": viewer, "--dry-run": dry_run, "--geometry": geometry},
-            check=check,
-            overwrite=overwrite,
-            as_json=as_json,
-        )
-        return
-    check_report(output, report, viewer)
-    if not dry_run:
-        claim(output, STORE, overwrite=overwrite)
-        if report is not None:
-            claim(report, REPORT, overwrite=overwrite)
-    capture = whole.bin(projector=size(bin_projector), camera=size(bin_camera))
-    rig = _geometry(capture, geometry, report)
-    resources = lm.estimate_resources(capture, settings)
-    if dry_run:
-        _show_resources(resources, as_json)
-        return
-    _warn_of_resources(resources, check)
-    say_what_is_kept(output, "tiles", enough=not as_json and report is None)
-    # Workers are checked before the frames are read, which takes longer.
-    with lm.open_workers(settings, resources) as pool:
-        if pool is not None:
-            warn(str(pool))
-        lm.refuse_unusable(capture)
-        capture, found, estimator, findings = prepared(capture, whole, settings, resources, check)
-        with progress("estimating", "rows") as step:
-            transport = estimator.estimate(
-                capture,
-                output=output,
-                overwrite=overwrite,
-                findings=findings,
-                progress=step,
-                pool=pool,
+    capture = source.open(finds_projector=True)
+    if isinstance(capture.patterns, lm.ColourPatterns):
+        refuse_unknown_projector(capture)
+        others = {"report": report, "viewer": viewer, "dry_run": dry_run, "geometry": geometry}
+        _refuse_settings(settings, others)
+        if output == _OUTPUT:
+            output = Path("scene")
+        if output.suffix.lower() == ".zarr":
+            raise InputError(
+                f"{output} for patterns in colour, whose T is a folder of three stores",
+                hint=f"name a folder: -o {output.with_suffix('')}",
             )
+        claim(output, COLOUR_STORES, overwrite=overwrite)
+    else:
+        _check_report(output, report, viewer, geometry)
+        if not dry_run:
+            claim(output, STORE, overwrite=overwrite)
+            if report is not None:
+                claim(report, REPORT, overwrite=overwrite)
+    capture = capture.bin(projector=size(bin_projector), camera=size(bin_camera))
+    if isinstance(capture.patterns, lm.ColourPatterns):
+        colour = lm.estimate_colour(capture, output=output, overwrite=overwrite, check=check)
+        _show_colour(output, colour, time.perf_counter() - started, as_json)
+        return
+    rig = None if geometry is None else lm.geometry_of(capture, geometry)
+    if dry_run:
+        _show_resources(lm.estimate_resources(capture, settings), as_json)
+        return
+    say_what_is_kept(output, "tiles", enough=not as_json and report is None)
+    transport = lm.estimate(
+        capture, **asdict(settings), output=output, overwrite=overwrite, check=check
+    )
     seconds, outcome = round(time.perf_counter() - started, 2), None
+    findings = transport.provenance["findings"]
     if report is not None:
-        outcome = write_report(
-            report, output, source, transport, capture, settings, findings, viewer, rig, overwrite
-        )
+        with progress("predicting held-out photographs", "rows") as step:
+            outcome = lm.report(
+                report,
+                transport,
+                capture,
+                # The truth, if `simulate` left it beside the frames.
+                truth=_truth(source.folder, transport),
+                # The report solves a small part of the camera, for which this process suffices.
+                estimator=replace(settings, workers=None, cluster=None),
+                title=output.name,
+                findings=[lm.Finding(**each) for each in findings],
+                viewer=viewer,
+                geometry=rig,
+                overwrite=overwrite,
+                progress=step,
+            )
     judged = lm.Verdicts.from_dict(outcome["verdicts"]) if outcome else lm.verdicts(transport)
     if as_json:
-        overall = judged.transport
-        result = {"output": str(output), "seconds": seconds, "resources": resources.as_dict()}
-        result |= {"verdict": overall.level, "sentence": overall.sentence}
-        result |= {"verdicts": judged.as_dict()}
-        result |= {} if found is None else {"response": found.as_dict()}
-        result |= transport.summary() | {"findings": [finding.as_dict() for finding in findings]}
+        result = {"output": str(output), "seconds": seconds} | _as_json(judged)
+        if found := transport.provenance.get("found_response"):
+            result["response"] = {key: found[key] for key in found if key != "light"}
+        result |= transport.summary() | {"findings": findings}
         show_json(result if outcome is None else {**result, "report": outcome})
         return
     for line in judged.lines():
         say(line)
-    _show_summary(output, transport, verbose)
+    summary = transport.summary()
+    show_table(str(output), labelled(summary, main_only=not verbose))
+    # All rows but one in a hundred should converge.
+    if summary["converged_rows"] < 0.99:
+        say("some rows reached the iteration limit: raise it with --iterations", style="yellow")
     if report is not None:
         say(f"report: {(report / 'report.html').absolute()}")
 
 
-def _geometry(capture: Capture, geometry: Path | None, report: Path | None) -> RigGeometry | None:
-    """The geometry for the report; one of other images is named before the estimate begins."""
-    if geometry is None:
-        return None
-    if report is None:
+def _refuse_settings(settings: EstimateSettings, others: Mapping[str, object]) -> None:
+    """Refuse what is set of an estimate in colour, which has no settings, and `others`, by name."""
+    usual = asdict(lm.EstimateSettings(coherent=settings.coherent or None))
+    given = [name for name, value in asdict(settings).items() if value != usual[name]]
+    given += [name for name, value in others.items() if value]
+    if given:
+        options = ", ".join(f"--{name.replace('_', '-')}" for name in given)
+        raise InputError(
+            f"{options} for patterns in colour",
+            hint="leave it out: their estimate has no such option",
+        )
+
+
+def _check_report(output: Path, report: Path | None, viewer: bool, geometry: Path | None) -> None:
+    """Refuse a viewer and a geometry without the report, and a report where the estimate goes."""
+    if viewer and report is None:
+        hint = "add --report, or run `lightmatrix view --export` on the estimate"
+        raise InputError("--viewer without --report", hint=hint)
+    if geometry is not None and report is None:
         raise InputError(
             "--geometry without --report",
             hint="add --report, which shows depth and normals; or run `lightmatrix triangulate` "
             "on the estimate",
         )
-    return lm.geometry_of(capture, geometry)
+    if report is not None and output.absolute() in (report.absolute(), *report.absolute().parents):
+        raise InputError(
+            f"{report}: is where the estimate goes", hint="choose another folder for the report"
+        )
 
 
-def _show_summary(output: Path, transport: LightTransport, verbose: bool) -> None:
-    """Print the numbers of an estimate, and advice if too few rows converged."""
-    summary = transport.summary()
-    show_table(str(output), labelled(summary, main_only=not verbose))
-    if summary["converged_rows"] < _ENOUGH_CONVERGED:
-        say("some rows reached the iteration limit: raise it with --iterations", style="yellow")
+def _truth(folder: Path | None, transport: LightTransport) -> LightTransport | None:
+    """The true T, if `simulate` wrote it and the capture was not binned."""
+    file = None if folder is None else folder / "truth.npz"
+    if file is None or not file.is_file():
+        return None
+    known = lm.truth(str(file)).transport().cropped_like(transport)
+    shapes = (known.camera_shape, known.projector_shape)
+    return known if shapes == (transport.camera_shape, transport.projector_shape) else None
+
+
+def _as_json(judged: Verdicts) -> dict[str, Any]:
+    overall = judged.transport
+    return {
+        "verdict": overall.level,
+        "sentence": overall.sentence,
+        "verdicts": judged.as_dict(),
+    }
+
+
+def _show_colour(output: Path, colour: ColourTransport, seconds: float, as_json: bool) -> None:
+    """Print the verdicts on an estimate in colour, and where its three stores are."""
+    judged = lm.verdicts(colour.red)
+    if as_json:
+        stores = {name: str(output / f"{name}.zarr") for name in COLOURS}
+        result = {"output": str(output), "stores": stores, "seconds": round(seconds, 2)}
+        findings = {"findings": colour.red.provenance["findings"]}
+        show_json(result | _as_json(judged) | findings)
+        return
+    for line in judged.lines():
+        say(line)
+    say(f"{', '.join(f'{name}.zarr' for name in COLOURS)} in {output}")
 
 
 def _show_resources(resources: ResourceEstimate, as_json: bool) -> None:
@@ -334,17 +378,7 @@ def _show_resources(resources: ResourceEstimate, as_json: bool) -> None:
     free = f"{resources.available / 2**30:.3g} GiB are {whose}"
     say(f"the estimate takes {resources} ({free})", style=None if resources.fits else "yellow")
     if resources.advice:
-        say(resources.advice)
-
-
-def _warn_of_resources(resources: ResourceEstimate, check: bool) -> None:
-    """Refuse an estimate that does not fit, and warn of one that takes long or much."""
-    if check or resources.limited:
-        resources.check()
-    if resources.memory > _MUCH * resources.available or (resources.seconds or 0) > _LONG:
-        warn(f"this takes {resources}")
-    if resources.advice:
-        warn(f"less: {resources.advice}", style="yellow")
+        say(as_options(resources.advice))
 
 
 def _regularization(text: str) -> str | float:

@@ -13,7 +13,7 @@ from lightmatrix.cli.claims import claim
 from lightmatrix.cli.options import Json, Overwrite, Store
 from lightmatrix.cli.terminal import say, show_json
 from lightmatrix.errors import InputError
-from lightmatrix.outputs.kinds import export_kind
+from lightmatrix.files.kinds import export_kind
 
 
 def export(

@@ -12,7 +12,7 @@ from lightmatrix.cli.claims import claim
 from lightmatrix.cli.options import Json, Overwrite
 from lightmatrix.cli.source import Source, with_source
 from lightmatrix.cli.terminal import progress, say, show_json
-from lightmatrix.outputs.kinds import PACKED_CAPTURE
+from lightmatrix.files.kinds import PACKED_CAPTURE
 
 
 @with_source(crop=False)

@@ -20,7 +20,7 @@ from lightmatrix.cli.options import (
 )
 from lightmatrix.cli.terminal import say, show_json
 from lightmatrix.errors import InputError
-from lightmatrix.outputs.kinds import PATTERNS
+from lightmatrix.files.kinds import PATTERNS
 
 if TYPE_CHECKING:
     from lightmatrix import PatternSet

@@ -11,7 +11,7 @@ import lightmatrix as lm
 from lightmatrix.cli.claims import claim
 from lightmatrix.cli.options import USUAL_SAMPLES, Json, Overwrite, Seed, size
 from lightmatrix.cli.terminal import progress, say, show_json
-from lightmatrix.outputs.kinds import TRUTH
+from lightmatrix.files.kinds import TRUTH
 
 
 def render(

@@ -11,7 +11,7 @@ import lightmatrix as lm
 from lightmatrix.cli.claims import claim
 from lightmatrix.cli.options import Json, Overwrite
 from lightmatrix.cli.terminal import progress, say, show_json
-from lightmatrix.outputs.kinds import THUMBNAILS
+from lightmatrix.files.kinds import THUMBNAILS
 
 
 def scenes(

@@ -11,7 +11,7 @@ import lightmatrix as lm
 from lightmatrix.cli.claims import claim
 from lightmatrix.cli.options import Json, Overwrite, Store
 from lightmatrix.cli.terminal import say, show_json
-from lightmatrix.outputs.kinds import SEPARATION
+from lightmatrix.files.kinds import SEPARATION
 
 
 def separate(

@@ -24,7 +24,7 @@ from lightmatrix.cli.options import (
 )
 from lightmatrix.cli.terminal import progress, say, show_json
 from lightmatrix.errors import InputError
-from lightmatrix.outputs.kinds import CAPTURE, PACKED_CAPTURE
+from lightmatrix.files.kinds import CAPTURE, PACKED_CAPTURE
 
 if TYPE_CHECKING:
     from lightmatrix import Capture, PatternSet

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import json
 import math
+import re
 import sys
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
@@ -30,6 +31,18 @@ class _Plain(Console):
 
 
 _out, _err = _Plain(), _Plain(stderr=True)
+
+
+def as_options(text: str) -> str:
+    """The text with each parameter of a function, such as overwrite=True, as the option it is."""
+
+    def option(match: re.Match[str]) -> str:
+        name, value = match[1].replace("_", "-"), match[2].strip('"').strip("()").replace(", ", "x")
+        return {"True": f"--{name}", "False": f"--no-{name}"}.get(value, f"--{name} {value}")
+
+    # A name, and True, False, a text in quotes, a number, or a pair of numbers.
+    value = r'True|False|"[^"\n]*"|[0-9.]+|\([0-9]+, [0-9]+\)'
+    return re.sub(rf"(?<![\w/.-])([a-z]+(?:_[a-z]+)*)=({value})", option, text)
 
 
 def say(text: str, style: str | None = None) -> None:
@@ -96,7 +109,7 @@ class Stages:
             self._begin("looking at the rig", "looks")
 
     def photographed(self, step: Any) -> None:
-        """Progress of a capture after a frame, a `lightmatrix.live.session.Step`."""
+        """Progress of a capture after a frame, a `lightmatrix.rig.session.Step`."""
         note = f"{100 * step.clipped:.1f} % clipped, {step.check}"
         self._update("photographing", "frames", step.done, step.total, note)
 

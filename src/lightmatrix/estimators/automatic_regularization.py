@@ -7,9 +7,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lightmatrix.camera.exposures import USUAL_NOISE
-from lightmatrix.camera.samples import Samples
 from lightmatrix.capture.capture import Capture
+from lightmatrix.capture.exposures import USUAL_NOISE
+from lightmatrix.capture.samples import Samples
 from lightmatrix.solvers.problem import Problem
 from lightmatrix.solvers.regularization import (
     RegularizationPath,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import platform
 from abc import ABC, abstractmethod
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from contextlib import ExitStack
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
@@ -16,17 +16,17 @@ import scipy
 from numpy.typing import NDArray
 
 from lightmatrix._version import __version__
-from lightmatrix.camera.samples import Samples
 from lightmatrix.capture.capture import Capture
-from lightmatrix.diagnosis.finding import FINDINGS, Finding
+from lightmatrix.capture.samples import Samples
+from lightmatrix.check.finding import FINDINGS
 from lightmatrix.estimators.work import TilesInMemory, Work, WorkerPool, complete
-from lightmatrix.outputs.writing import final_target
+from lightmatrix.files.writing import final_target
 from lightmatrix.resources.disk import check_disk_space
 from lightmatrix.resources.threads import one_blas_thread
 from lightmatrix.solvers import Solver
 from lightmatrix.solvers.loop import Progress
 from lightmatrix.solvers.problem import Result, check_regularization
-from lightmatrix.store import ROWS, Checkpoint
+from lightmatrix.transport.checkpoint import ROWS, Checkpoint
 from lightmatrix.transport.matrix import LightTransport
 from lightmatrix.transport.sparse_rows import SparseRows
 
@@ -79,7 +79,7 @@ class Estimator(ABC):
         *,
         output: Path | None = None,
         overwrite: bool = False,
-        findings: Sequence[Finding] = (),
+        remarks: Mapping[str, Any] | None = None,
         progress: Progress | None = None,
         pool: WorkerPool | None = None,
     ) -> LightTransport:
@@ -94,8 +94,9 @@ class Estimator(ABC):
             interrupted run continues where it stopped.
         overwrite : bool
             Whether a complete store at `output` may be replaced.
-        findings : sequence of Finding
-            What `check` found. The provenance keeps it, so that later verdicts know it.
+        remarks : mapping, optional
+            What the provenance shall hold besides the parameters, JSON-ready, such as what `check`
+            found, so that later verdicts know it.
         progress : callable, optional
             Called with (done, total) rows.
         pool : WorkerPool, optional
@@ -118,7 +119,7 @@ class Estimator(ABC):
         """
         plan = self.plan(capture)
         shapes = plan.shapes
-        shapes["provenance"] |= {FINDINGS: [finding.as_dict() for finding in findings]}
+        shapes["provenance"] |= {FINDINGS: []} | dict(remarks or {})
         check_regularization(plan.provenance["regularization"])
         with ExitStack() as stack:
             if plan.work.together > 1:

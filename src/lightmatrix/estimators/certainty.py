@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
-from lightmatrix.camera.samples import Samples
+from lightmatrix.capture.samples import Samples
 from lightmatrix.patterns.pattern_set import NEAR, PatternSet
 from lightmatrix.transport.sparse_rows import SparseRows
 

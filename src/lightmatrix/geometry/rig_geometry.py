@@ -14,7 +14,9 @@ from numpy.typing import ArrayLike, NDArray
 from lightmatrix.errors import InputError
 from lightmatrix.files.extras import load_opencv
 from lightmatrix.files.json_files import parse_json, read_json
+from lightmatrix.files.kinds import GEOMETRY, GEOMETRY_FORMAT
 from lightmatrix.files.reading import read_text
+from lightmatrix.files.writing import atomic_file
 from lightmatrix.geometry.projection import (
     Shape,
     binned,
@@ -32,8 +34,6 @@ from lightmatrix.geometry.projection import (
     through_lens,
     undistort,
 )
-from lightmatrix.outputs.kinds import GEOMETRY, GEOMETRY_FORMAT
-from lightmatrix.outputs.writing import atomic_file
 from lightmatrix.reprs import jsonable, short_repr
 
 # Files of a rig's geometry: our own, in JSON, and those of OpenCV's FileStorage.

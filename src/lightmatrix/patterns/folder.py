@@ -25,9 +25,9 @@ from lightmatrix.files.images import (
     read_image,
 )
 from lightmatrix.files.json_files import errors_naming, read_json
+from lightmatrix.files.kinds import PATTERNS
 from lightmatrix.files.stacks import ImageStack, Page, list_entries
-from lightmatrix.outputs.kinds import PATTERNS
-from lightmatrix.outputs.writing import atomic_folder
+from lightmatrix.files.writing import atomic_folder
 from lightmatrix.patterns.bits import BitPatterns
 from lightmatrix.patterns.colour import ColourPatterns, colour_images
 from lightmatrix.patterns.making import remake_patterns

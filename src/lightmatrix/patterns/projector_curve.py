@@ -1,6 +1,6 @@
 """The model of a projector's response: the light of each grey value, and the way back.
 
-`camera/camera_curve.py` models the camera's; `calibration/responses/` measures both.
+`capture/camera_curve.py` models the camera's; `calibration/responses/` measures both.
 """
 
 from __future__ import annotations

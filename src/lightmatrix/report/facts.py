@@ -15,8 +15,9 @@ from lightmatrix.estimators.camera_window import mean_image, window_of_light
 from lightmatrix.estimators.choice import choose_estimator
 from lightmatrix.estimators.coherent.row_errors import FEWEST, HeldOut
 from lightmatrix.estimators.settings import EstimateSettings
-from lightmatrix.evaluation.evaluate import Errors, errors_by_rows
-from lightmatrix.evaluation.judgement import (
+from lightmatrix.geometry.rig_geometry import RigGeometry
+from lightmatrix.judgement.evaluate import Errors, errors_by_rows
+from lightmatrix.judgement.judgement import (
     FAIR,
     OwnError,
     Verdict,
@@ -28,8 +29,7 @@ from lightmatrix.evaluation.judgement import (
     stored_findings,
     verdict_by_rows,
 )
-from lightmatrix.evaluation.metrics import relative_error, squared_errors
-from lightmatrix.geometry.rig_geometry import RigGeometry
+from lightmatrix.judgement.metrics import relative_error, squared_errors
 from lightmatrix.solvers.loop import Progress
 from lightmatrix.transport.correspondence import Correspondence, correspondence
 from lightmatrix.transport.matrix import LightTransport

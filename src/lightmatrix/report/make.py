@@ -15,10 +15,14 @@ from markupsafe import Markup, escape
 
 from lightmatrix._version import __version__
 from lightmatrix.capture.capture import Capture
-from lightmatrix.diagnosis.finding import Finding
+from lightmatrix.check.curves import as_estimated
+from lightmatrix.check.finding import Finding
 from lightmatrix.errors import InputError
 from lightmatrix.estimators.settings import EstimateSettings
-from lightmatrix.evaluation.judgement import (
+from lightmatrix.files.kinds import REPORT
+from lightmatrix.files.writing import atomic_folder
+from lightmatrix.geometry.rig_geometry import RigGeometry
+from lightmatrix.judgement.judgement import (
     FAIR,
     GOOD,
     SINGLY_CLIPPED,
@@ -27,9 +31,6 @@ from lightmatrix.evaluation.judgement import (
     percent,
     stored_findings,
 )
-from lightmatrix.geometry.rig_geometry import RigGeometry
-from lightmatrix.outputs.kinds import REPORT
-from lightmatrix.outputs.writing import atomic_folder
 from lightmatrix.report.elements import Points, Section, Strip
 from lightmatrix.report.facts import Estimator, Facts, Validation, validate
 from lightmatrix.report.sections import (
@@ -275,6 +276,7 @@ def report(
     (['verdict', 'verdicts'], True)
     """
     known = truth.transport() if isinstance(truth, Truth) else truth
+    capture = as_estimated(capture, transport.provenance)
     _check(transport, capture, known)
     rig = None if geometry is None else geometry_of(transport, geometry)
     with atomic_folder(folder, REPORT, overwrite=overwrite) as part:

@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lightmatrix.errors import InputError
-from lightmatrix.evaluation.judgement import percent
-from lightmatrix.evaluation.metrics import relighting_error, unseen_patterns
 from lightmatrix.geometry.rig_geometry import RigGeometry
+from lightmatrix.judgement.judgement import percent
+from lightmatrix.judgement.metrics import relighting_error, unseen_patterns
 from lightmatrix.report.elements import (
     THUMB_PIXELS,
     Bars,

@@ -13,13 +13,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lightmatrix import store
 from lightmatrix.errors import InputError
 from lightmatrix.files.colours import holds_colour
 from lightmatrix.files.images import fill_image
+from lightmatrix.files.kinds import IMAGE, NUMBERS, NUMBERS_MARK, PICTURES, FileKind
+from lightmatrix.files.writing import atomic_file, atomic_folder, check_output
 from lightmatrix.geometry.rig_geometry import RigGeometry
-from lightmatrix.outputs.kinds import IMAGE, NUMBERS, NUMBERS_MARK, PICTURES, FileKind
-from lightmatrix.outputs.writing import atomic_file, atomic_folder, check_output
 from lightmatrix.shape.shape import Shape, depth_map, normals_picture
 from lightmatrix.shape.triangulation import triangulate
 from lightmatrix.show import diagnostics, maps
@@ -32,9 +31,10 @@ from lightmatrix.show.transport import (
     show_spectrum,
     spectrum,
 )
-from lightmatrix.store.zarr_store import open_colour
+from lightmatrix.transport import store as store
 from lightmatrix.transport.correspondence import correspondence
 from lightmatrix.transport.matrix import ColourTransport, LightTransport
+from lightmatrix.transport.store import open_colour
 
 Numbers = Mapping[str, NDArray[Any]]
 # Format version of the .npz files.

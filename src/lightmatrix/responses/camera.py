@@ -9,11 +9,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lightmatrix.camera.camera_curve import Response, range_end
+from lightmatrix.capture.camera_curve import Response, range_end
 from lightmatrix.errors import InputError
 from lightmatrix.files.curve_file import CurveFile
-from lightmatrix.outputs.kinds import PICTURE, RESPONSE
-from lightmatrix.outputs.writing import check_output
+from lightmatrix.files.kinds import PICTURE, RESPONSE
+from lightmatrix.files.writing import check_output
 from lightmatrix.reprs import short_repr
 from lightmatrix.responses.curve_fit import (
     METHODS,

@@ -9,7 +9,7 @@ import matplotlib as mpl
 import numpy as np
 from numpy.typing import NDArray
 
-from lightmatrix.camera.camera_curve import Response
+from lightmatrix.capture.camera_curve import Response
 from lightmatrix.capture.frames import ArrayStack, Frames
 from lightmatrix.errors import InputError
 from lightmatrix.files.extras import exposure_time

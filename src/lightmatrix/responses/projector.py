@@ -9,11 +9,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lightmatrix.camera.camera_curve import Response, range_end
-from lightmatrix.camera.exposures import lit_samples, share_of_white
+from lightmatrix.capture.camera_curve import Response, range_end
+from lightmatrix.capture.exposures import lit_samples, share_of_white
 from lightmatrix.errors import InputError
-from lightmatrix.outputs.kinds import PICTURE, RESPONSE
-from lightmatrix.outputs.writing import check_output
+from lightmatrix.files.kinds import PICTURE, RESPONSE
+from lightmatrix.files.writing import check_output
 from lightmatrix.patterns.projector_curve import ProjectorResponse
 from lightmatrix.responses.photographs import Photographs, draw_projector_response, open_photographs
 

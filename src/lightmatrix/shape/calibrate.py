@@ -15,9 +15,9 @@ from lightmatrix.capture.capture import Capture, open_capture
 from lightmatrix.errors import InputError, LightMatrixWarning
 from lightmatrix.estimators.estimate import estimate
 from lightmatrix.files.extras import load_opencv
+from lightmatrix.files.kinds import GEOMETRY
+from lightmatrix.files.writing import check_output
 from lightmatrix.geometry.rig_geometry import RigGeometry
-from lightmatrix.outputs.kinds import GEOMETRY
-from lightmatrix.outputs.writing import check_output
 from lightmatrix.patterns.stripes import stripes_of
 from lightmatrix.ranges import check_number
 from lightmatrix.reprs import short_repr

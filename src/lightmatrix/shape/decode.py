@@ -10,16 +10,16 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from lightmatrix.camera.exposures import USUAL_NOISE
-from lightmatrix.camera.samples import Samples
 from lightmatrix.capture.capture import Capture, open_capture
+from lightmatrix.capture.exposures import USUAL_NOISE
+from lightmatrix.capture.samples import Samples
 from lightmatrix.errors import InputError
-from lightmatrix.outputs.kinds import CORRESPONDENCE
-from lightmatrix.outputs.writing import check_output
+from lightmatrix.files.kinds import CORRESPONDENCE
+from lightmatrix.files.writing import check_output
 from lightmatrix.patterns.pattern_set import PatternSet
 from lightmatrix.patterns.stripes import COLUMNS, NOTHING, ROWS, Stripes, stripes_of
-from lightmatrix.store.npz import write_correspondence
 from lightmatrix.transport.correspondence import Correspondence
+from lightmatrix.transport.npz import write_correspondence
 
 # Which code the patterns show, read from the patterns themselves, in whatever order.
 

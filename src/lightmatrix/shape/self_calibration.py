@@ -16,14 +16,14 @@ from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
 from lightmatrix.errors import InputError
+from lightmatrix.files.kinds import GEOMETRY
+from lightmatrix.files.writing import check_output
 from lightmatrix.geometry.rig_geometry import RigGeometry
-from lightmatrix.outputs.kinds import GEOMETRY
-from lightmatrix.outputs.writing import check_output
 from lightmatrix.ranges import check_number
 from lightmatrix.shape.board import fit_homography, moved
-from lightmatrix.store.zarr_store import open_matches
 from lightmatrix.transport.correspondence import Correspondence, correspondence
 from lightmatrix.transport.matrix import LightTransport
+from lightmatrix.transport.store import open_matches
 
 # The fundamental matrix from many matches, some of them wrong: projective epipolar geometry.
 #

@@ -16,10 +16,10 @@ from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter
 
 from lightmatrix.errors import MissingExtraError
+from lightmatrix.files.kinds import CLOUD, DEPTH, PLY_MARK
+from lightmatrix.files.writing import atomic_file
 from lightmatrix.geometry.projection import decomposed
 from lightmatrix.geometry.rig_geometry import RigGeometry
-from lightmatrix.outputs.kinds import CLOUD, DEPTH, PLY_MARK
-from lightmatrix.outputs.writing import atomic_file
 from lightmatrix.reprs import short_repr
 from lightmatrix.show.maps import UNKNOWN, Map
 from lightmatrix.show.style import COLOURS, STYLE, panel

@@ -12,14 +12,14 @@ from scipy.sparse import csr_array
 
 from lightmatrix.capture.capture import Capture
 from lightmatrix.errors import InputError
+from lightmatrix.files.kinds import CLOUD, DEPTH, PICTURE
+from lightmatrix.files.writing import check_output
 from lightmatrix.geometry.rig_geometry import RigGeometry
-from lightmatrix.outputs.kinds import CLOUD, DEPTH, PICTURE
-from lightmatrix.outputs.writing import check_output
 from lightmatrix.shape.shape import Shape, ShapeTest, local_mean, surface_normals
-from lightmatrix.store.zarr_store import open_matches
 from lightmatrix.transport.correspondence import Correspondence, pixel_rows
 from lightmatrix.transport.matrix import LightTransport
 from lightmatrix.transport.sparse_rows import row_blocks
+from lightmatrix.transport.store import open_matches
 from lightmatrix.uses.direct_light import camera_pixels
 from lightmatrix.uses.spots import ENTRIES, entries_of, spot_deviation
 

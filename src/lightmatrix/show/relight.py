@@ -11,15 +11,15 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
-from lightmatrix import store
 from lightmatrix.errors import InputError
 from lightmatrix.files.colours import colour_paths, holds_colour
 from lightmatrix.files.images import DISPLAY_GAMMA, read_grey, read_light, write_image
 from lightmatrix.files.json_files import errors_naming
-from lightmatrix.outputs.kinds import IMAGE
-from lightmatrix.outputs.writing import check_output
+from lightmatrix.files.kinds import IMAGE
+from lightmatrix.files.writing import check_output
 from lightmatrix.patterns.pattern_set import block_mean
 from lightmatrix.ranges import check_number
+from lightmatrix.transport import store as store
 from lightmatrix.transport.matrix import ColourTransport, LightTransport
 
 Relit = LightTransport | store.StoredTransport

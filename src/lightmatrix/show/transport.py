@@ -13,8 +13,8 @@ from matplotlib.colors import PowerNorm
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from lightmatrix.outputs.kinds import PICTURE
-from lightmatrix.outputs.writing import atomic_file
+from lightmatrix.files.kinds import PICTURE
+from lightmatrix.files.writing import atomic_file
 from lightmatrix.patterns.pattern_set import to_grey
 from lightmatrix.ranges import check_number
 from lightmatrix.show.style import CLIPPED_COLOUR, COLOURS, STYLE, display, mark_clipped, panel

@@ -16,9 +16,9 @@ from scipy.sparse import csr_array
 from lightmatrix.capture.capture import Capture
 from lightmatrix.capture.settings import TRUTH
 from lightmatrix.errors import InputError, OutputError, warn
+from lightmatrix.files.kinds import PACKED
 from lightmatrix.files.numpy_files import read_npz
-from lightmatrix.outputs.kinds import PACKED
-from lightmatrix.outputs.writing import atomic_file
+from lightmatrix.files.writing import atomic_file
 from lightmatrix.simulation.procedural import PROCEDURAL, truth_of
 from lightmatrix.simulation.renderer import Progress, render
 from lightmatrix.simulation.scenes import names, scene

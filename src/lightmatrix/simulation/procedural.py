@@ -18,15 +18,15 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
-from lightmatrix.camera.exposures import USUAL_NOISE, exposure_sequence, parse_exposures
-from lightmatrix.camera.sensor import Sensor
 from lightmatrix.capture.capture import Capture
+from lightmatrix.capture.exposures import USUAL_NOISE, exposure_sequence, parse_exposures
 from lightmatrix.capture.folder import write_capture
 from lightmatrix.capture.packing import write_packed
+from lightmatrix.capture.sensor import Sensor
 from lightmatrix.capture.settings import TRUTH
 from lightmatrix.errors import InputError
-from lightmatrix.outputs.kinds import CAPTURE, PACKED_CAPTURE
-from lightmatrix.outputs.writing import check_output
+from lightmatrix.files.kinds import CAPTURE, PACKED_CAPTURE
+from lightmatrix.files.writing import check_output
 from lightmatrix.patterns.folder import read_patterns
 from lightmatrix.patterns.pattern_set import PatternSet
 from lightmatrix.ranges import check_seed

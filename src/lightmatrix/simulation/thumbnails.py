@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from lightmatrix.errors import MissingExtraError
 from lightmatrix.files.images import fill_image
-from lightmatrix.outputs.kinds import THUMBNAILS
-from lightmatrix.outputs.writing import atomic_folder
+from lightmatrix.files.kinds import THUMBNAILS
+from lightmatrix.files.writing import atomic_folder
 from lightmatrix.simulation import library
 from lightmatrix.simulation.mitsuba_scene import load_mitsuba, mitsuba_scene
 from lightmatrix.simulation.scenes import names, scene

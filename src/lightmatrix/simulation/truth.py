@@ -19,17 +19,17 @@ from lightmatrix.capture.settings import DEPTH as DEPTH_NAME
 from lightmatrix.capture.settings import GEOMETRY as GEOMETRY_NAME
 from lightmatrix.capture.settings import TRUTH as TRUTH_NAME
 from lightmatrix.errors import InputError
+from lightmatrix.files.kinds import TRUTH
+from lightmatrix.files.writing import atomic_file
 from lightmatrix.geometry.projection import binned_matrix
 from lightmatrix.geometry.rig_geometry import RigGeometry
-from lightmatrix.outputs.kinds import TRUTH
-from lightmatrix.outputs.writing import atomic_file
 from lightmatrix.regions import Region
 from lightmatrix.reprs import short_repr
 from lightmatrix.simulation.scenes import names, scene
 from lightmatrix.simulation.scenes.scene import Scene
 from lightmatrix.simulation.scenes.shapes import Mesh, merge
-from lightmatrix.store.npz import VERSION, read_sparse_npz
 from lightmatrix.transport.matrix import LightTransport
+from lightmatrix.transport.npz import VERSION, read_sparse_npz
 
 # The surface that each camera pixel of a scene sees: exact depth and normals, without a renderer.
 #

@@ -11,9 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lightmatrix.errors import InputError
+from lightmatrix.files.kinds import PATTERNS
 from lightmatrix.files.stacks import list_images
-from lightmatrix.outputs.kinds import PATTERNS
-from lightmatrix.outputs.writing import check_output
+from lightmatrix.files.writing import check_output
 from lightmatrix.patterns.folder import write_patterns
 from lightmatrix.patterns.pattern_set import ImagePatterns
 from lightmatrix.ranges import check_number

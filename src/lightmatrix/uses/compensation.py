@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lightmatrix.errors import InputError
-from lightmatrix.outputs.kinds import IMAGE
-from lightmatrix.outputs.writing import check_output
+from lightmatrix.files.kinds import IMAGE
+from lightmatrix.files.writing import check_output
 from lightmatrix.ranges import check_number
 from lightmatrix.reprs import short_repr
 from lightmatrix.uses.images import (

@@ -12,8 +12,8 @@ from PIL import Image
 
 from lightmatrix.errors import InputError
 from lightmatrix.files.images import read_image, read_light, write_image
-from lightmatrix.outputs.kinds import IMAGE
-from lightmatrix.outputs.writing import check_output
+from lightmatrix.files.kinds import IMAGE
+from lightmatrix.files.writing import check_output
 from lightmatrix.ranges import check_number
 
 # Patterns that a use has found, written as images.

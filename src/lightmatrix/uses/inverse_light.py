@@ -9,8 +9,8 @@ from typing import Any
 from numpy.typing import NDArray
 
 from lightmatrix.errors import InputError
-from lightmatrix.outputs.kinds import IMAGE
-from lightmatrix.outputs.writing import check_output
+from lightmatrix.files.kinds import IMAGE
+from lightmatrix.files.writing import check_output
 from lightmatrix.transport.matrix import LightTransport
 from lightmatrix.uses.compensation import Compensation, compensator
 from lightmatrix.uses.images import write_shown

@@ -12,12 +12,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
-from lightmatrix import store
 from lightmatrix.errors import InputError
 from lightmatrix.files.images import read_grey, write_image
-from lightmatrix.outputs.kinds import SEPARATION
-from lightmatrix.outputs.writing import atomic_folder, check_output
+from lightmatrix.files.kinds import SEPARATION
+from lightmatrix.files.writing import atomic_folder, check_output
 from lightmatrix.reprs import short_repr
+from lightmatrix.transport import store as store
 from lightmatrix.transport.correspondence import pixel_rows
 from lightmatrix.transport.matrix import LightTransport
 from lightmatrix.transport.operator import checked_patterns

@@ -13,9 +13,9 @@ from jinja2 import Environment, StrictUndefined
 from markupsafe import Markup
 
 from lightmatrix.errors import InputError
+from lightmatrix.files.kinds import PAGE
+from lightmatrix.files.writing import atomic_file, check_output
 from lightmatrix.geometry.rig_geometry import RigGeometry
-from lightmatrix.outputs.kinds import PAGE
-from lightmatrix.outputs.writing import atomic_file, check_output
 from lightmatrix.transport.matrix import LightTransport
 from lightmatrix.viewer.scene import Scene, opened, page_size
 

@@ -14,10 +14,10 @@ from numpy.typing import NDArray
 from scipy.sparse import coo_array, csc_array, csr_array
 
 from lightmatrix.patterns.pattern_set import grid_cells
-from lightmatrix.store.column_index import COLUMNS, ColumnIndex, index_columns
-from lightmatrix.store.zarr_store import StoredTransport
+from lightmatrix.transport.column_index import COLUMNS, ColumnIndex, index_columns
 from lightmatrix.transport.matrix import LightTransport, cell_means
 from lightmatrix.transport.sparse_rows import SparseRows, row_blocks
+from lightmatrix.transport.store import StoredTransport
 
 # Called with what is done, all there is, and a note.
 Progress = Callable[[int, int, str], None]

@@ -9,14 +9,14 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from lightmatrix import store
 from lightmatrix.capture.capture import Capture
 from lightmatrix.errors import InputError, LightMatrixError
 from lightmatrix.geometry.rig_geometry import RigGeometry
 from lightmatrix.patterns.pattern_set import PatternSet
-from lightmatrix.store.zarr_store import StoredTransport
+from lightmatrix.transport import store as store
 from lightmatrix.transport.matrix import LightTransport
 from lightmatrix.transport.operator import TransportOperator
+from lightmatrix.transport.store import StoredTransport
 from lightmatrix.uses.compensation import compensate
 from lightmatrix.viewer.layers import (
     COMPUTED_ENTRIES,

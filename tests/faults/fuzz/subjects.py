@@ -18,7 +18,7 @@ from zarr.codecs import Crc32cCodec
 
 from lightmatrix.files.images import encode_image
 from lightmatrix.files.zarr_arrays import SMALL
-from lightmatrix.store.zarr_store import seal
+from lightmatrix.transport.store import seal
 
 from ..cases.partial import PARTIAL, interrupted
 from ..checks import whole_matrix

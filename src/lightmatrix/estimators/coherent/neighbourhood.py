@@ -24,8 +24,8 @@ from scipy.ndimage import median_filter, uniform_filter
 from scipy.sparse import csr_array
 
 from lightmatrix import _core
-from lightmatrix.camera.samples import Samples
 from lightmatrix.capture.capture import Capture
+from lightmatrix.capture.samples import Samples
 from lightmatrix.patterns.atoms import AtomPatterns
 from lightmatrix.patterns.bits import BernoulliPatterns
 from lightmatrix.patterns.pattern_set import PatternSet

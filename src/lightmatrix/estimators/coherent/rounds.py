@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 from scipy.ndimage import maximum_filter
 from scipy.sparse import csr_array
 
-from lightmatrix.camera.samples import Samples
 from lightmatrix.capture.capture import Capture
+from lightmatrix.capture.samples import Samples
 from lightmatrix.estimators.base import rows_with_diagnostics
 from lightmatrix.estimators.certainty import with_certainty
 from lightmatrix.estimators.coherent.neighbourhood import REACH, CameraGrid, Neighbourhood
@@ -37,13 +37,11 @@ from lightmatrix.estimators.coherent.row_errors import (
 )
 from lightmatrix.estimators.coherent.row_solver import RowSolver, coherent_row_bytes
 from lightmatrix.estimators.coherent.schedule import GROWTH, Round
-from lightmatrix.estimators.side_by_side import SolveTile
-from lightmatrix.estimators.work import TILE_BYTES, ReadStep, cut_rows
+from lightmatrix.estimators.work import TILE_BYTES, ReadStep, SolveTile, cut_rows
 from lightmatrix.resources.threads import computed_once, core_threads
 from lightmatrix.solvers.loop import Progress
 from lightmatrix.solvers.problem import Result
-from lightmatrix.store import ROWS
-from lightmatrix.store.checkpoint import Span
+from lightmatrix.transport.checkpoint import ROWS, Span
 from lightmatrix.transport.sparse_rows import SparseRows, footprint_sizes
 
 # The diagnostic that holds which share of its light changed in a row's last round.

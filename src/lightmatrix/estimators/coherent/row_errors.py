@@ -28,7 +28,7 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
 from lightmatrix import _core
-from lightmatrix.camera.samples import Samples
+from lightmatrix.capture.samples import Samples
 from lightmatrix.estimators.coherent.neighbourhood import mean_around, strongest_entries
 from lightmatrix.estimators.coherent.row_solver import RowSolver, WeightedRows
 from lightmatrix.patterns.atoms import AtomPatterns

@@ -18,8 +18,8 @@ from scipy.fft import irfft2, next_fast_len, rfft2
 from scipy.sparse import csr_array
 
 from lightmatrix import _core
-from lightmatrix.camera.samples import Samples
 from lightmatrix.capture.capture import Capture
+from lightmatrix.capture.samples import Samples
 from lightmatrix.estimators.coherent.neighbourhood import (
     PSEUDO_SAMPLES,
     Neighbourhood,

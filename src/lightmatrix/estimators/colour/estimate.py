@@ -10,10 +10,10 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from lightmatrix.camera.camera_curve import AUTOMATIC
+from lightmatrix.capture.camera_curve import AUTOMATIC
 from lightmatrix.capture.capture import Capture, KnownSamples, open_capture
-from lightmatrix.diagnosis.finding import FINDINGS
-from lightmatrix.diagnosis.refusals import refuse_unordered, refuse_unusable, warn_of_unrelated
+from lightmatrix.check.finding import FINDINGS
+from lightmatrix.check.refusals import refuse_unordered, refuse_unusable, warn_of
 from lightmatrix.errors import InputError
 from lightmatrix.estimators.base import capture_provenance
 from lightmatrix.estimators.coherent.estimator import CoherentEstimator
@@ -26,13 +26,13 @@ from lightmatrix.estimators.colour.mixing import (
 )
 from lightmatrix.estimators.colour.unmixing import grey_capture, unmixed_capture
 from lightmatrix.files.colours import COLOURS
-from lightmatrix.outputs.kinds import COLOUR_STORES
-from lightmatrix.outputs.writing import check_output
+from lightmatrix.files.kinds import COLOUR_STORES
+from lightmatrix.files.writing import check_output
 from lightmatrix.patterns.colour import ColourPatterns
 from lightmatrix.progress_bar import progress_bar
 from lightmatrix.solvers.loop import Progress
-from lightmatrix.store.zarr_store import save_colour
 from lightmatrix.transport.matrix import ColourTransport, LightTransport
+from lightmatrix.transport.store import save_colour
 
 # Grey patterns from which the geometry is found without the others. Fewer show where most camera
 # pixels look, but not all. The usual mixing is the better start then (docs/colour.md).
@@ -101,8 +101,8 @@ def estimate_colour(
     overwrite : bool
         Whether a folder of stores at `output` may be replaced.
     check : bool
-        Whether to refuse photographs that do not follow their patterns, and to keep in the
-        provenance what else `lm.check` finds.
+        Whether to refuse photographs that do not follow their patterns, and to warn of what else
+        `lm.check` finds. The provenance keeps it.
     progress : bool or callable
         Whether to show a bar on a terminal and in notebooks; or what to call with (done, total).
 
@@ -138,7 +138,7 @@ def estimate_colour(
         check_output(output, COLOUR_STORES, overwrite=overwrite)
     refuse_unusable(capture)
     findings = refuse_unordered(capture) if check else []
-    warn_of_unrelated(findings)
+    warn_of(findings)
     samples = ColourSamples.of(capture.samples(), patterns)
     with progress_bar("estimating", "rows") if progress is True else nullcontext(None) as bar:
         known = _Known(

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from lightmatrix.camera.samples import Samples
+from lightmatrix.capture.samples import Samples
 from lightmatrix.files.colours import COLOURS
 from lightmatrix.patterns.colour import ColourPatterns
 from lightmatrix.transport.matrix import LightTransport

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from lightmatrix.camera.samples import Samples
 from lightmatrix.capture.capture import KnownSamples
+from lightmatrix.capture.samples import Samples
 from lightmatrix.estimators.colour.mixing import PRIMARIES, ColourSamples
 from lightmatrix.patterns.bits import BitPatterns
 from lightmatrix.patterns.colour import ColourPatterns

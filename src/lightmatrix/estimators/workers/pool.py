@@ -41,8 +41,7 @@ from lightmatrix.estimators.workers.worker import (
     versions,
 )
 from lightmatrix.resources.threads import core_threads
-from lightmatrix.store import Checkpoint
-from lightmatrix.store.checkpoint import Span, tile_name
+from lightmatrix.transport.checkpoint import Checkpoint, Span, tile_name
 
 if TYPE_CHECKING:
     from distributed import Client
@@ -250,15 +249,6 @@ def open_workers(
     ClusterError
         If workers cannot be started, the scheduler does not answer or has none, or one of them has
         other versions or too little memory.
-
-    Examples
-    --------
-    >>> import lightmatrix as lm
-    >>> capture = lm.simulate("metal", lm.BernoulliPatterns((64, 64), 8))
-    >>> settings = lm.EstimateSettings(coherent=False)
-    >>> with lm.open_workers(settings, lm.estimate_resources(capture, settings)) as pool:
-    ...     lm.choose_estimator(capture, settings).estimate(capture, pool=pool).camera_shape
-    (64, 64)
     """
     if settings.workers is None and settings.cluster is None:
         yield None

@@ -22,11 +22,16 @@ from lightmatrix._version import __version__
 from lightmatrix.capture.capture import Capture
 from lightmatrix.capture.frames import PixelFrames
 from lightmatrix.errors import ClusterError, InputError, LightMatrixError
-from lightmatrix.estimators.side_by_side import SolveTile
-from lightmatrix.estimators.work import Work
+from lightmatrix.estimators.work import SolveTile, Work
 from lightmatrix.resources.memory import available_bytes
 from lightmatrix.resources.threads import core_threads
-from lightmatrix.store.checkpoint import Span, fingerprint_token, read_tile, tile_name, write_tile
+from lightmatrix.transport.checkpoint import (
+    Span,
+    fingerprint_token,
+    read_tile,
+    tile_name,
+    write_tile,
+)
 from lightmatrix.transport.sparse_rows import SparseRows
 
 

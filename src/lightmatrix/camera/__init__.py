@@ -1,1 +1,0 @@
-"""The camera: from light to raw levels, and back to linear samples."""

@@ -1,0 +1,342 @@
+"""`lm.check`: all checks of a capture, in memory or on disk, also of one that cannot be opened.
+
+Each check knows what those before it found.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lightmatrix.capture.capture import Capture, Crop
+from lightmatrix.capture.decoding import CaptureParts
+from lightmatrix.capture.folder import read_capture, read_folders
+from lightmatrix.capture.settings import ReadSettings
+from lightmatrix.check.finding import Finding
+from lightmatrix.check.frame_order import check_counts, check_order
+from lightmatrix.check.inverse_pairs import Pairs, check_pairs, pair_gains
+from lightmatrix.check.levels import check_jpeg, check_light_level, check_plain_frames
+from lightmatrix.check.linearity import check_grey_levels, check_linearity, show_pictures
+from lightmatrix.check.motion import check_motion
+from lightmatrix.check.prediction import FramePrediction, predict
+from lightmatrix.check.relation import check_relation
+from lightmatrix.check.survey import Survey, high_variance_rows
+from lightmatrix.check.wrong_frames import (
+    LIKELY,
+    SUSPECT,
+    brightness_changes,
+    check_flicker,
+    check_frames,
+    wrong_frames,
+)
+from lightmatrix.errors import InputError
+from lightmatrix.files.stacks import ImageStack
+from lightmatrix.patterns.colour import ColourPatterns
+from lightmatrix.patterns.pattern_set import ImagePatterns, PatternSet
+from lightmatrix.patterns.stripes import is_separable
+from lightmatrix.resources.threads import one_blas_thread, side_by_side
+
+# Nothing is inferred from fewer frames, or from fewer camera pixels that can be predicted.
+_FEWEST_FRAMES, _FEWEST_ROWS = 12, 20
+# If more than a quarter of the frames are odd, the cause is not in single frames.
+_MOST_ODD = 0.25
+
+
+def check(
+    capture: Capture | str | Path | None = None,
+    *,
+    patterns: str | Path | PatternSet | None = None,
+    images: str | Path | None = None,
+    settings: ReadSettings | None = None,
+    crop: Crop | None = None,
+) -> list[Finding]:
+    """Find what is wrong with a capture, as `lightmatrix check` does.
+
+    It looks at number and sizes of the files, frames that are swapped, lost, late, black or odd,
+    the response, lossy compression, motion, flicker, too much or too little light, and patterns
+    that cannot reveal all of T.
+
+    Parameters
+    ----------
+    capture : Capture, str or Path, optional
+        A capture, looked at as it was taken whatever is binned; or a capture folder, packed or
+        not. None: two plain folders.
+    patterns : str, Path or PatternSet, optional
+    images : str or Path, optional
+        The two folders, or stacks; see `Capture.from_folders`.
+    settings : ReadSettings, optional
+        How the images of the two folders are read. None: as those of a linear camera.
+    crop : ((int, int), (int, int)), optional
+        Corner and shape of the rectangle of the photographs that is looked at. None: all of them.
+
+    Returns
+    -------
+    list of Finding
+        Empty if nothing seems wrong. Fewer than 12 frames, and scenes without direct light, reveal
+        little about order, motion and flicker.
+
+    Raises
+    ------
+    InputError
+        On folders that are none, and descriptions that contradict themselves.
+
+    Examples
+    --------
+    >>> import lightmatrix as lm
+    >>> capture = lm.simulate("metal", lm.BernoulliPatterns((64, 64), 32), exposure=0.2)
+    >>> lm.check(capture)
+    []
+    >>> frames = np.stack([capture.frame(k) for k in (0, 2, 1, *range(3, 32))])
+    >>> mixed = lm.Capture.from_arrays(capture.patterns, frames, capture.sensor)
+    >>> [finding.message for finding in lm.check(mixed)]
+    ['frame 1 and frame 2 look swapped']
+    """
+    if isinstance(capture, Capture):
+        return check_capture(capture if crop is None else capture.crop(*crop))
+    if capture is not None:
+        parts = read_capture(capture, counted=False)
+    elif patterns is not None and images is not None:
+        parts = read_folders(patterns, images, settings or ReadSettings(), counted=False)
+    else:
+        raise InputError(
+            "there is nothing to check", hint="give a capture folder, or patterns and images"
+        )
+    try:
+        if parts.patterns.count != parts.frames.count:
+            return _check_uncounted(parts)
+        parts.decoder.check_count(parts.frames.count)
+        whole = Capture(**vars(parts))
+        return check_capture(whole if crop is None else whole.crop(*crop))
+    except InputError:
+        unread = _unread(parts)
+        if unread:
+            return unread
+        raise
+
+
+def _check_uncounted(parts: CaptureParts) -> list[Finding]:
+    """What can be found although the numbers of patterns and frames differ."""
+    decoder, survey = parts.decoder, None
+    # Nobody knows which of the levels that differ from frame to frame belong to which frame.
+    if not any(np.ndim(getattr(decoder, key)) for key in ("clip", "black_level", "exposure")):
+        survey = Survey.take(parts.patterns, parts.frames, decoder, parts.mask)
+    # Frames that lie packed have no files.
+    paths = parts.frames.paths if isinstance(parts.frames, ImageStack) else ()
+    images = [Path(entry.name) for entry in paths]
+    counts = check_counts(survey, parts.patterns.count, images)
+    return [counts, *check_distinguishable(parts.patterns)]
+
+
+def _unread(parts: CaptureParts) -> list[Finding]:
+    """A finding for each reason why some frames cannot be read or do not fit the first."""
+    problems: dict[str, tuple[list[int], InputError]] = {}
+    paths = parts.frames.paths if isinstance(parts.frames, ImageStack) else ()
+    for k, path in enumerate(paths):
+        try:
+            parts.frames.read(k)
+        except InputError as error:
+            # Files with the same problem are one finding.
+            reason = error.message.replace(str(path), "")
+            problems.setdefault(reason, ([], error))[0].append(k)
+    findings = []
+    for frames, first in problems.values():
+        more = f", and {len(frames) - 1} more like it" if len(frames) > 1 else ""
+        advice = first.hint or "take the photograph again, or save it again"
+        findings.append(Finding("files", tuple(frames), first.message + more, advice))
+    return findings
+
+
+def check_capture(capture: Capture, *, order_only: bool = False) -> list[Finding]:
+    """Everything that seems wrong with a capture, or only what bears on the order of its frames.
+
+    Frames are looked at as they were taken, whatever is binned. Of a rectangle of the photographs,
+    only the light is judged: whether frames are in order, or something moved, shows better in whole
+    photographs.
+    """
+    with one_blas_thread():
+        return _check(capture, order_only)
+
+
+def _check(capture: Capture, order_only: bool) -> list[Finding]:
+    whole = capture.whole
+    survey = _survey(whole)
+    names = [capture.frames.name(k) for k in range(capture.count)]
+    findings = check_interchanged(survey)
+    if findings:
+        return findings
+    rows = high_variance_rows(survey)
+
+    def of_light() -> list[Finding]:
+        if order_only:
+            return []
+        seen = survey if whole is capture else _survey(capture)
+        found = check_distinguishable(survey.patterns) + check_light_level(seen)
+        return found + check_jpeg(survey, names)
+
+    if survey.count < _FEWEST_FRAMES or len(rows) < _FEWEST_ROWS:
+        return of_light()
+    pairs = Pairs.find(survey.patterns)
+
+    def of_order() -> list[Finding]:
+        return [] if pairs is not None else check_order(survey, names.__getitem__)
+
+    # The longest first; each of them keeps about one core busy.
+    disorder, findings, unrelated = side_by_side(
+        [of_order, of_light, lambda: check_relation(survey)]
+    )
+    light = None if order_only else not any(each.kind == "jpeg" for each in findings)
+    if pairs is None:
+        return findings + _check_by_prediction(survey, rows, names, light, disorder, unrelated)
+    return findings + _check_by_pairs(survey, rows, names, light, pairs, unrelated)
+
+
+def _survey(capture: Capture) -> Survey:
+    survey = Survey.take(capture.patterns, capture.frames, capture.decoder, capture.mask)
+    patterns = capture.patterns
+    grey = patterns.as_bits() is None and not isinstance(patterns, ColourPatterns)
+    greys = grey and capture.bin_projector == (1, 1) and not show_pictures(patterns)
+    return replace(survey, greys=greys)
+
+
+def check_distinguishable(patterns: PatternSet) -> list[Finding]:
+    """Whether the patterns can tell several footprints in a row, and single pixels, apart."""
+    if is_separable(patterns):
+        return [
+            Finding(
+                "stripes",
+                (),
+                "each pattern varies along rows or along columns only (Gray code, stripes, "
+                "fringes): where a camera pixel sees several places, they cannot tell these from "
+                "the crossings of their rows and columns",
+                "fine for correspondence and shape (`decode`); for all of T project random "
+                "patterns too, such as Bernoulli patterns",
+            )
+        ]
+    alike = float(np.mean(np.bincount(patterns.twins)[patterns.twins] > 1))
+    # A few patterns leave some pixels alike by chance.
+    if alike < 0.2:
+        return []
+    return [
+        Finding(
+            "patterns",
+            (),
+            f"{100 * alike:.0f} % of the projector pixels look like another: all "
+            "patterns show the same there",
+            "project more patterns, or finer ones, or bin the projector",
+        )
+    ]
+
+
+def check_interchanged(survey: Survey) -> list[Finding]:
+    """Whether the patterns look photographed and the photographs drawn."""
+    patterns = survey.patterns
+    if not isinstance(patterns, ImagePatterns):
+        return []
+    frames = range(min(4, survey.count))
+    # Projected images have up to 4 grey values, photographs have noise and thus 24 or more.
+    drawn = all(len(np.unique(survey.raw[:, k])) <= 4 for k in frames)
+    noisy = all(len(np.unique(patterns.rows(k, k + 1))) >= 24 for k in frames)
+    if not (drawn and noisy):
+        return []
+    return [
+        Finding(
+            "interchanged",
+            (),
+            "the photographs have a few exact grey values, and the patterns have noise",
+            "patterns and photographs seem to be in each other's place: exchange the folders",
+        )
+    ]
+
+
+# In the two functions below, `disorder` and `unrelated` are what the checks of the order and of the
+# relation found. `light` is None if the light is not judged, and False if its linearity is not:
+# JPEG rounds dark and bright samples by different steps, which looks like a gamma.
+
+
+def _check_by_pairs(
+    survey: Survey,
+    rows: NDArray[np.int64],
+    names: Sequence[str],
+    light: bool | None,
+    pairs: Pairs,
+    unrelated: list[Finding],
+) -> list[Finding]:
+    """Checks of patterns that come with their inverses."""
+    if unrelated:
+        return unrelated
+    findings = check_plain_frames(survey, rows, names)
+    of_pairs, corrected, doubted = check_pairs(survey, rows, pairs, names)
+    findings += of_pairs
+    if light is None or any(each.kind == "motion" for each in of_pairs):
+        return findings
+    # Sums of pairs that are not linear in light look like changes of the light.
+    bent = check_linearity(corrected, doubted, steady=False) if light else []
+    if bent:
+        return findings + bent
+    gains, frames = pair_gains(corrected, rows, pairs, doubted)
+    # Gains are medians over many pixels; they are as exact as cameras are linear.
+    return findings + check_flicker(gains, np.full(len(gains), 0.004), frames, names)
+
+
+def _check_by_prediction(
+    survey: Survey,
+    rows: NDArray[np.int64],
+    names: Sequence[str],
+    light: bool | None,
+    disorder: list[Finding],
+    unrelated: list[Finding],
+) -> list[Finding]:
+    """Checks of patterns that have nothing to do with each other."""
+    displaced = np.zeros(survey.count, bool)
+    for each in disorder:
+        displaced[list(each.frames)] = True
+    if displaced.mean() > _MOST_ODD:
+        return disorder
+    if any(each.kind == "order" for each in unrelated):
+        return unrelated
+    findings = check_plain_frames(survey, rows, names)
+    prediction = predict(survey.patterns, survey.samples(rows), doubted=displaced)
+    suspects = _suspects(prediction, displaced)
+    moved = check_motion(survey, rows, suspects, names)
+    if moved:
+        return findings + moved
+    # Photographs of which half are shifted may seem unrelated to their patterns, too.
+    if unrelated:
+        return unrelated
+    first = prediction
+    if (suspects & ~displaced).any():
+        # Judged by the frames that are not suspected.
+        prediction = predict(survey.patterns, survey.samples(rows), doubted=suspects)
+    if prediction.predicted.sum() < _FEWEST_ROWS:
+        return findings + disorder
+    prediction = prediction.rows(prediction.predicted)
+    wrong = wrong_frames(prediction)
+    if wrong[displaced].any():
+        findings += disorder
+    else:
+        # The patterns differ only where the camera does not look.
+        displaced[:] = False
+    # Without a frame, its rows may be explained by other places; then it seems wrong only now.
+    both = wrong & wrong_frames(first.rows(first.predicted), LIKELY)
+    findings += check_frames(prediction, both & ~displaced, names)
+    if light is None:
+        return findings
+    right = np.flatnonzero(~wrong & ~displaced)
+    findings += check_flicker(*brightness_changes(prediction.frames(right)), right, names)
+    if light:
+        steady = not any(each.kind == "flicker" for each in findings)
+        judge_light = check_grey_levels if survey.greys else check_linearity
+        findings += judge_light(survey, suspects | wrong, steady=steady)
+    return findings
+
+
+def _suspects(prediction: FramePrediction, displaced: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Frames (K,) that are displaced or may show something else, if only a few do."""
+    if prediction.predicted.sum() < _FEWEST_ROWS:
+        return displaced
+    suspects = displaced | wrong_frames(prediction.rows(prediction.predicted), SUSPECT)
+    return suspects if suspects.mean() < _MOST_ODD else displaced

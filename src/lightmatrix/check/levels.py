@@ -1,0 +1,234 @@
+"""What the raw levels of photographs reveal by themselves: too much light, too little, JPEG.
+
+JPEG rounds the cosine transform of each block of 8 x 8 pixels to multiples of a step, one for each
+of the 64 frequencies. Rounding again by the same steps changes hardly anything, even where levels
+were cut off at the ends of the range: photographs that are compressed again at the same quality
+come out nearly as they went in, and at no other quality. A camera with its own table of steps
+shows as coefficients that lie on combs.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.fft import dctn, idctn
+
+from lightmatrix.check.finding import Finding, join_names
+from lightmatrix.check.survey import BLOCK, Survey
+
+# A frequency needs as many coefficients for a comb.
+_FEWEST_COEFFICIENTS = 40
+# The steps for luminance at quality 50 (ITU T.81, Annex K), which libjpeg scales by the quality.
+_TABLE = np.array(
+    [
+        [16, 11, 10, 16, 24, 40, 51, 61],
+        [12, 12, 14, 19, 26, 58, 60, 55],
+        [14, 13, 16, 24, 40, 57, 69, 56],
+        [14, 17, 22, 29, 51, 87, 80, 62],
+        [18, 22, 37, 56, 68, 109, 103, 77],
+        [24, 35, 55, 64, 81, 104, 113, 92],
+        [49, 64, 78, 87, 103, 121, 120, 101],
+        [72, 92, 95, 98, 112, 100, 103, 99],
+    ]
+)
+
+
+def check_light_level(survey: Survey) -> list[Finding]:
+    """Too much light, too little, or nearly everywhere none from the projector."""
+    known, valid = survey.statistics, survey.valid
+    if not valid.any():
+        return [
+            Finding(
+                "light",
+                (),
+                "no camera pixel counts: all are masked, or clipped in the black frame",
+                "correct the mask, or take a darker black frame",
+            )
+        ]
+    clipped = float(known.clipped[valid].mean())
+    if clipped > 2 / 3:
+        return [
+            Finding(
+                "light",
+                (),
+                f"{100 * clipped:.0f} % of the samples are clipped",
+                "expose shorter, or close the aperture: best is when a white pattern just does not "
+                "clip (`plan` finds its exposure)",
+            )
+        ]
+    brightest = float(np.quantile(known.highest[valid], 0.999))
+    levels = brightest / one_level(survey)
+    # Noise of one level would be 4 % of 24.
+    if survey.raw.dtype.kind == "u" and levels < 24:
+        return [
+            Finding(
+                "light",
+                (),
+                f"the brightest samples reach {max(levels, 0):.0f} raw levels above black",
+                "expose longer or open the aperture; check the black frame and the black level",
+            )
+        ]
+    # A camera pixel has not seen the projector if it varies by less than 5 % of what the most
+    # varied 5 % of the pixels do, or by less than 3 raw levels. A pixel that always clips does not
+    # vary either, but sees too much.
+    span = known.highest - known.lowest
+    usual = float(np.quantile(span[valid], 0.95))
+    still = valid & (span < max(0.05 * usual, 3 * one_level(survey))) & (known.clipped < 0.5)
+    unseen = float(still.sum() / valid.sum())
+    if unseen > 0.9:
+        return [
+            Finding(
+                "unseen",
+                (),
+                f"{100 * unseen:.0f} % of the camera pixels never see light of the projector",
+                "move camera or lens so that the lit part fills the image, or mask the rest",
+            )
+        ]
+    return []
+
+
+def check_plain_frames(
+    survey: Survey, rows: NDArray[np.int64], names: Sequence[str]
+) -> list[Finding]:
+    """Whether high-variance rows are dark under black patterns, and bright under white ones."""
+    lowest, highest = np.empty(survey.count), np.empty(survey.count)
+    for start, block in survey.patterns.chunks():
+        lowest[start : start + len(block)] = block.min(axis=1)
+        highest[start : start + len(block)] = block.max(axis=1)
+    samples = survey.samples(rows)
+    bottom = samples.values.min(axis=1, keepdims=True)
+    span = np.maximum(samples.values.max(axis=1, keepdims=True) - bottom, 1e-9)
+    level = np.median((samples.values - bottom) / span, axis=0)
+    findings = []
+    # Grey values differ by 2 % at most in black and white patterns. Under them the median pixel
+    # must lie in the lowest or highest 15 % of its own range.
+    black, white = highest <= 0.02, lowest >= 0.98
+    if not (black | white).all():
+        bright = np.flatnonzero(black & (level > 0.15))
+        dark = np.flatnonzero(white & (level < 0.85) & (~samples.clipped).all(axis=0))
+        for kind, odd, what in (
+            ("black", bright, "black, but the photograph is not the darkest"),
+            ("white", dark, "white, but the photograph is not the brightest"),
+        ):
+            if len(odd):
+                findings.append(
+                    Finding(
+                        kind,
+                        tuple(int(k) for k in odd),
+                        f"the pattern of {join_names([names[int(k)] for k in odd])} is {what}",
+                        "put the photographs in the order of the patterns, or take it again",
+                    )
+                )
+    # The lowest tenth, since noise and a single odd frame reach below black too.
+    below = float(np.median(-np.quantile(samples.values, 0.1, axis=1) / span[:, 0]))
+    if survey.decoder.black_frame is not None and below > 0.08:
+        findings.append(
+            Finding(
+                "black",
+                (),
+                "the black frame is brighter than the photographs where these are dark (by "
+                f"{100 * below:.0f} % of their range)",
+                "take the black frame with the projector showing black, at the exposure of the "
+                "others and in the same room light",
+            )
+        )
+    return findings
+
+
+def one_level(survey: Survey) -> float:
+    """One raw level in units of the clip level at the longest exposure; a millionth of floats."""
+    decoder = survey.decoder
+    span = float(np.max(np.asarray(decoder.clip) - np.asarray(decoder.black_level)))
+    longest = float(np.max(decoder.exposure))
+    return 1 / (span * longest) if survey.raw.dtype.kind == "u" else 1e-6 / longest
+
+
+def check_jpeg(survey: Survey, names: Sequence[str]) -> list[Finding]:
+    """Whether the raw levels were rounded as JPEG does, in frames of 8 bits and a block or more."""
+    if survey.raw.dtype != np.uint8 or min(survey.grid[1:3]) < BLOCK:
+        return []
+    frames = np.unique(np.linspace(0, survey.count - 1, 8).astype(int))
+    images = np.moveaxis(survey.raw[:, frames].reshape(*survey.grid, len(frames)), -1, 0)
+    blocks = _blocks(images)
+    quality = likely_quality(blocks)
+    step = None if quality else comb_step(blocks)
+    if not quality and step is None:
+        return []
+    how = f"of quality {quality}" if quality else f"with steps of about {step:.0f} levels"
+    hidden = not names[0].lower().endswith((".jpg", ".jpeg"))
+    return [
+        Finding(
+            "jpeg",
+            (),
+            f"the photographs went through JPEG {how}"
+            + (", whatever their files are now" if hidden else ""),
+            "save raw or lossless files (PNG, TIFF) in the camera's own software; if there is only "
+            "JPEG, take its best quality, and state the response srgb if it is not linear",
+        )
+    ]
+
+
+def likely_quality(blocks: NDArray[np.floating]) -> int | None:
+    """The quality at which libjpeg's table compressed blocks (n, 8, 8) of levels, if any."""
+    if len(blocks) < _FEWEST_COEFFICIENTS:
+        return None
+    coefficients = dctn(blocks - 128, axes=(1, 2), norm="ortho")
+    # From quality 96 on steps are 1 and photographs as good as lossless.
+    qualities, change = range(20, 96), []
+    for quality in qualities:
+        scale = 5000 // quality if quality < 50 else 200 - 2 * quality
+        steps = np.clip((_TABLE * scale + 50) // 100, 1, 255).astype(np.float32)
+        again = idctn(steps * np.rint(coefficients / steps), axes=(1, 2), norm="ortho") + 128
+        change.append(float(np.mean((np.rint(again).clip(0, 255) - blocks) ** 2)))
+    # Photographs that were never compressed change less and less as the quality rises. At the
+    # quality of the first time they change by less than 60 % of what they do at 5 more or less.
+    for k in range(5, len(change) - 5):
+        near = change[k - 5 : k + 6]
+        if change[k] == min(near) and change[k] < 0.6 * min(near[0], near[-1]):
+            return qualities[k]
+    return None
+
+
+def comb_step(blocks: NDArray[np.floating]) -> float | None:
+    """The median step of the combs that blocks (n, 8, 8) of levels lie on; None if on none."""
+    # Levels that were cut off lie on no comb.
+    blocks = blocks[(blocks.min(axis=(1, 2)) > 0) & (blocks.max(axis=(1, 2)) < 255)]
+    if not len(blocks):
+        return None
+    coefficients = dctn(blocks, axes=(1, 2), norm="ortho").reshape(-1, BLOCK * BLOCK)
+    # Rounding to whole levels hides steps below 3 levels.
+    all_steps = np.arange(3, 128)
+    frequencies, combs = 0, []
+    # The mean of a block, the first, is left out: flat areas put it on a comb by chance.
+    for values in np.abs(coefficients.T[1:]).astype(np.float32):
+        # A comb of only one tooth, at zero, is a smooth image.
+        beyond = values > all_steps[:, None] / 2
+        count = beyond.sum(axis=1)
+        steps = all_steps[count >= _FEWEST_COEFFICIENTS]
+        waves = np.cos((2 * np.pi / steps).astype(np.float32)[:, None] * values)
+        # Coefficients follow a comb by the cosine of their distance to the next tooth; by chance
+        # its mean is 0.
+        followed = (waves * beyond[: len(steps)]).sum(axis=1) / count[: len(steps)] > 0.5
+        frequencies += bool(len(steps))
+        if followed.any():
+            combs.append(float(steps[followed][-1]))
+    if len(combs) >= max(6, frequencies / 2):
+        return float(np.median(combs))
+    return None
+
+
+def _blocks(images: NDArray[Any]) -> NDArray[np.floating]:
+    """Some of the blocks of luminance that are not uniform, (n, 8, 8)."""
+    # JPEG codes the luminance first.
+    weights = [0.299, 0.587, 0.114] if images.shape[-1] == 3 else [1]
+    light = images @ np.array(weights, np.float32)
+    frames, tiles, rows, cols = light.shape
+    rows, cols = rows // BLOCK * BLOCK, cols // BLOCK * BLOCK
+    cut = light[:, :, :rows, :cols].reshape(frames, tiles, -1, BLOCK, cols // BLOCK, BLOCK)
+    blocks = cut.transpose(0, 1, 2, 4, 3, 5).reshape(-1, BLOCK, BLOCK)
+    chosen = np.flatnonzero(np.ptp(blocks, axis=(1, 2)) > 2)
+    # More blocks take longer.
+    return blocks[np.random.default_rng(0).permutation(chosen)[:3000]]

@@ -1,0 +1,128 @@
+"""Captures from which no estimate can come are refused before any work, with what to do."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lightmatrix.capture.capture import Capture
+from lightmatrix.capture.decoder import Decoder
+from lightmatrix.capture.decoding import check_depth
+from lightmatrix.capture.samples import Samples
+from lightmatrix.check.all_checks import check_capture
+from lightmatrix.check.finding import Finding
+from lightmatrix.errors import InputError, warn
+from lightmatrix.patterns.pattern_set import PatternSet
+
+# The brightest levels of cameras of 10, 12 and 14 bits whose levels are stored in 16 bits, aligned
+# to the lowest bit and to the highest one.
+_TOPS_IN_16_BITS = (1023, 4095, 16383, 65472, 65520, 65532)
+
+
+def refuse_unusable(capture: Capture) -> None:
+    """Refuse a capture that no estimate can come from, whatever the order of its frames.
+
+    It has one frame only, a projector of one pixel, no pattern that varies, nothing but dark or
+    clipped samples, all pixels masked, or 16-bit files of fewer bits without a stated clip level.
+    """
+    _refuse_useless_patterns(capture.patterns)
+    check_depth(capture.frames, capture.decoder)
+    _refuse_useless_light(capture.tiles(), int(capture.valid.sum()), capture.decoder)
+    if capture.frames.dtype == np.uint16 and capture.bin_camera == (1, 1):
+        _warn_of_hidden_clipping(capture.reader.level_blocks(), capture.decoder)
+
+
+def refuse_unordered(capture: Capture) -> list[Finding]:
+    """Refuse a capture whose frames are out of order, which spoils all of an estimate.
+
+    Returns what else `check` finds.
+    """
+    findings = check_capture(capture)
+    for finding in findings:
+        if finding.kind == "order":
+            raise InputError(
+                finding.message, hint=f"{finding.advice}; check=False takes them as they are"
+            )
+    return findings
+
+
+def warn_of(findings: Iterable[Finding]) -> None:
+    """Warn of each finding by itself."""
+    for finding in findings:
+        warn(f"{finding.kind}: {finding.message}\n  {finding.advice}")
+
+
+def _refuse_useless_patterns(patterns: PatternSet) -> None:
+    """Refuse patterns that tell nothing apart; some may be constant (white, binned stripes)."""
+    if patterns.count == 1:
+        raise InputError(
+            "the capture has 1 frame only", hint="take at least 2 patterns, better 64 or more"
+        )
+    if patterns.pixels == 1:
+        raise InputError(
+            "the projector has 1 x 1 pixels", hint="use larger patterns, or bin them less"
+        )
+    # Binning equal pixels may change their last bit.
+    first, same = patterns.rows(0, 1)[0], 1e-6
+    alike, flat = True, True
+    for k in range(patterns.count):
+        pattern = patterns.rows(k, k + 1)[0]
+        flat = flat and bool(np.ptp(pattern) < same)
+        alike = alike and bool((np.abs(pattern - first) < same).all())
+        if not (flat or alike):
+            break
+    if flat:
+        raise InputError(
+            "no pattern varies: each shows one grey value all over",
+            hint="use other patterns, or bin the projector less",
+        )
+    if alike:
+        raise InputError("all patterns are the same", hint="use patterns that differ")
+
+
+def _refuse_useless_light(
+    tiles: Iterable[tuple[int, Samples]], valid: int, decoder: Decoder
+) -> None:
+    """Refuse frames that are dark, clipped or masked throughout; `valid` samples count."""
+    if valid == 0:
+        raise InputError(
+            "all camera pixels are masked", hint="correct the mask, or take a darker black frame"
+        )
+    brightest, clipped, total = 0.0, 0, 0
+    for _, tile in tiles:
+        level = np.broadcast_to(tile.clip_level, tile.values.shape)
+        brightest = max(brightest, float((tile.values / level).max(initial=0)))
+        clipped += int(tile.clipped.sum())
+        total = valid * tile.values.shape[1]
+    span = np.min(np.asarray(decoder.clip) - np.asarray(decoder.black_level))
+    # Two raw levels above black are no signal.
+    if brightest <= (2.5 / span if decoder.full_scale > 1 else 1e-6):
+        raise InputError(
+            "all images are dark: no sample rises above the black level",
+            hint="expose longer, and check the black frame and black level",
+        )
+    if clipped > 0.99 * total:
+        raise InputError(
+            f"{100 * clipped / total:.1f} % of the samples are clipped",
+            hint="expose so that most samples stay below the clip level; 1 to 20 % may clip",
+        )
+
+
+def _warn_of_hidden_clipping(blocks: Iterable[NDArray[np.integer]], decoder: Decoder) -> None:
+    """Warn if 16-bit levels, block by block, end below the clip level where many cameras end."""
+    top, many = 0, 0
+    for block in blocks:
+        highest = int(block.max(initial=0))
+        if highest > top:
+            top, many = highest, 0
+        # Counting takes time, and few blocks reach the last level of a camera.
+        if highest == top and top in _TOPS_IN_16_BITS:
+            many += int((block == top).sum())
+    clip = float(np.min(decoder.clip))
+    if top < clip and many > 3:
+        warn(
+            f"{many} samples are exactly {top}, the brightest level, at which many cameras clip, "
+            f"but the clip level is {clip:g}: should it be {top}?",
+        )

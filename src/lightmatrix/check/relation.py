@@ -1,0 +1,356 @@
+"""Whether the photographs follow the patterns at all, and if not, what would explain them.
+
+Two photographs are alike as far as their patterns are: the cosines between the frames follow the
+cosines between the patterns, seen through whatever blur and in whatever part of the projector. This
+needs no prediction, so it judges captures that predict nothing because their frames belong to other
+patterns. A camera that is turned as a whole is another numbering of the rows of T.
+
+The cosines of negatives are those of the photographs. Their signs show in the products of three
+frames at the same pixel.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import gaussian_filter1d
+
+from lightmatrix.check.finding import Finding
+from lightmatrix.check.levels import one_level
+from lightmatrix.check.survey import Survey
+from lightmatrix.patterns.pattern_set import PatternSet
+from lightmatrix.patterns.stripes import is_separable
+
+Floats = NDArray[np.float32]
+
+
+@dataclass(frozen=True)
+class _Limits:
+    """What is compared, and from where on photographs follow nothing.
+
+    Chosen on the captures of `benchmarks/synthetic_captures.py`; tests/check/test_relation.py
+    holds 161 intact ones.
+    """
+
+    # Fewer frames and camera pixels than these are not judged. Camera pixels count if their
+    # standard deviation exceeds this share of that of the most varied tenth.
+    frames: int = 16
+    rows: int = 40
+    varied: float = 0.3
+    # The work is bounded: a projector is binned to at most 2^16 pixels, and at most 2^23 values of
+    # patterns and 2^22 samples of at most 128 frames are compared. Triple products of frames, which
+    # tell negatives, are of 4000 triples at no more than 2048 pixels of camera and projector.
+    most_pixels: int = 1 << 16
+    most_values: int = 1 << 23
+    most_samples: int = 1 << 22
+    most_frames: int = 128
+    triples: int = 4000
+    products: int = 2048
+    # Standard deviations of the blurs in projector pixels, and the cells along each side of the
+    # projector that a crop or a distant object may be confined to, at the first and third blur.
+    blurs: tuple[float, ...] = (0, 1, 2, 4, 8)
+    cells: tuple[tuple[int, ...], ...] = ((2, 4), (), (2,), (), ())
+    # Photographs follow their patterns if the correlation of the cosines exceeds that of shuffled
+    # frames by this many of its standard deviations. Another explanation must exceed it by
+    # `explains`, and by `better` more than the frames as they are.
+    follows: float = 3.5
+    explains: float = 6.0
+    better: float = 4.0
+    # Noise must not hide what the photographs show: two halves of the camera pixels must agree
+    # about the frames by at least this correlation of their cosines. If all camera pixels see other
+    # projector pixels, they cannot; then the range of the usual one must be half of its brightest
+    # sample, and 24 raw levels, twice the range that a noise of 2.5 levels has in 64 frames.
+    agree: float = 0.3
+    contrast: float = 0.5
+    contrast_levels: int = 24
+    # The correlation of intact photographs of sharp footprints is about the root of the share of
+    # the projector pixels that the camera pixels can see. Times the root of the number of pairs of
+    # frames it must reach this, so that photographs which follow would exceed `follows` clearly.
+    clear: float = 8.0
+    # Random patterns have cosines of about 1 / sqrt(pixels). Patterns whose cosines vary by less
+    # than this share of that (Hadamard, single pixels) are never said to be unrelated.
+    random: float = 0.3
+
+
+_LIMITS = _Limits()
+
+
+def check_relation(survey: Survey) -> list[Finding]:
+    """Whether the photographs follow the patterns, or what else they follow."""
+    relation = Relation.of(survey)
+    if relation is None:
+        return []
+    explanation = relation.explanation()
+    if explanation is not None:
+        return [Finding("order", (), *explanation)]
+    if not relation.unrelated:
+        return []
+    return [
+        Finding(
+            "unrelated",
+            (),
+            "the photographs do not follow the patterns: do they belong together? Neither another "
+            "order (by name, shifted by one) nor negatives explain them",
+            "check that patterns and photographs are of one series (same seed and size) and in "
+            "the same order, and that nothing was turned or moved in between",
+        )
+    ]
+
+
+@dataclass(frozen=True, eq=False)
+class Relation:
+    """Standardised photographs beside the cosines of their patterns.
+
+    `samples` are those of the first K frames, of mean 0 and variance 1 in each camera pixel,
+    (m, K). `features` are the cosines of the patterns through several blurs and in several parts of
+    the projector, (F, K, K); `shown` some pixels of the patterns at each blur, (F', n, K),
+    standardised. `count` is the number of all frames, `pixels` that of the projector's pixels once
+    binned. `contrasted` tells whether the usual camera pixel varies by far more than noise.
+    """
+
+    samples: Floats
+    features: Floats
+    shown: tuple[Floats, ...]
+    count: int
+    pixels: int
+    contrasted: bool
+
+    @classmethod
+    def of(cls, survey: Survey) -> Relation | None:
+        """The relation of a survey; None if too little of it can be compared."""
+        if survey.count < _LIMITS.frames or is_separable(survey.patterns):
+            return None
+        step = 1
+        while np.prod([max(1, n // step) for n in survey.patterns.shape]) > _LIMITS.most_pixels:
+            step *= 2
+        pixels = int(np.prod([max(1, n // step) for n in survey.patterns.shape]))
+        most = max(_LIMITS.frames, _LIMITS.most_values // pixels)
+        count = min(survey.count, _LIMITS.most_frames, most)
+        known = survey.statistics
+        usable = survey.valid & (known.spread > 0)
+        if usable.any():
+            usable &= known.spread > _LIMITS.varied * np.quantile(known.spread[usable], 0.9)
+        rows = np.flatnonzero(usable)
+        if len(rows) < _LIMITS.rows:
+            return None
+        span = known.highest[rows] - known.lowest[rows]
+        least = _LIMITS.contrast_levels * one_level(survey)
+        least = np.maximum(_LIMITS.contrast * known.highest[rows], least)
+        rows = np.random.default_rng(0).permutation(rows)[: _LIMITS.most_samples // count]
+        samples = _standardised(survey.samples(np.sort(rows)).values[:, :count])
+        features, shown = _pattern_cosines(_binned(survey.patterns, count, step))
+        contrasted = bool(np.median(span - least) > 0)
+        return cls(samples, features, shown, survey.count, pixels, contrasted)
+
+    @cached_property
+    def frames(self) -> NDArray[np.int64]:
+        return np.arange(self.samples.shape[-1])
+
+    @cached_property
+    def cosines(self) -> Floats:
+        """Sums of products of the standardised photographs, (K, K)."""
+        return np.asarray(self.samples.T @ self.samples)
+
+    def excess(self, order: NDArray[np.int64]) -> float:
+        """By how many standard deviations frames follow the patterns better than chance.
+
+        Frame k shows pattern `order[k]`, or none if that is out of range.
+        """
+        known = np.flatnonzero((order >= 0) & (order < len(self.frames)))
+        if len(known) < _LIMITS.frames - 1:
+            return 0.0
+        mean, deviation = self._chance
+        # Fewer pairs of frames correlate more by chance.
+        more = len(self.frames) / len(known)
+        return (self._match(known, order[known]) - mean * more) / (deviation * more)
+
+    def _match(self, known: NDArray[np.int64], shown: NDArray[np.int64]) -> float:
+        """The best correlation of the cosines of some frames with those of the patterns."""
+        upper = np.triu_indices(len(known), 1)
+        if len(known) == len(self.frames):
+            # The frames change places and not the patterns, of which there are more cosines.
+            known, features = np.argsort(shown), self._all_features
+        else:
+            features = _normalised(self.features[:, shown[upper[0]], shown[upper[1]]])
+        own = np.stack([each[upper] for each in _cosines_of(self.cosines[np.ix_(known, known)])])
+        return float((features @ _normalised(own).T).max())
+
+    @cached_property
+    def _all_features(self) -> NDArray[np.float64]:
+        """The cosines of all pairs of patterns, of mean 0 and length 1, (F, pairs)."""
+        upper = np.triu_indices(len(self.frames), 1)
+        return _normalised(self.features[:, upper[0], upper[1]])
+
+    @cached_property
+    def _chance(self) -> tuple[float, float]:
+        """Mean and standard deviation of the matches of frames in 60 random orders."""
+        generator = np.random.default_rng(1)
+        reached = [self._match(self.frames, generator.permutation(self.frames)) for _ in range(60)]
+        return float(np.mean(reached)), max(float(np.std(reached)), 1e-9)
+
+    @cached_property
+    def as_they_are(self) -> float:
+        """The excess of the frames in their order."""
+        return self.excess(self.frames)
+
+    @property
+    def unrelated(self) -> bool:
+        """Whether nothing of the patterns is in the photographs, although it would show."""
+        count = len(self.frames)
+        off = ~np.eye(count, dtype=bool)
+        random = self.features[0][off].std() > _LIMITS.random / np.sqrt(self.pixels)
+        pairs = count * (count - 1) / 2
+        clear = len(self.samples) / self.pixels * pairs > _LIMITS.clear**2
+        visible = self.contrasted or self._agreement > _LIMITS.agree
+        return bool(clear and self.as_they_are < _LIMITS.follows and random and visible)
+
+    @cached_property
+    def _agreement(self) -> float:
+        """Correlation of the cosines by one half of the camera pixels with those by the other."""
+        mixed = np.random.default_rng(1).permutation(len(self.samples))
+        upper = np.triu_indices(len(self.frames), 1)
+        halves = [self.samples[part] for part in np.array_split(mixed, 2)]
+        first, second = (_cosines_of(part.T @ part)[0][upper] for part in halves)
+        return float(np.corrcoef(first, second)[0, 1])
+
+    def explanation(self) -> tuple[str, str] | None:
+        """What explains the photographs better than their order, and what to do."""
+        tried = [
+            (self.excess(order[: len(self.frames)]), message)
+            for message, order in _orders(self.count)
+        ]
+        score, message = max(tried)
+        if score > max(_LIMITS.explains, self.as_they_are + _LIMITS.better):
+            return message, "put photographs and patterns in the same order, from one series"
+        if self._negative:
+            return (
+                "the photographs are dark where their patterns are bright: one is a negative",
+                "invert the patterns, or the photographs",
+            )
+        return None
+
+    @property
+    def _negative(self) -> bool:
+        """Whether the photographs are negatives, or the patterns inverted."""
+        drawn = np.random.default_rng(2).integers(0, len(self.frames), (3 * _LIMITS.triples, 3))
+        drawn = np.unique(np.sort(drawn, axis=1), axis=0)
+        different = (drawn[:, 0] < drawn[:, 1]) & (drawn[:, 1] < drawn[:, 2])
+        triples = np.random.default_rng(3).permutation(drawn[different])[: _LIMITS.triples]
+        own = _products(self.samples[: _LIMITS.products], triples)
+        generator = np.random.default_rng(0)
+        # Shuffles of these products cost more than those of cosines, so there are fewer.
+        shuffles = [generator.permutation(len(self.frames)) for _ in range(12)]
+        worst = 0.0
+        for shown in self.shown:
+            matched = float(own @ _products(shown, triples))
+            # Products of triples that share frames are nearly independent.
+            score = matched * np.sqrt(len(triples))
+            if score > _LIMITS.follows:
+                return False
+            if score < -_LIMITS.follows:
+                reached = [float(own @ _products(shown[:, order], triples)) for order in shuffles]
+                score = (matched - float(np.mean(reached))) / max(float(np.std(reached)), 1e-9)
+            worst = min(worst, score)
+        return worst < -_LIMITS.explains
+
+
+def _orders(count: int) -> Iterator[tuple[str, NDArray[np.int64]]]:
+    """Orders that frames come in by mistake: which pattern each of K frames shows."""
+    frames = np.arange(count)
+    for first in (0, 1):
+        by_name = np.array(sorted(range(count), key=lambda k: str(k + first)))
+        example = f"({first}, {'10, 11' if first else '1, 10'}, ...)"
+        for one, other, order in (
+            ("photographs", "patterns", by_name),
+            ("patterns", "photographs", np.argsort(by_name)),
+        ):
+            yield (
+                f"the {one} are in the order of their names as text {example}, and the {other} by "
+                "their numbers",
+                order,
+            )
+    yield "each photograph shows the pattern after its own", frames + 1
+    yield "each photograph shows the pattern before its own", frames - 1
+
+
+def _products(rows: Floats, triples: NDArray[np.int64]) -> NDArray[np.float64]:
+    """Sums over the rows of the products of three frames, (n,), of mean 0 and length 1."""
+    frames = np.ascontiguousarray(rows.T)
+    parts = np.array_split(triples, max(1, len(triples) * len(rows) >> 20))
+    products = [(frames[a] * frames[b] * frames[c]).sum(axis=1) for a, b, c in (p.T for p in parts)]
+    return _normalised(np.concatenate(products))
+
+
+def _binned(patterns: PatternSet, count: int, step: int) -> Floats:
+    """The first patterns, with blocks of `step` x `step` pixels averaged, (K, rows, cols)."""
+    down, right = (min(step, size) for size in patterns.shape)
+    rows, cols = patterns.shape[0] // down, patterns.shape[1] // right
+    images = np.empty((count, rows, cols), np.float32)
+    for k in range(count):
+        image = patterns.images(k, k + 1)[0][: rows * down, : cols * right]
+        images[k] = image.reshape(rows, down, cols, right).mean(axis=(1, 3))
+    return images
+
+
+def _pattern_cosines(patterns: Floats) -> tuple[Floats, tuple[Floats, ...]]:
+    """Cosines between patterns through blurs and in cells, and the blurred patterns."""
+    count, rows, cols = patterns.shape
+    grams, shown = [], []
+    for blur, of_cells in zip(_LIMITS.blurs, _LIMITS.cells, strict=True):
+        if blur > min(rows, cols) / 4:
+            continue
+        seen = patterns
+        if blur:
+            # Products of matrices are quicker than filters.
+            sides = (np.eye(n, dtype=np.float32) for n in (rows, cols))
+            down, right = (gaussian_filter1d(side, blur) for side in sides)
+            seen = down @ patterns @ right.T
+        seen = seen - seen.mean(axis=0)
+        flat = seen.reshape(count, -1)
+        grams.append(flat @ flat.T)
+        # A camera pixel is standardised whatever it sees; so are these.
+        some = np.random.default_rng(4).permutation(flat.shape[1])[: _LIMITS.products]
+        shown.append((flat[:, some] / np.maximum(flat[:, some].std(axis=0), 1e-6)).T)
+        for cells in of_cells:
+            for part in np.array_split(seen, cells, axis=1):
+                for cell in np.array_split(part, cells, axis=2):
+                    flat = cell.reshape(count, -1)
+                    grams.append(flat @ flat.T)
+    mean = patterns.mean(axis=(1, 2))
+    mean = mean - mean.mean()
+    grams.append(np.outer(mean, mean))
+    cosines = np.stack([each for gram in grams for each in _cosines_of(gram)])
+    off = ~np.eye(count, dtype=bool)
+    # Cosines that do not differ tell nothing; the first stays, which says whether they are random.
+    varied = [i for i, each in enumerate(cosines) if i == 0 or each[off].std() > 1e-5]
+    return cosines[varied], tuple(shown)
+
+
+def _cosines_of(gram: Floats) -> tuple[Floats, Floats]:
+    """Cosines between frames, as they are and with the brightness of each frame taken out."""
+
+    def scaled(products: Floats) -> Floats:
+        length = np.sqrt(np.maximum(np.diag(products), 1e-12))
+        size = np.outer(length, length)
+        # A frame that shows nothing has no cosine.
+        return np.asarray(np.where(size > 1e-9, products / size, 0))
+
+    return scaled(gram), scaled(gram - gram.mean(axis=0) - gram.mean(axis=1)[:, None] + gram.mean())
+
+
+def _standardised(values: Floats) -> Floats:
+    """Rows of mean 0 and variance 1; of zeros where nothing varies."""
+    centred = values - values.mean(axis=1, keepdims=True)
+    spread = centred.std(axis=1, keepdims=True)
+    return np.asarray(centred / np.maximum(spread, 1e-12) * (spread > 0), np.float32)
+
+
+def _normalised(values: NDArray[np.floating]) -> NDArray[np.float64]:
+    """Vectors along the last axis, of mean 0 and length 1."""
+    centred = values - values.mean(axis=-1, keepdims=True, dtype=np.float64)
+    length = np.linalg.norm(centred, axis=-1, keepdims=True)
+    return np.asarray(centred / np.maximum(length, 1e-9))

@@ -1,0 +1,348 @@
+"""`lm.evaluate`: the errors of an estimate against the truth, over all and some kinds of rows."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lightmatrix.errors import InputError
+from lightmatrix.files.colours import COLOURS, colour_paths
+from lightmatrix.judgement.metrics import (
+    diffuse_rows,
+    relative_error,
+    relighting_error,
+    response_rmse,
+    row_energies,
+    unclipped_rows,
+    unseen_patterns,
+)
+from lightmatrix.ranges import check_number
+from lightmatrix.reprs import html_table, text_table
+from lightmatrix.simulation import library
+from lightmatrix.simulation.colour import is_of_all_primaries, of_primary
+from lightmatrix.simulation.scenes import scene as find_scene
+from lightmatrix.simulation.truth import Truth
+from lightmatrix.transport import store as store
+from lightmatrix.transport.matrix import ColourTransport, LightTransport, labelled
+
+
+@dataclass(frozen=True)
+class Errors:
+    """The errors of an estimate; those of a kind of rows are NaN if there is no such row.
+
+    Parameters
+    ----------
+    exposure : float
+        Exposure of the capture, which decides which rows clip under one projector pixel.
+    relative_error : float
+        ||T_est - T||_F / ||T||_F over all rows, background included.
+    relighting_error : float
+        Relative L2 error of linear, unclipped images, averaged over unseen patterns.
+    response_rmse : float
+        RMSE of single responses, in units of the clip level.
+    share_of_rows_unclipped_responses : float
+        Share of the rows that do not clip under a single projector pixel.
+    relative_error_unclipped_responses, relighting_error_unclipped_responses : float
+        The same errors over these rows.
+    share_of_rows_diffuse : float
+        Share of the rows whose strongest window of 3 x 3 pixels holds less than half their light.
+    relative_error_diffuse, relighting_error_diffuse : float
+        The same errors over these rows.
+
+    Examples
+    --------
+    >>> import lightmatrix as lm
+    >>> known = lm.truth("metal")
+    >>> lm.evaluate(known.transport(), known).relative_error
+    0.0
+    """
+
+    exposure: float
+    relative_error: float
+    relighting_error: float
+    response_rmse: float
+    share_of_rows_unclipped_responses: float
+    relative_error_unclipped_responses: float
+    relighting_error_unclipped_responses: float
+    share_of_rows_diffuse: float
+    relative_error_diffuse: float
+    relighting_error_diffuse: float
+
+    def as_dict(self) -> dict[str, float]:
+        """Names and values, JSON-ready, without those that are NaN."""
+        return {name: value for name, value in asdict(self).items() if not math.isnan(value)}
+
+    def __repr__(self) -> str:
+        return text_table("Errors", labelled(self.as_dict()))
+
+    def _repr_html_(self) -> str:
+        return html_table("Errors", labelled(self.as_dict()))
+
+
+@dataclass(frozen=True)
+class ColourErrors:
+    """The errors of the three matrices of a colour projector.
+
+    Parameters
+    ----------
+    red, green, blue : Errors
+        Errors of each primary's matrix.
+    relative_error : float
+        ||T_est - T||_F / ||T||_F over the three together.
+    relighting_error : float
+        Relative L2 error of linear, unclipped images under patterns in colour, averaged.
+
+    Examples
+    --------
+    >>> import lightmatrix as lm
+    >>> known = [lm.ProceduralScene((16, 16), (16, 16)).truth().transport()] * 3
+    >>> errors = lm.evaluate_colour(known, known)
+    >>> errors.green.relative_error, errors.relighting_error
+    (0.0, 0.0)
+    """
+
+    red: Errors
+    green: Errors
+    blue: Errors
+    relative_error: float
+    relighting_error: float
+
+    def as_dict(self) -> dict[str, Any]:
+        """Names and values, JSON-ready, with the errors of each primary under its name."""
+        return self._joint | {name: getattr(self, name).as_dict() for name in COLOURS}
+
+    def __repr__(self) -> str:
+        return text_table("Errors in colour", labelled(self.table()))
+
+    def _repr_html_(self) -> str:
+        return html_table("Errors in colour", labelled(self.table()))
+
+    def table(self) -> dict[str, float]:
+        """The two errors that matter most, of the three together and of each."""
+        return self._joint | {
+            f"{error}_{colour}": getattr(getattr(self, colour), error)
+            for colour in COLOURS
+            for error in self._joint
+        }
+
+    @property
+    def _joint(self) -> dict[str, float]:
+        return {
+            "relative_error": self.relative_error,
+            "relighting_error": self.relighting_error,
+        }
+
+
+def evaluate(
+    estimate: LightTransport | str | Path,
+    truth: LightTransport | Truth | str | Path,
+    exposure: float = 1.0,
+    *,
+    progress: Callable[[int, int], None] | None = None,
+) -> Errors:
+    """Compare an estimate with the truth.
+
+    Parameters
+    ----------
+    estimate : LightTransport, str or Path
+        The estimate, or where `open` finds it.
+    truth : LightTransport, Truth, str or Path
+        The known T; a truth file, T.npz; a simulated capture; or a scene, rendered if need be. If
+        the estimate is from cropped photographs, only its rows are compared.
+    exposure : float
+        Exposure of the capture, which decides which rows clip under one projector pixel.
+    progress : callable, optional
+        Called with (done, total) paths while the scene is rendered.
+
+    Returns
+    -------
+    Errors
+        Relative error, RMSE and relighting error, over all rows and over some kinds of rows.
+
+    Raises
+    ------
+    InputError
+        On matrices of different rigs, unknown scenes, or an exposure out of range.
+
+    Examples
+    --------
+    >>> import lightmatrix as lm
+    >>> capture = lm.simulate("metal", lm.BernoulliPatterns((64, 64), 32), exposure=0.5)
+    >>> estimate = lm.estimate(capture, coherent=False, iterations=20)
+    >>> errors = lm.evaluate(estimate, capture.truth, exposure=0.5)
+    >>> 0.01 < errors.relative_error < 0.5
+    True
+    """
+    return errors_by_rows(*_matrices(estimate, truth, progress), exposure)
+
+
+def evaluate_colour(
+    estimates: Sequence[LightTransport | str | Path] | ColourTransport | str | Path,
+    truths: Sequence[LightTransport | Truth | str | Path] | ColourTransport | Truth | str | Path,
+    exposure: float = 1.0,
+    *,
+    progress: Callable[[int, int], None] | None = None,
+) -> ColourErrors:
+    """Compare the three matrices of a colour projector with the truth.
+
+    Parameters
+    ----------
+    estimates, truths : sequence of three, ColourTransport, str or Path
+        The matrices of red, green and blue, each as `evaluate` takes it; or a folder of three
+        stores. Truths may also be the simulated capture of patterns in colour, or its truth.
+    exposure : float
+        Exposure of the captures, which decides which rows clip under one projector pixel.
+    progress : callable, optional
+        Called with (done, total) paths while a scene is rendered.
+
+    Returns
+    -------
+    ColourErrors
+        The errors of each matrix, and of the three together.
+
+    Raises
+    ------
+    InputError
+        As `evaluate`, and on a number of matrices other than three.
+
+    Examples
+    --------
+    >>> import lightmatrix as lm
+    >>> patterns = lm.BernoulliPatterns((16, 16), 8)
+    >>> scene = lm.ProceduralScene((16, 16), (16, 16)).truth()
+    >>> captures = [lm.simulate(scene, patterns, primary=name) for name in ("red", "green", "blue")]
+    >>> truths = [capture.truth for capture in captures]
+    >>> estimates = [truth.transport() for truth in truths]
+    >>> lm.evaluate_colour(estimates, truths).relative_error
+    0.0
+    """
+    if isinstance(estimates, str | Path):
+        estimates = list(colour_paths(estimates))
+    if isinstance(truths, Truth | str | Path):
+        truths = _known_in_colour(truths)
+    for matrices, word in ((estimates, "estimates"), (truths, "truths")):
+        if len(matrices) != 3:
+            raise InputError(f"{len(matrices)} {word}", hint="give those of red, green and blue")
+    pairs = [_matrices(*pair, progress) for pair in zip(estimates, truths, strict=True)]
+    return errors_in_colour([one for one, _ in pairs], [known for _, known in pairs], exposure)
+
+
+def _known_in_colour(truth: Truth | str | Path) -> Sequence[LightTransport | str | Path]:
+    """The truths of the three primaries: of one capture in colour, or of a folder for each."""
+    if isinstance(truth, str | Path):
+        folders = [Path(truth) / colour for colour in COLOURS]
+        if all(folder.is_dir() for folder in folders):
+            return folders
+    known = library.truth(truth).transport()
+    if known.projector_shape[1] % len(COLOURS) or not is_of_all_primaries(known):
+        raise InputError(
+            "a truth that is not of a colour projector",
+            hint="give a capture that `lightmatrix simulate` made of patterns in colour, or a "
+            "folder with the captures red, green and blue",
+        )
+    return [of_primary(known, colour) for colour in COLOURS]
+
+
+def _matrices(
+    estimate: LightTransport | str | Path,
+    truth: LightTransport | Truth | str | Path,
+    progress: Callable[[int, int], None] | None,
+) -> tuple[LightTransport, LightTransport]:
+    """The matrix of an estimate, and the truth of its rows."""
+    matrix = estimate if isinstance(estimate, LightTransport) else store.open(estimate)
+    if isinstance(truth, LightTransport):
+        known = truth
+    else:
+        is_file = isinstance(truth, str) and (
+            truth.lower().endswith(".npz") or Path(truth).is_dir()
+        )
+        if isinstance(truth, str) and not is_file:
+            find_scene(truth)
+            region, projector = matrix.region, matrix.projector_shape
+            camera = matrix.camera_shape if region is None else region.whole
+            if camera != projector:
+                raise InputError(
+                    f"the estimate has a camera of {' x '.join(map(str, camera))} and a projector "
+                    f"of {' x '.join(map(str, projector))}, but {truth} is rendered with both of "
+                    "one size",
+                    hint="give the T.npz of the same rig",
+                )
+        known = library.truth(truth, matrix.projector_shape, progress=progress).transport()
+    known = known.cropped_like(matrix)
+    if matrix.shape != known.shape:
+        names = [
+            str(argument) if isinstance(argument, str | Path) else word
+            for argument, word in ((estimate, "the estimate"), (truth, "the truth"))
+        ]
+        raise InputError(
+            f"{names[0]} is {matrix.shape[0]} x {matrix.shape[1]}, "
+            f"{names[1]} is {known.shape[0]} x {known.shape[1]}",
+            hint="compare matrices of one rig with the same binning",
+        )
+    return matrix, known
+
+
+def errors_in_colour(
+    estimates: Sequence[LightTransport], truths: Sequence[LightTransport], exposure: float
+) -> ColourErrors:
+    """The errors of the matrices of red, green and blue, each and together."""
+    each = [errors_by_rows(*pair, exposure) for pair in zip(estimates, truths, strict=True)]
+    energies = np.array([float(row_energies(truth).sum()) for truth in truths])
+    missed = np.array([one.relative_error for one in each]) ** 2 * energies
+    red, green, blue = each
+    whole = float(np.sqrt(missed.sum() / energies.sum()))
+    return ColourErrors(red, green, blue, whole, joint_relighting_error(estimates, truths))
+
+
+def joint_relighting_error(
+    estimates: Sequence[LightTransport], truths: Sequence[LightTransport]
+) -> float:
+    """Relative L2 error of linear, unclipped images by matrices whose light adds up.
+
+    It is averaged over unseen patterns. For one matrix it is `relighting_error` under them.
+    """
+    patterns = np.stack(list(unseen_patterns(truths[0].projector_shape).values()))
+    # Each primary shows a different pattern, so that the images have all colours.
+    of_primaries = [np.roll(patterns, k, axis=0) for k in range(len(truths))]
+
+    def images(matrices: Sequence[LightTransport]) -> NDArray[np.float64]:
+        pairs = zip(matrices, of_primaries, strict=True)
+        light = sum(matrix.relight(shown).astype(np.float64) for matrix, shown in pairs)
+        return np.reshape(light, (len(patterns), -1))
+
+    predicted, expected = images(estimates), images(truths)
+    off = np.linalg.norm(predicted - expected, axis=1) / np.linalg.norm(expected, axis=1)
+    return float(off.mean())
+
+
+def errors_by_rows(estimate: LightTransport, truth: LightTransport, exposure: float) -> Errors:
+    """The metrics over all rows, over rows without a clipped single response, and diffuse rows."""
+    check_number("an exposure", exposure, above=True, hint="use a number above 0, such as 1")
+    patterns = np.stack(list(unseen_patterns(truth.projector_shape).values()))
+    result = {
+        "exposure": float(exposure),
+        "relative_error": relative_error(estimate, truth),
+        "relighting_error": relighting_error(estimate, truth, patterns),
+        "response_rmse": response_rmse(estimate, truth, clip_level=1 / exposure),
+    }
+    groups = {
+        "unclipped_responses": unclipped_rows(truth, exposure),
+        "diffuse": diffuse_rows(truth.sparse, truth.projector_shape),
+    }
+    for name, chosen in groups.items():
+        rows = np.flatnonzero(chosen)
+        result[f"share_of_rows_{name}"] = float(chosen.mean())
+        errors = (math.nan, math.nan)
+        if len(rows):
+            errors = (
+                relative_error(estimate, truth, rows),
+                relighting_error(estimate, truth, patterns, rows),
+            )
+        result[f"relative_error_{name}"], result[f"relighting_error_{name}"] = errors
+    return Errors(**result)

@@ -1,0 +1,460 @@
+"""How far to trust an estimate: `lm.verdict` judges T, `lm.verdicts` its uses as well.
+
+T is judged by the errors that an estimate states of its own rows. Photographs held out of an
+estimate do not show what is wrong with all photographs alike, nor what none of them shows. The
+diagnostics of the rows reveal some of this (`lightmatrix.estimators.coherent.row_errors`); where
+they do, no error of T is stated, and the reason stands in its place.
+
+Whether a map of correspondences is right, whether T relights scenes, and whether it is T are
+different questions: stripes settle the first where they say nothing of the others.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterable, Iterator, Mapping
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any, Literal, Self
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import rank_filter
+
+from lightmatrix.judgement.metrics import row_energies, unclipped_rows
+from lightmatrix.transport.matrix import LightTransport, prediction_error
+
+Level = Literal["good", "fair", "doubtful", "not tested"]
+
+# An estimate is called good up to the first relative error of T, and fair up to the second. A
+# correspondence is judged likewise by the share of the pixels that are uncertain. Both were chosen
+# by hand; no measurement stands behind them.
+GOOD, FAIR = 0.05, 0.2
+# If the single responses of more than this share of the rows clip, no estimate is called good:
+# neither the estimated error nor unseen photographs show the light beyond the clip level. Such rows
+# are bright, so few of them matter. Chosen by hand.
+SINGLY_CLIPPED = 0.02
+# Kinds of findings of `check` that spoil T where neither estimated errors nor unseen photographs
+# show it; and those after which photographs held out, which are wrong alike, test nothing.
+_SPOILING = ("order", "unrelated", "response", "projector", "motion", "patterns")
+_WRONG_ALIKE = ("order", "unrelated", "motion")
+_UNTESTED = "It was not tested on unseen photographs (`estimate --report` does that)."
+
+
+@dataclass(frozen=True)
+class _Doubtful:
+    """When no error of T is stated.
+
+    All values were chosen on the training half of `python -m benchmarks.honesty`, 180 captures of
+    16 x 16 and 32 x 32 pixels.
+    """
+
+    # Light that does not follow the brightness of patterns, relative to the mean sample. Intact
+    # captures have at most 0.03, those with a pedestal or a leak 0.09 to 0.45.
+    constant: float = 0.05
+    # Residuals that bend with the prediction, relative to the contrast of rows. Intact captures
+    # have at least -0.003, those through a gamma curve -0.07 to -0.013.
+    bent: float = -0.01
+    # Share of the squared light in rows that are only bounded. Intact captures have at most 0.6,
+    # those exposed four times too long 0.7 to 1. Below it, such rows err by about
+    # `bounded_error`, relative to their length: by 0.04 to 0.17.
+    bounded: float = 0.65
+    bounded_error: float = 0.12
+    # A sample lies in a highlight if three of its eight neighbours clip in nearly as large a share
+    # of the frames. On the bundled scene `metal`, the brightest pixel clips in 0.81 of 32 frames,
+    # its neighbours in up to 0.72. Pixels around a lone glint clip in few.
+    apart: float = 0.15
+
+
+DOUBTFUL = _Doubtful()
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """How far to trust an estimate.
+
+    Parameters
+    ----------
+    level : {"good", "fair", "doubtful", "not tested"}
+        The verdict in a word.
+    error : float, optional
+        The relative error that the estimate states. None: it states none.
+    reasons : tuple of str
+        What else bears on the verdict, in short sentences with their numbers.
+    measure : str
+        What the error is.
+
+    Examples
+    --------
+    >>> import lightmatrix as lm
+    >>> print(lm.Verdict("good", 0.012, ("100 % of the rows converged.",)))
+    Good. Estimated error of T: 1.2 %. 100 % of the rows converged.
+    """
+
+    level: Level
+    error: float | None = None
+    reasons: tuple[str, ...] = ()
+    measure: str = "Estimated error of T"
+
+    @property
+    def sentence(self) -> str:
+        """The error and the reasons in words."""
+        stated = () if self.error is None else (f"{self.measure}: {percent(self.error)}.",)
+        return " ".join([*stated, *self.reasons])
+
+    def __str__(self) -> str:
+        return f"{self.level.capitalize()}. {self.sentence}"
+
+    def with_findings(self, kinds: Iterable[str], spoiling: Collection[str] = _SPOILING) -> Verdict:
+        """The verdict, doubtful and without error if `check` found what spoils T unnoticed.
+
+        Parameters
+        ----------
+        kinds : iterable of str
+            The kinds of the findings.
+        spoiling : collection of str
+            The kinds that no error estimate shows.
+        """
+        found = sorted(set(kinds) & set(spoiling))
+        if not found:
+            return self
+        doubt = f"The check found what no error estimate shows ({', '.join(found)})."
+        level: Level = self.level if self.level == "not tested" else "doubtful"
+        return replace(self, level=level, error=None, reasons=(*self.reasons, doubt))
+
+
+@dataclass(frozen=True)
+class Verdicts:
+    """An estimate judged by three questions.
+
+    Parameters
+    ----------
+    correspondence : Verdict
+        Whether the strongest projector pixel of each lit camera pixel is the right one.
+    relighting : Verdict
+        Whether T predicts photographs that were held out.
+    transport : Verdict
+        Whether it is T; the overall verdict.
+
+    Examples
+    --------
+    >>> import lightmatrix as lm
+    >>> capture = lm.simulate("metal", lm.BernoulliPatterns((64, 64), 32), exposure=0.5)
+    >>> judged = lm.verdicts(lm.estimate(capture, coherent=False, iterations=20))
+    >>> judged.relighting.level, sorted(judged.as_dict())
+    ('not tested', ['correspondence', 'relighting', 'transport'])
+    """
+
+    correspondence: Verdict
+    relighting: Verdict
+    transport: Verdict
+
+    @classmethod
+    def from_dict(cls, verdicts: Mapping[str, Mapping[str, Any]]) -> Self:
+        """The verdicts of `as_dict`."""
+        return cls(
+            **{
+                name: Verdict(
+                    each["verdict"], each["error"], tuple(each["reasons"]), each["measure"]
+                )
+                for name, each in verdicts.items()
+            }
+        )
+
+    def as_dict(self) -> dict[str, dict[str, Any]]:
+        """The verdicts by their names, each with its parts and its sentence, JSON-ready."""
+        return {
+            name: {
+                "verdict": each.level,
+                "sentence": each.sentence,
+                "error": each.error,
+                "reasons": list(each.reasons),
+                "measure": each.measure,
+            }
+            for name, each in vars(self).items()
+        }
+
+    def lines(self) -> list[str]:
+        """A line for each verdict, the overall one first."""
+        return [
+            f"T: {self.transport}",
+            f"Relighting: {self.relighting}",
+            f"Correspondence: {self.correspondence}",
+        ]
+
+
+def verdict(transport: LightTransport, why_untested: str = _UNTESTED) -> Verdict:
+    """Judge an estimate by the errors that it estimates of its own rows.
+
+    Parameters
+    ----------
+    transport : LightTransport
+        An estimate. A matrix without diagnostics cannot be judged.
+    why_untested : str
+        The sentence to add where no row has an estimated error.
+
+    Returns
+    -------
+    Verdict
+        "not tested" where no row has an estimated error, and nothing makes it doubtful. A solver
+        that converged certifies that it solved its problem, not that the solution is T. Doubtful if
+        `check` found in the capture what no error estimate shows; the provenance of an estimate
+        holds its findings.
+
+    Examples
+    --------
+    >>> import lightmatrix as lm
+    >>> print(lm.verdict(lm.truth("metal").transport()))
+    Not tested. The matrix has no diagnostics.
+    """
+    judged = verdict_by_rows(transport, why_untested)
+    return judged.with_findings(stored_findings(transport))
+
+
+def verdicts(transport: LightTransport) -> Verdicts:
+    """Judge the correspondence, the relighting and the T of an estimate.
+
+    Parameters
+    ----------
+    transport : LightTransport
+        An estimate.
+
+    Returns
+    -------
+    Verdicts
+        "not tested" where nothing bears on a question.
+
+    Examples
+    --------
+    >>> import lightmatrix as lm
+    >>> capture = lm.simulate("metal", lm.BernoulliPatterns((64, 64), 32), exposure=0.5)
+    >>> lm.verdicts(lm.estimate(capture)).relighting.level
+    'good'
+    """
+    kinds = stored_findings(transport)
+    return Verdicts(
+        correspondence_verdict(transport, kinds),
+        relighting_verdict(transport, kinds),
+        verdict(transport),
+    )
+
+
+def verdict_by_rows(transport: LightTransport, why_untested: str = _UNTESTED) -> Verdict:
+    """The verdict by the diagnostics of the rows alone, whatever was found in the capture."""
+    diagnostics = transport.diagnostics
+    if not diagnostics:
+        return Verdict("not tested", None, ("The matrix has no diagnostics.",))
+    remarks, own = list[str](), OwnError(transport)
+    if "converged" in diagnostics:
+        finished = float(np.mean(diagnostics["converged"]))
+        remarks.append(
+            f"{percent(finished)} of the rows converged."
+            if finished >= 0.99
+            else f"{percent(1 - finished)} of the rows reached the iteration limit."
+        )
+    often = float(np.mean(np.asarray(diagnostics.get("clipped_share", np.zeros(1))) > 0.5))
+    if often > 0.1:
+        remarks.append(f"{percent(often)} of the rows clipped in more than half of their samples.")
+    if own.estimated is None:
+        level: Level = "doubtful" if own.doubts else "not tested"
+        return Verdict(level, None, (*own.doubts, *remarks, why_untested))
+    error = own.stated
+    if error is None:
+        return Verdict("doubtful", None, ("The error of T is not known.", *own.doubts, *remarks))
+    clipped = singly_clipped(transport, _shortest_exposure(transport))
+    level, warnings = limited(level_of(error), clipped)
+    if level == "doubtful":
+        remarks.append(
+            "More patterns help most, then an exposure that uses the camera's range, or binned "
+            "projector pixels. Neighbouring camera pixels must see neighbouring projector pixels."
+        )
+    return Verdict(level, error, (*warnings, *remarks))
+
+
+def correspondence_verdict(transport: LightTransport, findings: Iterable[str] = ()) -> Verdict:
+    """Judge the map of strongest projector pixels by the share of lit pixels that are certain."""
+    certain = _diagnostic(transport, "certain")
+    known = np.isfinite(certain)
+    if known.any():
+        # A camera sample is lit if a white pattern gives it more than 2 % of what it gives bright
+        # samples, as in the report.
+        white = transport.relight(np.ones(transport.projector_shape, np.float32)).ravel()
+        known &= white > 0.02 * np.quantile(white, 0.99)
+    if not known.any():
+        unknown = "Whether the strongest projector pixels are certain is not known."
+        return Verdict("not tested", None, (unknown,))
+    share = float(certain[known].mean())
+    reason = (
+        f"{percent(share)} of the lit camera pixels are certain of the projector pixel that they "
+        "see most."
+    )
+    judged = Verdict(level_of(1 - share), None, (reason,))
+    return judged.with_findings(findings, _WRONG_ALIKE)
+
+
+def relighting_verdict(transport: LightTransport, findings: Iterable[str] = ()) -> Verdict:
+    """Judge the images that T predicts by the photographs held out of the last round."""
+    error = prediction_error(transport)
+    if error is None:
+        unknown = "No photograph could be held out and predicted."
+        return Verdict("not tested", None, (unknown,))
+    judged = Verdict(level_of(error), error, (), "Prediction error on photographs held out")
+    return judged.with_findings(findings, _WRONG_ALIKE)
+
+
+def level_of(error: float) -> Level:
+    """The verdict on a relative error."""
+    return "good" if error <= GOOD else "fair" if error <= FAIR else "doubtful"
+
+
+def singly_clipped(transport: LightTransport, exposure: float) -> float:
+    """Share of the rows whose strongest single response clips at an exposure."""
+    return 1 - float(np.mean(unclipped_rows(transport, exposure)))
+
+
+def limited(level: Level, clipped: float) -> tuple[Level, list[str]]:
+    """A level, lowered if the single responses of too many rows clip, and warnings about it."""
+    # Fewer than 0.2 % are not worth a sentence.
+    if clipped <= SINGLY_CLIPPED / 10:
+        return level, []
+    if level == "good" and clipped > SINGLY_CLIPPED:
+        level = "fair"
+    return level, [
+        f"But {percent(clipped)} of the rows clip under a single projector pixel, and no "
+        "photograph shows by how much."
+    ]
+
+
+def stored_findings(transport: LightTransport) -> tuple[str, ...]:
+    """The kinds of the findings that the provenance holds; none if it holds anything else."""
+    kept = transport.provenance.get("findings")
+    if not isinstance(kept, (list, tuple)):
+        return ()
+    kinds = (each.get("kind") for each in kept if isinstance(each, Mapping))
+    return tuple(kind for kind in kinds if isinstance(kind, str))
+
+
+def percent(share: float) -> str:
+    """A share in per cent, rounded to two digits or to whole per cent."""
+    value = 100 * share
+    digits = "0" if value == 0 else f"{value:.0f}" if value >= 9.95 else f"{value:.2g}"
+    return f"{digits} %"
+
+
+@dataclass(frozen=True, eq=False)
+class OwnError:
+    """What the diagnostics of an estimate say of its error, each computed once."""
+
+    transport: LightTransport
+
+    @cached_property
+    def doubts(self) -> list[str]:
+        """Why no error of T can be stated, in sentences; none for most estimates."""
+        return [*self._doubts()]
+
+    @cached_property
+    def stated(self) -> float | None:
+        """The relative error of T that the estimate states.
+
+        It follows from the estimated errors of its rows and from the share of the light that only
+        has a lower bound. None if no row has an estimated error, or if there are `doubts`.
+        """
+        if self.estimated is None or self.doubts:
+            return None
+        bounded = DOUBTFUL.bounded_error * np.sqrt(self._bounded_share)
+        return float(np.hypot(self.estimated, bounded))
+
+    @cached_property
+    def estimated(self) -> float | None:
+        """The relative error of T that follows from the estimated errors of its rows.
+
+        It is ||error of T|| / ||T|| in the Frobenius norm, over the rows that have an estimate of
+        their error; None if no row has.
+        """
+        errors = _diagnostic(self.transport, "estimated_error")
+        known = np.flatnonzero(np.isfinite(errors))
+        if not known.size:
+            return None
+        energy = self._energies[known]
+        total = float(energy.sum())
+        wrong = float((energy * errors[known] ** 2).sum())
+        return float(np.sqrt(wrong / total)) if total else float(np.median(errors[known]))
+
+    @cached_property
+    def _energies(self) -> NDArray[np.float64]:
+        return row_energies(self.transport)
+
+    @cached_property
+    def _bounded_share(self) -> float:
+        """Share of the squared light in rows that are only bounded."""
+        bounded = _diagnostic(self.transport, "only_bounded")
+        total = float(self._energies.sum())
+        return float(self._energies[bounded > 0].sum()) / total if bounded.size and total else 0.0
+
+    def _doubts(self) -> Iterator[str]:
+        transport = self.transport
+        light = np.asarray(transport.sparse.sum(axis=1), float).ravel()
+        light = light + transport.background.sum(axis=1, dtype=float)
+        constant = _mean(_diagnostic(transport, "constant_light"), light)
+        if constant > DOUBTFUL.constant:
+            yield (
+                f"About {100 * constant:.0f} % of the light does not follow the patterns: an "
+                "electronic pedestal, light of the room, or a projector whose black is not dark. "
+                "Take a photograph under a black pattern, and state it as the black frame."
+            )
+        if _mean(_diagnostic(transport, "bend"), self._energies) < DOUBTFUL.bent:
+            yield (
+                "Bright samples are darker than T predicts: the camera does not seem linear in "
+                "light. State its response, or take raw photographs."
+            )
+        glints = _glints(transport)
+        if glints:
+            pixels = "1 camera sample clips" if glints == 1 else f"{glints} camera samples clip"
+            yield (
+                f"{pixels} in most photographs, and none shows how bright it is: a glint, or a "
+                "hot pixel. Mask it, or add photographs of shorter exposure."
+            )
+        elif self._bounded_share > DOUBTFUL.bounded:
+            yield (
+                "Most of the light comes from camera pixels that clip whenever the projector pixel "
+                "that they see is lit. Add photographs of shorter exposure."
+            )
+
+
+def _glints(transport: LightTransport) -> int:
+    """Number of camera samples that may be far brighter than their bound.
+
+    Where neighbours clip nearly as often, the sample lies in a highlight, and is about as bright.
+    """
+    glint = _diagnostic(transport, "glint") > 0
+    if not glint.any():
+        return 0
+    rows, cols = transport.camera_shape[:2]
+    image = _diagnostic(transport, "clipped_share").reshape(rows, cols, -1)
+    # The third among the neighbours from above; the sample itself comes before them.
+    third = rank_filter(image, -4, size=(3, 3, 1))
+    return int((glint & (image - third > DOUBTFUL.apart).ravel()).sum())
+
+
+def _shortest_exposure(transport: LightTransport) -> float:
+    """The shortest exposure by the provenance; 0, at which nothing clips, if it is unknown."""
+    description = transport.provenance.get("capture_description")
+    # The provenance of a store may hold anything.
+    try:
+        exposure = (
+            float(np.min(description["exposure"])) if isinstance(description, Mapping) else 0.0
+        )
+    except (TypeError, ValueError, KeyError):
+        return 0.0
+    return exposure if np.isfinite(exposure) else 0.0
+
+
+def _diagnostic(transport: LightTransport, name: str) -> NDArray[np.float64]:
+    return np.asarray(transport.diagnostics.get(name, np.zeros(0)), float)
+
+
+def _mean(values: NDArray[np.float64], weights: NDArray[np.float64]) -> float:
+    """The weighted mean of what is known; 0 if nothing is."""
+    known = np.isfinite(values)
+    if not known.any() or not weights[known].sum():
+        return 0.0
+    return float(np.average(values[known], weights=weights[known]))

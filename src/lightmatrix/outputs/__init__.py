@@ -1,1 +1,0 @@
-"""Outputs that are written whole or not at all, locked meanwhile, and replace only our own."""

@@ -1,0 +1,510 @@
+"""A whole capture by a rig: measure it, photograph the patterns, and write the capture folder.
+
+With `CaptureSettings.until` there is an estimate after each group of frames. It ends when the error
+that the estimate states is small enough: that of T, or of photographs that were held out. If the
+error hardly falls any more, further patterns are not what is missing, and the diagnostics of the
+rows say what is.
+"""
+
+from __future__ import annotations
+
+import shutil
+from collections import Counter
+from collections.abc import Callable
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lightmatrix.capture.camera_curve import Response, curve_file
+from lightmatrix.capture.capture import Capture
+from lightmatrix.capture.exposures import exposure_sequence
+from lightmatrix.errors import DeviceError, InputError, warn
+from lightmatrix.estimators.estimate import estimate
+from lightmatrix.files.kinds import LIVE_CAPTURE
+from lightmatrix.files.writing import claimed
+from lightmatrix.judgement.judgement import OwnError, percent
+from lightmatrix.judgement.metrics import row_energies
+from lightmatrix.patterns.folder import read_patterns
+from lightmatrix.patterns.making import make_patterns
+from lightmatrix.patterns.pattern_set import PatternSet
+from lightmatrix.rig.devices.base import exposure_limits
+from lightmatrix.rig.photograph import Photographer
+from lightmatrix.rig.record import CaptureFacts, CaptureRecord
+from lightmatrix.rig.references import Drift, References, measure_drift, take_references
+from lightmatrix.rig.rig import ProjectedPatterns, Rig
+from lightmatrix.rig.rig_measurements import PARTS, RigMeasurements, measure_rig, outdated_parts
+from lightmatrix.rig.session import CaptureSession, Step
+from lightmatrix.transport.matrix import LightTransport, prediction_error
+
+USUAL_COUNT = 64
+USUAL_REFERENCE = 32
+RIG_FILE = "rig.json"
+# Patterns photographed between two estimates, and before the first one: fewer frames hold out too
+# few for a stated error.
+GROUP, FIRST = 8, 16
+# Names of the reference frames in the record.
+_BLACK, _WHITE = "black.npy", "white.npy"
+
+
+@dataclass(frozen=True)
+class Target:
+    """The error at which to stop: of T, or of images that T predicts."""
+
+    error: float
+    relighting: bool = False
+
+    def stated(self, transport: LightTransport) -> float | None:
+        """What an estimate states of this error; None if it states none."""
+        return prediction_error(transport) if self.relighting else OwnError(transport).stated
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """How photographing until a target ended."""
+
+    target: float
+    relighting: bool
+    # Frames and the stated relative error with them, group by group.
+    errors: list[tuple[int, float]]
+    reached: bool
+    sentence: str
+
+
+def photograph_until(
+    session: CaptureSession, target: Target, estimate: Callable[[], LightTransport]
+) -> Outcome:
+    """Photograph group by group, until the target is reached or more patterns do not help.
+
+    `estimate` returns the estimate from all frames so far.
+    """
+    total = session.patterns.count
+    # A session that goes on starts with the frames that it has.
+    count = max(FIRST, -(-len(session.record.state.frames) // GROUP) * GROUP)
+    errors: list[tuple[int, float]] = []
+    while True:
+        count = min(count, total)
+        session.run(count)
+        transport = estimate()
+        error = target.stated(transport)
+        frames = len(session.record.state.frames)
+        errors.append((frames, float("nan") if error is None else error))
+        reached, sentence = False, ""
+        before = [e for n, e in errors if n <= frames - 24]
+        if error is not None and error <= target.error:
+            reached, sentence = True, f"{percent(error)} after {frames} frames"
+        # Errors of sparse estimates may stay high for 64 frames and then fall at once.
+        elif error is None and frames >= 64:
+            doubts = [] if target.relighting else OwnError(transport).doubts
+            sentence = " ".join(["no error can be stated.", *doubts])
+        elif frames >= 64 and before and errors[-1][1] > 0.9 * min(before):
+            sentence = f"more patterns do not help; {_cause(transport)}"
+        elif count == total:
+            sentence = f"all {total} patterns are photographed: allow more"
+        if sentence:
+            return Outcome(target.error, target.relighting, errors, reached, sentence)
+        count += GROUP
+
+
+def parse_until(text: str | float) -> Target:
+    """The target of a text such as 0.03, an error of T, or relighting:0.03, of relit images."""
+    kind, _, number = str(text).rpartition(":")
+    try:
+        error = float(number)
+    except ValueError:
+        error = float("nan")
+    if kind not in ("", "relighting") or not 0 < error < 1:
+        raise InputError(
+            f"a target of {text}",
+            hint="give a relative error of T, such as 0.03 for 3 %, or of relit images, such as "
+            "relighting:0.03",
+        )
+    return Target(error, kind == "relighting")
+
+
+def _cause(transport: LightTransport) -> str:
+    """What most of the estimated error belongs to, and what to do about it."""
+    errors = np.asarray(transport.diagnostics["estimated_error"], float)
+    # Dark rows have no error of their own, or an infinite one.
+    wrong = row_energies(transport) * np.where(np.isfinite(errors), errors, 0) ** 2
+    total = max(float(wrong.sum()), np.finfo(float).tiny)
+    # The cause of 40 % of the error is named: rows of which half of the samples clip, or whose
+    # strongest projector pixel holds less than a tenth.
+    clipped = np.asarray(transport.diagnostics["clipped_share"]) > 0.5
+    if wrong[clipped].sum() > 0.4 * total:
+        return "rows that clip in most frames: lower the exposure"
+    strongest = transport.sparse.max(axis=1).toarray().ravel()
+    white = transport.relight(np.ones(transport.projector_shape, np.float32)).ravel()
+    if wrong[strongest < 0.1 * white].sum() > 0.4 * total:
+        return "light from everywhere: add patterns of coarse cells, or accept it"
+    return "noise: expose for longer, open the aperture, or bin the camera"
+
+
+@dataclass(frozen=True)
+class CaptureSettings:
+    """How a rig photographs patterns.
+
+    Parameters
+    ----------
+    cell : int
+        Projector pixels along a side of each pattern pixel.
+    exposure : float, optional
+        Seconds, one for all frames. None: as the planner advises, possibly several.
+    settle : float, optional
+        Seconds to wait after a pattern is shown. None: measured.
+    response : str
+        The camera's response; see `Response.parse`.
+    check : bool
+        Whether each frame has to be shown to be that of its pattern.
+    reference_every : int
+        Frames between two looks at black and white, which notice drift; 0 for none.
+    until : float or str, optional
+        Relative error of T, such as 0.03, or of relit images, such as relighting:0.03: patterns are
+        photographed in groups of eight until an estimate states that it errs by no more, or further
+        patterns do not help. None: all patterns are photographed.
+
+    Examples
+    --------
+    >>> import lightmatrix as lm
+    >>> lm.CaptureSettings(exposure=0.02, cell=2).reference_every
+    32
+    """
+
+    cell: int = 1
+    exposure: float | None = None
+    settle: float | None = None
+    response: str = "linear"
+    check: bool = True
+    reference_every: int = USUAL_REFERENCE
+    until: float | str | None = None
+
+    def __post_init__(self) -> None:
+        for name, value in (("exposure", self.exposure), ("settle time", self.settle)):
+            # More than a minute is a mistake.
+            if value is not None and not 0 <= value <= 60:
+                raise InputError(f"a {name} of {value} s", hint="give seconds, such as 0.02")
+        if self.cell < 1:
+            raise InputError(f"a cell of {self.cell} pixels", hint="use 1 or more")
+        if self.reference_every < 0:
+            raise InputError(
+                f"a reference every {self.reference_every} frames", hint="use 0 or more"
+            )
+        if self.until is not None:
+            parse_until(self.until)
+        Response.parse(self.response)
+
+    def check_rig(self, rig: Rig) -> None:
+        """Refuse settings that a rig does not have."""
+        shortest, longest = exposure_limits(rig.camera)
+        if self.exposure is not None and not shortest <= self.exposure <= longest:
+            raise InputError(
+                f"an exposure of {self.exposure:g} s",
+                hint=f"the camera has {shortest:g} to {longest:g} s",
+            )
+        largest = min(rig.projector.shape)
+        if self.cell > largest:
+            raise InputError(f"a cell of {self.cell} pixels", hint=f"use 1 to {largest} pixels")
+
+
+def take_capture(
+    output: str | Path,
+    rig: Rig,
+    patterns: PatternSet | str | Path | None = None,
+    *,
+    count: int = USUAL_COUNT,
+    density: float | None = None,
+    seed: int = 0,
+    settings: CaptureSettings | None = None,
+    keep: str | Path | None = RIG_FILE,
+    overwrite: bool = False,
+    progress: Callable[[Step], None] | None = None,
+    measuring: Callable[[str, int, int], None] | None = None,
+) -> Capture:
+    """Photograph a scene under patterns with a rig.
+
+    Frames are written to ``<output>.partial`` as they come. If a run is stopped, however that
+    happens, the same call goes on there.
+
+    Parameters
+    ----------
+    output : str or Path
+        The capture folder to make.
+    rig : Rig
+        See `open_rig`.
+    patterns : PatternSet, str or Path, optional
+        The patterns or a folder of them. None: a random mix of fine and coarse ones.
+    count : int
+        Number of random patterns; with `CaptureSettings.until` the most that are photographed.
+    density : float, optional
+        Share of lit pixels of random patterns. None: as the exposures advise.
+    seed : int
+        Seed of random patterns.
+    settings : CaptureSettings, optional
+        How they are photographed. None: the defaults.
+    keep : str or Path, optional
+        File of the rig's measurements. They are checked by a short look, and what is outdated or
+        missing is measured and written. None: everything is measured, and nothing kept.
+    overwrite : bool
+        Whether an existing capture may be replaced, and frames of another one discarded.
+    progress : callable, optional
+        Called with a `Step` after each frame.
+    measuring : callable, optional
+        Called with (part, done, total) while the rig is measured.
+
+    Returns
+    -------
+    Capture
+        Its provenance says how it was taken; patterns without a frame are left out.
+
+    Raises
+    ------
+    InputError
+        If patterns do not fit, or numbers are out of range.
+    DeviceError
+        If a device is lost, the camera does not see the projector, or several patterns in a row
+        cannot be photographed.
+    OutputError
+        If the output exists, frames of another capture are in its place, or the disk fails.
+
+    Examples
+    --------
+    >>> import lightmatrix as lm
+    >>> with lm.open_rig("virtual:procedural,size=16,real=0") as rig:
+    ...     capture = lm.take_capture("capture", rig, count=24, keep=None)
+    >>> capture.count, capture.camera_shape
+    (24, (16, 16))
+    """
+    settings = settings or CaptureSettings()
+    settings.check_rig(rig)
+    screen, cell = rig.projector.shape, settings.cell
+    if isinstance(patterns, str | Path):
+        patterns = read_patterns(Path(patterns))
+    if patterns is not None:
+        # Patterns that do not fit are refused before anything is measured.
+        ProjectedPatterns(patterns, screen, cell)
+    with claimed(output, LIVE_CAPTURE, overwrite=overwrite) as target:
+        known = _measurements(rig, keep, settings, measuring)
+        if patterns is None:
+            if density is None:
+                density = 0.5 if known.exposure is None else known.exposure.density
+            shape = (screen[0] // cell, screen[1] // cell)
+            patterns = make_patterns("mix", shape, count, density=density, seed=seed)
+        wanted = {
+            "patterns": patterns.digest,
+            "cell": cell,
+            "exposure": settings.exposure,
+            "projector": {key: known.projector.get(key) for key in ("name", "shape")},
+            "camera": {key: known.camera.get(key) for key in ("name", "shape", "bits")},
+        }
+        with CaptureRecord.open(target, wanted, overwrite=overwrite) as record:
+            session = _begin(rig, record, patterns, known, settings, progress)
+            write_extras = _extras_writer(rig, float(session.exposures.max()), settings)
+            if settings.until is None:
+                outcome = None
+                session.run()
+            else:
+
+                def estimated() -> LightTransport:
+                    return _estimate_so_far(session, known, settings, write_extras)
+
+                outcome = photograph_until(session, parse_until(settings.until), estimated)
+            facts = _facts(session, known, settings, outcome)
+            record.write(target, patterns, facts, write_extras, overwrite=overwrite)
+            record.discard()
+    _warn(record, known, settings.response)
+    return Capture.open(output)
+
+
+def _measurements(
+    rig: Rig,
+    keep: str | Path | None,
+    settings: CaptureSettings,
+    measuring: Callable[[str, int, int], None] | None,
+) -> RigMeasurements:
+    """The measurements of the rig, of which what is missing or outdated is measured now."""
+    missing = [part for part in PARTS if settings.exposure is None or part != "exposure"]
+    if keep is not None and Path(keep).exists():
+        known = RigMeasurements.load(keep)
+        if known.of_rig(rig):
+            missing = [part for part in missing if getattr(known, part) is None]
+            if settings.settle is not None and known.settle is not None:
+                known = replace(known, settle=replace(known.settle, seconds=settings.settle))
+            if not missing and known.exposure is not None:
+                missing = outdated_parts(rig, known)
+            if not missing:
+                return known
+    return measure_rig(rig, missing, keep=keep, settle=settings.settle, progress=measuring)
+
+
+def _begin(
+    rig: Rig,
+    record: CaptureRecord,
+    patterns: PatternSet,
+    known: RigMeasurements,
+    settings: CaptureSettings,
+    progress: Callable[[Step], None] | None,
+) -> CaptureSession:
+    """A session with its references; refuses a rig that has changed since the frames so far."""
+    assert known.settle is not None
+    projected = ProjectedPatterns(patterns, rig.projector.shape, settings.cell, known.response)
+    seconds = _exposures(record, patterns, settings.exposure, known)
+    photographer = Photographer(rig, known.settle.seconds)
+    references = rig.persistently(lambda: take_references(photographer, seconds))
+    photographer.changing = references.black.changing
+    _check_unchanged(record, references)
+    return CaptureSession(
+        photographer,
+        record,
+        patterns,
+        projected.image,
+        seconds,
+        references,
+        check=settings.check,
+        reference_every=settings.reference_every,
+        progress=progress,
+    )
+
+
+def _exposures(
+    record: CaptureRecord, patterns: PatternSet, exposure: float | None, known: RigMeasurements
+) -> NDArray[np.float64]:
+    """Seconds of each frame: those of the record, the one asked for, or those advised."""
+    if record.state.exposures:
+        return np.array(record.state.exposures)
+    if exposure is not None:
+        seconds = np.full(patterns.count, exposure)
+    else:
+        assert known.exposure is not None
+        advised = known.exposure.seconds
+        shares = [(each, 1 / len(advised)) for each in advised]
+        seconds = np.broadcast_to(exposure_sequence(shares, patterns), patterns.count).copy()
+    record.state.exposures = [float(each) for each in seconds]
+    record.save()
+    return seconds
+
+
+def _check_unchanged(record: CaptureRecord, now: References) -> None:
+    """Refuse to go on with a capture if the rig or the scene has changed."""
+    black, white = record.read_image(_BLACK), record.read_image(_WHITE)
+    if black is None or white is None or not record.state.frames:
+        record.keep_image(_BLACK, now.black.without_noise)
+        record.keep_image(_WHITE, now.white.mean)
+        return
+    warning = measure_drift(now, white, black).warning()
+    if warning is not None:
+        raise DeviceError(
+            f"since the first {len(record.state.frames)} frames were taken: {warning}",
+            hint="put the rig back as it was, or begin anew: overwrite=True",
+        )
+
+
+def _estimate_so_far(
+    session: CaptureSession,
+    known: RigMeasurements,
+    settings: CaptureSettings,
+    write_extras: Callable[[Path], None],
+) -> LightTransport:
+    """The estimate from the frames of a session so far."""
+    with TemporaryDirectory(prefix="lightmatrix-") as folder:
+        capture = Path(folder) / "capture"
+        facts = _facts(session, known, settings)
+        session.record.write(capture, session.patterns, facts, write_extras)
+        # The session has judged each frame.
+        return estimate(Capture.open(capture), check=False)
+
+
+def _facts(
+    session: CaptureSession,
+    known: RigMeasurements,
+    settings: CaptureSettings,
+    outcome: Outcome | None = None,
+) -> CaptureFacts:
+    record, references = session.record, session.references
+    state, count = record.state, session.patterns.count
+    if len(state.frames) < 2:
+        raise DeviceError(
+            f"only {len(state.frames)} of {count} patterns could be photographed",
+            hint=f"the last trouble: {next(iter(state.unmended.values()), 'none')}",
+        )
+    longest = float(session.exposures.max())
+    black = record.read_image(_BLACK)
+    assert black is not None
+    curve = curve_file(settings.response)
+    provenance: dict[str, Any] = {
+        "rig": {"projector": dict(known.projector), "camera": dict(known.camera)},
+        "exposure_1_in_seconds": longest,
+        "settle_seconds": None if known.settle is None else known.settle.seconds,
+        "cell": settings.cell,
+        "frames": len(state.frames),
+        "patterns": count,
+        "checks": dict(Counter(frame.check for frame in state.frames.values())),
+        "photographed_again": dict(state.faults),
+        "left_out": {str(k): reason for k, reason in state.unmended.items()},
+        "drift": state.drift,
+        "until": None if outcome is None else asdict(outcome),
+    }
+    exposures = np.array([state.frames[k].exposure for k in sorted(state.frames)])
+    return CaptureFacts(
+        _relative(exposures, longest),
+        black.astype(np.float32),
+        float(_relative(np.array(references.black.exposure), longest)),
+        references.white.clip_level,
+        0.0 if known.exposure is None else known.exposure.pedestal,
+        settings.response if curve is None else f"curve:{Path(curve).name}",
+        provenance,
+    )
+
+
+def _relative(seconds: NDArray[np.float64], longest: float) -> NDArray[np.float64]:
+    """Exposures relative to the longest, without digits that cameras round differently."""
+    return np.round(seconds / longest, 9)
+
+
+def _extras_writer(rig: Rig, longest: float, settings: CaptureSettings) -> Callable[[Path], None]:
+    """A function that adds the response curve, and a virtual rig's true T, to a capture folder."""
+    curve = curve_file(settings.response)
+
+    def write(folder: Path) -> None:
+        if curve is not None:
+            shutil.copyfile(curve, folder / Path(curve).name)
+        if rig.truth is not None and settings.cell == 1:
+            # The capture's exposure 1 is its longest exposure.
+            scale = np.float32(longest / rig.unit)
+            matrix = rig.truth.with_data(rig.truth.matrix.data * scale)
+            direct = rig.truth.direct_data * scale
+            replace(rig.truth, matrix=matrix, direct_data=direct).save_beside(folder)
+
+    return write
+
+
+def _warn(record: CaptureRecord, known: RigMeasurements, response: str) -> None:
+    """Warn of patterns that are left out, drift, and weaknesses of the rig."""
+    state = record.state
+    concerns = []
+    if state.unmended:
+        first = sorted(state.unmended.items())[:5]
+        listed = ", ".join(f"pattern {k} ({why})" for k, why in first)
+        concerns.append(f"{len(state.unmended)} patterns are left out of the capture: {listed}")
+    for look in state.drift:
+        warning = Drift(look["gain"], look["change"], look["room"]).warning()
+        if warning is not None:
+            concerns.append(f"after {int(look['frames'])} frames, {warning}")
+            break
+    if known.exposure is not None:
+        concerns += known.exposure.warnings
+    if known.flicker is not None and known.flicker.room > 0.02:
+        concerns.append(
+            f"the room's light varies by {100 * known.flicker.room:.0f} % of white from frame to "
+            "frame: darken the room, or expose for longer"
+        )
+    linearity = known.linearity
+    if linearity is not None and not linearity.linear and response == "linear":
+        concerns.append(
+            f"the camera is off a straight line by {100 * linearity.deviation:.0f} %: switch off "
+            "its gamma, or say its response"
+        )
+    for text in concerns:
+        warn(text)

@@ -1,0 +1,257 @@
+"""`lm.refine_compensation`: compensation on a rig, corrected by what the camera really sees."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lightmatrix.capture.camera_curve import Response
+from lightmatrix.errors import InputError
+from lightmatrix.files.kinds import IMAGE
+from lightmatrix.files.writing import check_output
+from lightmatrix.patterns.pattern_set import ImagePatterns
+from lightmatrix.ranges import check_number
+from lightmatrix.reprs import short_repr
+from lightmatrix.rig.devices.base import set_exposure
+from lightmatrix.rig.photograph import (
+    AveragedFrame,
+    Photographer,
+    WhiteAndBlack,
+    find_white_and_black,
+    take_average,
+    take_white_and_black,
+)
+from lightmatrix.rig.rig import ProjectedPatterns, Rig, UnfitRigError
+from lightmatrix.rig.rig_measurements import RigMeasurements, measure_rig
+from lightmatrix.uses.compensation import Compensation, Compensator, compensator
+from lightmatrix.uses.images import Picture, wanted_samples, write_shown
+from lightmatrix.uses.loading import Transport
+
+USUAL_STEPS = 3
+# Frames that are averaged for each photograph, and for white and black.
+_FRAMES = 4
+
+
+@dataclass(frozen=True, eq=False)
+class RefinedCompensation:
+    """A compensation on a rig, step by step; made by `refine_compensation`.
+
+    Parameters
+    ----------
+    compensation : Compensation
+        That of the best step.
+    photograph : camera_shape float32
+        What the camera saw in that step, without the room's light, in the units of T.
+    photographed_psnr : (steps + 1,) float64
+        The error of each photograph in dB, at first by T alone, then corrected. It counts samples
+        that can be reached, as the first prediction says.
+
+    Examples
+    --------
+    >>> import lightmatrix as lm
+    >>> with lm.open_rig("virtual:procedural,size=16,real=0") as rig:
+    ...     known, wanted = rig.truth.transport(), np.full((16, 16), 0.5)
+    ...     found = lm.refine_compensation(rig, known, wanted, steps=1, keep=None)
+    >>> found.photographed_psnr.shape, found.pattern.shape
+    ((2,), (16, 16))
+    """
+
+    compensation: Compensation
+    photograph: NDArray[np.float32]
+    photographed_psnr: NDArray[np.float64]
+
+    __repr__ = short_repr
+
+    @property
+    def pattern(self) -> NDArray[np.float32]:
+        """The pattern of the best step, (rows, cols) in [0, 1]."""
+        return self.compensation.pattern
+
+    def as_dict(self) -> dict[str, Any]:
+        """What `Compensation.as_dict` says, and the PSNR of each photograph; JSON-ready."""
+        steps = [float(value) for value in self.photographed_psnr]
+        return {**self.compensation.as_dict(), "photographed_psnr": steps}
+
+
+def refine_compensation(
+    rig: Rig,
+    transport: Transport,
+    wanted: Picture,
+    *,
+    steps: int = USUAL_STEPS,
+    mask: Picture | None = None,
+    brightness: float | None = None,
+    gamma: float = 1.0,
+    resize: bool = False,
+    response: str = "linear",
+    keep: str | Path | None = None,
+    output: str | Path | None = None,
+    overwrite: bool = False,
+    progress: Callable[[int, int], None] | None = None,
+    measuring: Callable[[str, int, int], None] | None = None,
+) -> RefinedCompensation:
+    """Project a compensation, photograph it, and correct what is left, step by step.
+
+    Each step adds what the photograph misses to what the solver is asked for, so that errors of T
+    and of the projector's response fade. What counts is the light above the black frame: the room's
+    light is subtracted.
+
+    Parameters
+    ----------
+    rig : Rig
+        See `open_rig`.
+    transport : LightTransport, StoredTransport, str or Path
+        T of this rig, or where `open` finds it. Its unit is fitted to a white photograph.
+    wanted : (rows, cols) or (rows, cols, channels) array, str or Path
+        The picture, as in `compensate`.
+    steps : int
+        Corrections, 0 to 100.
+    mask, brightness, gamma, resize
+        As in `compensate`.
+    response : str
+        The camera's response; see `Response.parse`.
+    keep : str or Path, optional
+        File of the rig's measurements; see `measure_rig`.
+    output : str or Path, optional
+        Image file to write the best pattern to, as `compensate` does.
+    overwrite : bool
+        Whether an existing image may be replaced.
+    progress : callable, optional
+        Called with (done, total) photographs.
+    measuring : callable, optional
+        Called with (part, done, total) while the rig is measured.
+
+    Returns
+    -------
+    RefinedCompensation
+
+    Raises
+    ------
+    InputError
+        As `compensate`, and if T is not of this rig's size.
+    DeviceError
+        If a device is lost or the camera does not see the projector.
+    OutputError
+        If the pattern cannot be written.
+
+    Examples
+    --------
+    >>> import lightmatrix as lm
+    >>> with lm.open_rig("virtual:l_objects,real=0") as rig:
+    ...     wanted = np.tile(np.linspace(0.2, 1, 64), (64, 1))
+    ...     found = lm.refine_compensation(rig, rig.truth.transport(), wanted, steps=2, keep=None)
+    >>> bool(found.photographed_psnr[-1] > found.photographed_psnr[0] - 0.5)
+    True
+    """
+    if not hasattr(steps, "__index__") or not 0 <= steps <= 100:
+        raise InputError(f"{steps} corrections", hint="use 0 to 100, such as 3")
+    if brightness is not None:
+        hint = "use a number above 0, such as 0.7, or leave it out"
+        check_number("a brightness", brightness, most=1e6, above=True, hint=hint)
+    curve = Response.parse(response)
+    if output is not None:
+        check_output(output, IMAGE, overwrite=overwrite)
+    shared = compensator(transport, mask=mask)
+    shared.light.check_single()
+    samples = wanted_samples(wanted, shared.light.camera_shape, gamma=gamma, resize=resize)
+    if brightness is None:
+        brightness = shared.automatic_brightness(samples)
+    loop = _ClosedLoop.begin(rig, shared, curve, keep, measuring)
+    target = np.float32(brightness) * samples * shared.white_point
+    asked, found = target, shared.reaching(target, brightness)
+    # Samples that no pattern reaches would pull their neighbours further with every step.
+    counted = found.reachable.ravel() if found.reachable.any() else shared.lit
+    best: tuple[Compensation, NDArray[np.float32]] | None = None
+    errors: list[float] = []
+    for step in range(steps + 1):
+        if step:
+            start = np.concatenate([pattern.ravel() for pattern in found.patterns])
+            found = shared.reaching(target, brightness, start=start, asked=asked)
+        seen = loop.photograph(found.pattern)
+        missed = np.where(counted, target - seen, 0)
+        mean_square = float(np.mean((missed[counted] / found.scale) ** 2))
+        errors.append(-10 * float(np.log10(max(mean_square, 1e-12))))
+        if best is None or errors[-1] == max(errors):
+            best = found, seen
+        asked = asked + missed
+        if progress is not None:
+            progress(step + 1, steps + 1)
+    assert best is not None
+    if output is not None:
+        write_shown(output, best[0].patterns, overwrite=overwrite)
+    photograph = best[1].reshape(shared.light.camera_shape)
+    return RefinedCompensation(best[0], photograph, np.array(errors))
+
+
+@dataclass(frozen=True, eq=False)
+class _ClosedLoop:
+    """A rig that is ready to photograph patterns in the units of T."""
+
+    photographer: Photographer
+    known: RigMeasurements
+    curve: Response
+    whites: WhiteAndBlack
+    # Light of a photograph, as a share of the clip level, for each unit of T.
+    unit: float
+
+    @classmethod
+    def begin(
+        cls,
+        rig: Rig,
+        shared: Compensator,
+        curve: Response,
+        keep: str | Path | None,
+        measuring: Callable[[str, int, int], None] | None,
+    ) -> _ClosedLoop:
+        """Measure the rig, choose an exposure, and compare white with what T says of it."""
+        parts = ("settle", "flicker", "response")
+        known = measure_rig(rig, parts, keep=keep, progress=measuring)
+        assert known.settle is not None
+        assert known.flicker is not None
+        photographer = Photographer(rig, known.settle.seconds)
+        whites = rig.persistently(lambda: find_white_and_black(photographer))
+        exposure, period = whites.exposure, known.flicker.period
+        if period:
+            exposure = max(1, round(exposure / period)) * period
+        exposure = set_exposure(rig.camera, exposure)
+        whites = rig.persistently(lambda: take_white_and_black(photographer, exposure, _FRAMES))
+        loop = cls(photographer, known, curve, whites, 1.0)
+        light = loop.light(whites.white)
+        if light.size != shared.light.white.size:
+            raise InputError(
+                f"a matrix of a camera of shape {shared.light.camera_shape}, for a camera of shape "
+                f"{whites.white.mean.shape}",
+                hint="give the matrix that this rig measured, without crop or binning",
+            )
+        # Clipped samples are too dark.
+        counted = shared.lit & (whites.white.mean.ravel() < 0.95 * whites.white.clip_level)
+        expected = shared.light.white[counted]
+        unit = float(light[counted] @ expected / max(float(expected @ expected), 1e-30))
+        if not unit > 0:
+            raise UnfitRigError(
+                "the white photograph has nothing in common with the matrix",
+                hint="give the matrix that this rig measured of this scene",
+            )
+        return cls(photographer, known, curve, whites, unit)
+
+    def light(self, frame: AveragedFrame) -> NDArray[np.float32]:
+        """Light of the projector in a frame, (M,), in the units of T."""
+        black, top = self.whites.black.mean, frame.clip_level
+        light = self.curve.linearise(frame.mean / top) - self.curve.linearise(black / top)
+        return np.asarray(light.ravel() / self.unit, np.float32)
+
+    def photograph(self, pattern: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Show a pattern and photograph it: its light, (M,), in the units of T."""
+        rig = self.photographer.rig
+        shown = ProjectedPatterns(
+            ImagePatterns(pattern[None]), rig.projector.shape, response=self.known.response
+        )
+        frame = rig.persistently(
+            lambda: take_average(self.photographer, shown.image(0), self.whites.exposure, _FRAMES)
+        )
+        return self.light(frame)

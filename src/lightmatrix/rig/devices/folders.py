@@ -1,0 +1,201 @@
+"""Folders as devices: images for another program to show, and frames that another program takes."""
+
+from __future__ import annotations
+
+import re
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lightmatrix.errors import DeviceError, InputError
+from lightmatrix.files.images import FORMATS, READABLE, read_image, write_image
+from lightmatrix.rig.devices.base import Address, BaseCamera, Frame, check_image, size_in_words
+
+# The file that the other program watches.
+SHOWN = "shown.png"
+
+
+class FolderProjector:
+    """Writes ``shown.png``, which is a complete image at any moment; made by `open_folder`."""
+
+    def __init__(self, address: Address, folder: Path, shape: tuple[int, int]) -> None:
+        self._address, self._folder, self._shape = address, folder, shape
+        self._closed = False
+        self.black()
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Rows and columns, as the address states them."""
+        return self._shape
+
+    def info(self) -> dict[str, Any]:
+        """JSON-ready facts."""
+        return {
+            "name": f"folder {self._folder}",
+            "kind": "folder",
+            "shape": self._shape,
+            "file": str(self._folder / SHOWN),
+        }
+
+    def show(self, image: NDArray[np.uint8]) -> float:
+        """Write an image; return when the file was in place.
+
+        When the other program shows it is not known; `measure_settle` measures it.
+        """
+        if self._closed:
+            raise DeviceError(f"{self._address}: is closed", hint="open it again")
+        check_image(image, self._shape)
+        write_image(self._folder / SHOWN, image, overwrite=True)
+        return time.monotonic()
+
+    def black(self) -> float:
+        """Show no light; return when."""
+        return self.show(np.zeros(self._shape, np.uint8))
+
+    def close(self) -> None:
+        """Write no more; the last image stays."""
+        self._closed = True
+
+
+def open_folder(address: Address) -> FolderProjector:
+    """Open "folder:DIR,size=1024x768", width first as monitors have it; makes a missing folder."""
+    address.check_options(("size",))
+    size = re.fullmatch(r"([1-9][0-9]{0,4})x([1-9][0-9]{0,4})", address.options.get("size", ""))
+    if not address.argument or size is None:
+        raise InputError(
+            f"{address}: a folder and its size are needed",
+            hint="give folder:DIR,size=WIDTHxHEIGHT, with the pixels of the projector",
+        )
+    return FolderProjector(address, Path(address.argument), (int(size[2]), int(size[1])))
+
+
+class WatchedFolder(BaseCamera):
+    """Reads the files that appear in a folder; made by `open_watched`."""
+
+    kind = "watch"
+
+    def __init__(self, address: Address, folder: Path, exposure: float, clip: float | None) -> None:
+        super().__init__(address)
+        self._folder, self._stated, self._clip = folder, exposure, clip
+        self._name, self._trigger = f"folder {folder}", "elsewhere"
+        self._by_name = address.choice("numbers", ("order", "name")) == "name"
+        self._seen = set(self._files())
+        self._count = 0
+
+    def get_image(self, timeout: float) -> Frame:
+        """The next complete file, timed by its last change, the likeliest end of exposure."""
+        self._check_open()
+        until = time.monotonic() + timeout
+        changes: dict[Path, tuple[tuple[int, int], float]] = {}
+        failure: InputError | None = None
+        while True:
+            # Later files wait for the oldest one.
+            for file in self._new_files()[:1]:
+                state = _size_and_time(file)
+                now = time.monotonic()
+                if state is None:
+                    break
+                if file not in changes or changes[file][0] != state:
+                    changes[file] = (state, now)
+                # A file is complete if it can be read and did not change for 0.1 s, which covers
+                # the pauses of a program that writes to a slow disk.
+                if now - changes[file][1] >= 0.1:
+                    try:
+                        image = read_image(file)
+                    # The file is still being written, or damaged; time will tell.
+                    except InputError as error:
+                        failure = error
+                    else:
+                        return self._frame(file, image, state)
+            if time.monotonic() >= until:
+                if failure is None:
+                    hint = f"does the other program write {FORMATS} files here?"
+                    raise self._timeout(timeout, hint)
+                hint = "have files written elsewhere and moved here when they are whole"
+                raise self._timeout(timeout, hint, f"; {failure.message}")
+            time.sleep(0.02)
+
+    def flush(self) -> None:
+        """Pass over the files that are there."""
+        self._check_open()
+        passed = self._new_files()
+        self._seen.update(passed)
+        self._count += len(passed)
+
+    def _files(self) -> list[Path]:
+        try:
+            return [
+                file
+                for file in self._folder.iterdir()
+                if file.suffix.lower() in READABLE and file.name[0] != "."
+            ]
+        except OSError as error:
+            raise self._error(
+                f"the folder cannot be read ({error.strerror})", "check its name and permissions"
+            ) from error
+
+    def _new_files(self) -> list[Path]:
+        """Files that are not frames yet, the oldest first; those of one moment by name."""
+        files = [file for file in self._files() if file not in self._seen]
+        states = {file: state for file in files if (state := _size_and_time(file)) is not None}
+        return sorted(states, key=lambda file: (states[file][1], file.name))
+
+    def _frame(self, file: Path, image: NDArray[Any], state: tuple[int, int]) -> Frame:
+        self._seen.add(file)
+        self._count += 1
+        if image.dtype not in (np.uint8, np.uint16):
+            raise DeviceError(
+                f"{file}: is {image.dtype}, which no sensor delivers",
+                hint="have frames saved with 8 or 16 bits",
+            )
+        if self._shape is not None and image.shape != self._shape:
+            raise DeviceError(
+                f"{file}: is {size_in_words(image.shape)}, the frames before were "
+                f"{size_in_words(self._shape)}",
+                hint="do not turn the camera or change its image size meanwhile",
+            )
+        self._shape, self._bits = image.shape, 8 * image.dtype.itemsize
+        number = self._count
+        if self._by_name:
+            match = re.search(r"([0-9]+)[^0-9]*$", file.stem)
+            if match is None:
+                raise DeviceError(
+                    f"{file}: has no number in its name",
+                    hint="leave out numbers=name, or have frames saved as frame-0001.png",
+                )
+            number = int(match[1])
+        # The wall clock may be set meanwhile, so only its difference to now is used.
+        age = max(0.0, time.time() - state[1] * 1e-9)
+        clip_level = self._clip or float(np.iinfo(image.dtype).max)
+        return Frame(image, number, time.monotonic() - age, clip_level)
+
+
+def open_watched(address: Address) -> WatchedFolder:
+    """Open a folder in which frames appear; files that are there already are passed over.
+
+    The address is "watch:DIR,exposure=0.1" with the exposure, in seconds, that was set on the
+    camera. The option clip is the largest value where it is not that of 8 or 16 bits (clip=4095).
+    numbers=name takes the number at the end of a file's name for the frame's, so that lost frames
+    are noticed; numbers=order, the default, counts.
+    """
+    address.check_options(("exposure", "clip", "numbers"))
+    exposure = address.stated_exposure
+    clip = address.number("clip", 0.0) if "clip" in address.options else None
+    folder = Path(address.argument)
+    if not address.argument or not folder.is_dir():
+        raise InputError(
+            f"{address}: there is no such folder", hint="make it first, or check the name"
+        )
+    return WatchedFolder(address, folder, exposure, clip)
+
+
+def _size_and_time(file: Path) -> tuple[int, int] | None:
+    """Size and time of the last change; None if the file was moved away meanwhile."""
+    try:
+        status = file.stat()
+    except OSError:
+        return None
+    return status.st_size, status.st_mtime_ns

@@ -1,0 +1,160 @@
+"""The back ends that lightmatrix has, and opening devices by their addresses."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from typing import Generic, TypeVar
+
+from lightmatrix.errors import DeviceError, InputError, MissingExtraError
+from lightmatrix.rig.devices.aravis import find_aravis, open_aravis
+from lightmatrix.rig.devices.base import Address, AvailableDevice, Camera, Projector
+from lightmatrix.rig.devices.dslr import find_dslr, open_dslr
+from lightmatrix.rig.devices.folders import open_folder, open_watched
+from lightmatrix.rig.devices.gentl import find_gentl, open_gentl
+from lightmatrix.rig.devices.video import find_video, open_video
+from lightmatrix.rig.devices.window import find_windows, open_window
+
+Device = TypeVar("Device")
+
+
+@dataclass(frozen=True)
+class BackEnd(Generic[Device]):
+    """A kind of device: what it is, the form of its addresses, how to open one."""
+
+    summary: str
+    form: str
+    open: Callable[[Address], Device]
+    # Lists the devices that are present; None where they cannot be listed.
+    find: Callable[[], list[AvailableDevice]] | None = None
+
+
+PROJECTORS: dict[str, BackEnd[Projector]] = {
+    "window": BackEnd(
+        "full-screen window on a monitor", "window:MONITOR", open_window, find_windows
+    ),
+    "folder": BackEnd(
+        "file that another program shows", "folder:DIR,size=WIDTHxHEIGHT", open_folder
+    ),
+}
+CAMERAS: dict[str, BackEnd[Camera]] = {
+    "aravis": BackEnd("GigE and USB3 Vision", "aravis:ID", open_aravis, find_aravis),
+    "gentl": BackEnd("any maker's, by its GenTL producer", "gentl:ID", open_gentl, find_gentl),
+    "video": BackEnd(
+        "web cameras and frame grabbers", "video:DEVICE,exposure=SECONDS", open_video, find_video
+    ),
+    "dslr": BackEnd("digital cameras, tethered", "dslr:MODEL", open_dslr, find_dslr),
+    "watch": BackEnd("files from whatever takes them", "watch:DIR,exposure=SECONDS", open_watched),
+}
+
+
+@dataclass(frozen=True)
+class BackEndStatus:
+    """What is known of one back end on this computer."""
+
+    # One of "projector", "camera".
+    role: str
+    # Its name, what it is, and the form of its addresses.
+    kind: str
+    summary: str
+    form: str
+    # Whether its devices can be listed at all.
+    finds: bool
+    found: tuple[AvailableDevice, ...] = ()
+    # Why it cannot be used now, and what to do.
+    problem: str | None = None
+    hint: str | None = None
+
+
+def open_projector(address: str) -> Projector:
+    """Open a projector by its address.
+
+    Parameters
+    ----------
+    address : str
+        KIND, KIND:ARGUMENT or KIND:ARGUMENT,option=value, as in ``window:1``.
+
+    Returns
+    -------
+    Projector
+        Close it in the end.
+
+    Raises
+    ------
+    InputError
+        If the kind or an option is unknown.
+    MissingExtraError
+        If the packages of its back end are not installed.
+    DeviceError
+        If there is no such device, or it is in use.
+
+    Examples
+    --------
+    >>> import lightmatrix as lm
+    >>> projector = lm.open_projector("folder:shown,size=64x48")
+    >>> projector.shape
+    (48, 64)
+    >>> projector.close()
+    """
+    return _open_device(PROJECTORS, "projector", address)
+
+
+def open_camera(address: str) -> Camera:
+    """Open a camera by its address.
+
+    Parameters
+    ----------
+    address : str
+        KIND, KIND:ARGUMENT or KIND:ARGUMENT,option=value, as in
+        ``aravis:Basler-21,trigger=free,Gain=0``.
+
+    Returns
+    -------
+    Camera
+        Close it in the end.
+
+    Raises
+    ------
+    InputError, MissingExtraError, DeviceError
+        As `open_projector`.
+
+    Examples
+    --------
+    >>> import lightmatrix as lm
+    >>> camera = lm.open_camera("watch:.,exposure=0.02")
+    >>> camera.exposure
+    0.02
+    >>> camera.close()
+    """
+    return _open_device(CAMERAS, "camera", address)
+
+
+def list_devices() -> list[BackEndStatus]:
+    """List every back end with the devices that it finds, or with what it lacks.
+
+    Examples
+    --------
+    >>> import lightmatrix as lm
+    >>> [back.kind for back in lm.list_devices() if back.role == "projector"]
+    ['window', 'folder']
+    """
+    projectors = [_status("projector", kind, back) for kind, back in PROJECTORS.items()]
+    return projectors + [_status("camera", kind, back) for kind, back in CAMERAS.items()]
+
+
+def _open_device(known: Mapping[str, BackEnd[Device]], role: str, text: str) -> Device:
+    address = Address.parse(text)
+    if address.kind not in known:
+        forms = ", ".join(back.form for back in known.values())
+        raise InputError(f"{text}: no such {role}", hint=f"a {role} is one of {forms}")
+    return known[address.kind].open(address)
+
+
+def _status(role: str, kind: str, back: BackEnd[Device]) -> BackEndStatus:
+    status = BackEndStatus(role, kind, back.summary, back.form, back.find is not None)
+    if back.find is None:
+        return status
+    try:
+        return replace(status, found=tuple(back.find()))
+    except (MissingExtraError, DeviceError) as error:
+        return replace(status, problem=error.message, hint=error.hint)

@@ -1,0 +1,359 @@
+"""Photographs that can be right, judged by their numbers, times and rows, and averages of them.
+
+A `Photographer` shows an image, waits, and grabs a frame. It rejects frames that are stale, lost,
+handed out twice or partly copied from an earlier one, and exposures that another program changed.
+Whether a frame shows its pattern is a question for `pattern_match`.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import dataclass, field
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lightmatrix.capture.exposures import lit_samples, share_of_white
+from lightmatrix.errors import DeviceError, FrameTimeoutError
+from lightmatrix.rig.devices.base import Frame, exposure_limits, same_exposure, set_exposure
+from lightmatrix.rig.rig import Rig, UnfitRigError
+
+# Photographs that are tried for each one that is wanted.
+TRIES = 4
+# Seconds to wait after showing an image while the settle time is not known: no projector that we
+# know of takes longer.
+FIRST_SETTLE = 0.4
+# The standard deviation of normal noise is this many times its median distance from the mean.
+MEDIAN_TO_DEVIATION = 1.48
+
+
+class UntrustedFrameError(DeviceError):
+    """A frame cannot be right, or none arrived; the photograph has to be taken again."""
+
+
+@dataclass(frozen=True, eq=False)
+class Shot:
+    """A frame, its exposure in seconds as the camera says, and when the image was shown."""
+
+    frame: Frame
+    exposure: float
+    shown: float
+
+    @property
+    def data(self) -> NDArray[np.uint8] | NDArray[np.uint16]:
+        """Raw levels."""
+        return self.frame.data
+
+    @property
+    def delay(self) -> float:
+        """Seconds from the image being shown to the start of the exposure."""
+        return self.frame.timestamp - self.exposure - self.shown
+
+
+@dataclass(eq=False)
+class Photographer:
+    """Takes single photographs with a rig."""
+
+    rig: Rig
+    # Seconds between an image being shown and the earliest start of an exposure.
+    settle: float
+    # Share of the samples of each row that noise changes from frame to frame. If it is known,
+    # copied rows are recognized.
+    changing: NDArray[np.float64] | None = None
+    # The exposure that was last asked for, and what the camera made of it.
+    _exposure: tuple[float, float] = (0.0, 0.0)
+    _last: Frame | None = None
+    # Frames whose rows a driver may hand out again: it reuses its few newest buffers.
+    _recent: deque[NDArray[Any]] = field(default_factory=lambda: deque(maxlen=3))
+
+    def take(
+        self,
+        image: NDArray[np.uint8],
+        exposure: float | None = None,
+        settle: float | None = None,
+    ) -> Shot:
+        """Show an image and photograph it (exposure and settle time in seconds; None: as set).
+
+        An UntrustedFrameError says what is wrong with the frame; a DeviceError means that the
+        camera was lost and is not back within a minute.
+        """
+        try:
+            return self._take(image, exposure, self.settle if settle is None else settle)
+        except (UntrustedFrameError, FrameTimeoutError) as error:
+            raise UntrustedFrameError(error.message, hint=error.hint) from error
+        except DeviceError as error:
+            self.rig.recover()
+            # The camera counts from the beginning, and may have forgotten its exposure.
+            self._last, self._exposure = None, (0.0, 0.0)
+            raise UntrustedFrameError(f"{error.message}, and came back") from error
+
+    def _take(self, image: NDArray[np.uint8], exposure: float | None, settle: float) -> Shot:
+        actual = self._set_exposure(exposure)
+        shown = self.rig.projector.show(image)
+        earliest = shown + settle
+        self.rig.clock.sleep(earliest - self.rig.clock.now())
+        camera = self.rig.camera
+        camera.flush()
+        camera.trigger()
+        before: Frame | None = None
+        # No camera has buffers for 32 frames from before the pattern.
+        for _ in range(32):
+            frame = camera.get_image(self.rig.patience + 2 * actual)
+            self._check_order(frame, before)
+            self._check_copied(frame)
+            self._recent.append(frame.data)
+            self._last = before = frame
+            # Times are rounded to microseconds.
+            if frame.timestamp - actual >= earliest - 1e-6:
+                now = camera.exposure
+                if not same_exposure(now, actual):
+                    raise UntrustedFrameError(
+                        f"another program changed the exposure from {actual:g} to {now:g} s"
+                    )
+                return Shot(frame, actual, shown)
+        raise UntrustedFrameError(
+            "32 frames came, all of before the pattern",
+            hint="are the camera's timestamps right?",
+        )
+
+    def _set_exposure(self, exposure: float | None) -> float:
+        camera = self.rig.camera
+        asked, actual = self._exposure
+        if exposure is None:
+            return camera.exposure
+        if exposure != asked or not same_exposure(camera.exposure, actual):
+            self._exposure = exposure, set_exposure(camera, exposure)
+        return self._exposure[1]
+
+    def _check_order(self, frame: Frame, before: Frame | None) -> None:
+        last = self._last
+        if last is None:
+            return
+        if frame.id <= last.id or frame.timestamp <= last.timestamp:
+            raise UntrustedFrameError(f"frame {frame.id} was handed out twice")
+        # Numbers may be missing between two patterns, where frames are discarded.
+        if before is not None and frame.id != before.id + 1:
+            # Otherwise the next pattern would be refused for the same gap.
+            self._last = frame
+            raise UntrustedFrameError(f"frames {before.id + 1} to {frame.id - 1} were lost")
+
+    def _check_copied(self, frame: Frame) -> None:
+        if self.changing is None:
+            return
+        for earlier in self._recent:
+            rows = copied_rows(frame.data, earlier, self.changing, frame.clip_level)
+            if rows:
+                self._last = frame
+                whole = rows == len(frame.data)
+                what = "is a copy of" if whole else f"holds {rows} rows of"
+                raise UntrustedFrameError(f"frame {frame.id} {what} an earlier one")
+
+
+def copied_rows(
+    data: NDArray[Any],
+    earlier: NDArray[Any],
+    changing: NDArray[np.float64],
+    clip_level: float,
+) -> int:
+    """How many rows at the top or bottom of a frame are copies of an earlier frame's; 0 for none.
+
+    Noise changes a share `changing` (rows,) of the samples of each row, except clipped ones.
+    """
+    if data.shape != earlier.shape:
+        return 0
+    same = (data == earlier).reshape(len(data), -1).all(axis=1)
+    if not (same[0] or same[-1]):
+        return 0
+    free = (data < clip_level).reshape(len(data), -1).sum(axis=1)
+    unlikely = free * np.log1p(-np.minimum(changing, 0.999))
+    for rows in (slice(None), slice(None, None, -1)):
+        run = int(np.cumprod(same[rows]).sum())
+        # Noise leaves so many samples equal less than once in 10^8 frames.
+        if unlikely[rows][:run].sum() < -20:
+            return run
+    return 0
+
+
+@dataclass(frozen=True, eq=False)
+class AveragedFrame:
+    """The mean of frames of one image."""
+
+    # (rows, cols[, channels]): raw levels.
+    mean: NDArray[np.float32]
+    # The frames that agree.
+    shots: list[Shot]
+    # Standard deviation of a sample from frame to frame, in raw levels.
+    noise: float
+    # Standard deviation of the frames' brightness, as a share of it.
+    gain: float
+
+    @property
+    def clip_level(self) -> float:
+        """Raw level at which the camera clips."""
+        return self.shots[0].frame.clip_level
+
+    @property
+    def exposure(self) -> float:
+        """Seconds."""
+        return self.shots[0].exposure
+
+    @property
+    def without_noise(self) -> NDArray[np.float32]:
+        """The mean of black frames, or their median level if they show nothing but noise."""
+        noise = self.noise / np.sqrt(len(self.shots))
+        level = float(np.median([shot.data for shot in self.shots]))
+        apart = np.abs(self.mean - np.median(self.mean))
+        # The median distance of normal noise from its mean is 0.67 standard deviations. A frame
+        # with a spread up to 15 % above that shows nothing, but for hot pixels beyond 6 deviations.
+        if np.median(apart) > 1.15 * 0.67 * noise:
+            return self.mean
+        return np.where(apart > 6 * noise, self.mean, np.float32(level))
+
+    @property
+    def changing(self) -> NDArray[np.float64]:
+        """Share of the samples of each row that change from frame to frame, (rows,)."""
+        data = [shot.data.reshape(len(shot.data), -1) for shot in self.shots]
+        # A median, since one of the frames may be a copy.
+        return np.asarray(np.median([(a != b).mean(axis=1) for a, b in pairwise(data)], axis=0))
+
+
+def take_average(
+    photographer: Photographer,
+    image: NDArray[np.uint8],
+    exposure: float | None = None,
+    count: int = 4,
+) -> AveragedFrame:
+    """Photograph an image `count` times (at least 3), and average the frames that agree."""
+    shots: list[Shot] = []
+    reason, hint = "", None
+    silent = 0
+    settle = None
+    for _ in range(TRIES * count):
+        try:
+            shots.append(photographer.take(image, exposure, settle))
+        except UntrustedFrameError as error:
+            reason, hint = error.message, error.hint
+            silent += isinstance(error.__cause__, FrameTimeoutError)
+            # A camera that gave no frame five times gives none at all.
+            if silent == 5 and not shots:
+                raise UnfitRigError(f"the camera gives no frames: {reason}", hint=hint) from error
+        else:
+            # After 0.1 s more even a late image is shown.
+            settle = min(photographer.settle, 0.1)
+        if len(shots) == count:
+            break
+    else:
+        raise UnfitRigError(
+            f"of {TRIES * count} frames of one image only {len(shots)} can be trusted; the last "
+            f"of the others: {reason}",
+            hint=hint or "look at the camera's picture with its own program, and at its cable",
+        )
+    stack = np.stack([shot.data for shot in shots]).astype(np.float32)
+    middle = np.median(stack, axis=0)
+    distance = np.sqrt(((stack - middle) ** 2).mean(axis=tuple(range(1, stack.ndim))))
+    near = distance <= 3 * max(float(np.median(distance)), 1e-3)
+    agreeing = stack[near]
+    mean = agreeing.mean(axis=0)
+    spread = agreeing - mean
+    noise = float(np.sqrt((spread**2).sum() / max(1, (len(agreeing) - 1) * mean.size)))
+    bright = agreeing.reshape(len(agreeing), -1).mean(axis=1)
+    gain = float(bright.std() / max(float(bright.mean()), 1e-6))
+    kept = [shot for shot, good in zip(shots, near, strict=True) if good]
+    return AveragedFrame(mean.astype(np.float32), kept, noise, gain)
+
+
+@dataclass(frozen=True, eq=False)
+class WhiteAndBlack:
+    """A white and a black frame of one exposure."""
+
+    white: AveragedFrame
+    black: AveragedFrame
+
+    @property
+    def exposure(self) -> float:
+        """Seconds."""
+        return self.white.exposure
+
+    @property
+    def light(self) -> NDArray[np.float32]:
+        """White less black, raw levels."""
+        return np.asarray(self.white.mean - self.black.mean)
+
+    @property
+    def brightness(self) -> float:
+        """Mean light per second of exposure, as a share of the clip level."""
+        return float(self.light.mean()) / self.white.clip_level / self.exposure
+
+    @property
+    def lit(self) -> NDArray[np.bool_]:
+        """Samples that the projector lights well and that do not clip."""
+        return lit_samples(self.white.mean, self.black.mean, self.white.clip_level)
+
+    def level(self, frame: NDArray[np.generic]) -> float:
+        """How far a frame is from black (0) to white (1), over the lit samples."""
+        return share_of_white(frame, self.white.mean, self.black.mean, self.lit)
+
+
+def robust_deviation(levels: NDArray[np.float64]) -> float:
+    """Standard deviation by medians, since one of the frames may be torn or a copy."""
+    return MEDIAN_TO_DEVIATION * float(np.median(np.abs(levels - np.median(levels))))
+
+
+def plain_images(rig: Rig) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
+    """The black and the white image of a rig's projector."""
+    black = np.zeros(rig.projector.shape, np.uint8)
+    return black, np.full_like(black, 255)
+
+
+def take_white_and_black(
+    photographer: Photographer, exposure: float, count: int = 3
+) -> WhiteAndBlack:
+    """Photograph white, then black, `count` times each at an exposure in seconds."""
+    black, white = plain_images(photographer.rig)
+    return WhiteAndBlack(
+        take_average(photographer, white, exposure, count),
+        take_average(photographer, black, exposure, count),
+    )
+
+
+def find_white_and_black(photographer: Photographer) -> WhiteAndBlack:
+    """Photograph white and black at an exposure chosen for white, or raise an UnfitRigError.
+
+    The bright samples of white shall be between 0.35 and 0.9 of the clip level, best at 0.7: that
+    is bright, and away from clipping if the light flickers. Bright is the 0.99 quantile, so that
+    single glints do not count.
+    """
+    shortest, longest = exposure_limits(photographer.rig.camera)
+    exposure = float(np.clip(photographer.rig.camera.exposure, shortest, longest))
+    # The whole range of a camera, 1 to 10^6, takes 7 steps of a factor of 8.
+    for _ in range(12):
+        pair = take_white_and_black(photographer, exposure)
+        top = pair.white.clip_level
+        pedestal = float(np.median(pair.black.mean))
+        share = (float(np.quantile(pair.white.mean, 0.99)) - pedestal) / max(top - pedestal, 1.0)
+        if pedestal > 0.9 * top:
+            # The room alone makes the camera clip.
+            share = 1.0
+        # If white hardly differs from black, it is lit by the room or not at all.
+        visible = float(np.quantile(pair.light, 0.99)) / top > 0.02
+        at_shortest, at_longest = exposure <= 1.01 * shortest, exposure >= 0.99 * longest
+        if 0.35 <= share <= 0.9 or (at_longest and visible) or (at_shortest and share <= 0.9):
+            if visible:
+                return pair
+            break
+        factor = 1 / 8 if share > 0.9 else min(8.0, 0.7 / max(share, 1e-3))
+        if (factor < 1 and at_shortest) or (factor > 1 and at_longest):
+            break
+        exposure = float(np.clip(exposure * factor, shortest, longest))
+    if share > 0.9 and exposure <= 1.01 * shortest:
+        raise UnfitRigError(
+            f"the white picture clips even at the camera's shortest exposure, {exposure:g} s",
+            hint="close the camera's aperture, lower its gain, or dim the projector",
+        )
+    raise UnfitRigError(
+        "the camera does not see the projector: a white picture looks like a black one",
+        hint="is the projector on, its lens uncovered, the picture on the right monitor, and the "
+        "camera pointed at it? A picture that comes half a second late is not seen either",
+    )

@@ -1,0 +1,268 @@
+"""A rig: a projector and a camera that look at one scene, real or virtual."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import Any, Self, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lightmatrix.errors import DeviceError, FrameTimeoutError, InputError
+from lightmatrix.patterns.pattern_set import PatternSet, to_grey
+from lightmatrix.patterns.projector_curve import ProjectorResponse
+from lightmatrix.ranges import check_number
+from lightmatrix.rig.devices.base import Camera, Clock, Projector
+from lightmatrix.rig.devices.registry import open_camera, open_projector
+from lightmatrix.rig.devices.virtual import (
+    HARDWARE,
+    PROCEDURAL,
+    SimulatedClock,
+    VirtualCamera,
+    VirtualLight,
+    VirtualProjector,
+    VirtualSettings,
+    parse_settings,
+)
+from lightmatrix.simulation import library, realism
+from lightmatrix.simulation.procedural import ProceduralScene
+from lightmatrix.simulation.truth import Truth
+
+# Seconds to wait for a frame beyond its exposure.
+USUAL_PATIENCE = 2.0
+Result = TypeVar("Result")
+
+
+class UnfitRigError(DeviceError):
+    """Both devices work, but what they show and see cannot be measured with."""
+
+
+@dataclass(eq=False)
+class Rig:
+    """A projector and a camera; made by `open_rig`.
+
+    Parameters
+    ----------
+    projector : Projector
+    camera : Camera
+    reopen : callable
+        Opens the camera again after it was lost; raises a DeviceError while it is not there.
+    clock : Clock
+        The clock of both devices.
+    truth : Truth, optional
+        The T that a virtual rig shows, at an exposure of `unit` seconds.
+    unit : float
+        Seconds.
+    patience : float
+        Seconds to wait for a frame, beyond its exposure.
+
+    Examples
+    --------
+    >>> import lightmatrix as lm
+    >>> with lm.open_rig("virtual:l_objects,real=0") as rig:
+    ...     frame = rig.camera.get_image(timeout=1.0)
+    >>> frame.data.shape, rig.projector.shape
+    ((64, 64), (64, 64))
+    """
+
+    projector: Projector
+    camera: Camera
+    reopen: Callable[[], Camera]
+    clock: Clock = field(default_factory=Clock)
+    truth: Truth | None = None
+    unit: float = 1.0
+    patience: float = USUAL_PATIENCE
+
+    def __repr__(self) -> str:
+        return f"Rig({self.projector.info().get('name')}, {self.camera.info().get('name')})"
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def info(self) -> dict[str, Any]:
+        """JSON-ready facts about both devices."""
+        return {"projector": self.projector.info(), "camera": self.camera.info()}
+
+    def close(self) -> None:
+        """Give both devices back; may be called twice."""
+        try:
+            self.camera.close()
+        finally:
+            self.projector.close()
+
+    def persistently(self, work: Callable[[], Result]) -> Result:
+        """Do some work, and begin it anew if the camera was lost meanwhile.
+
+        Raises
+        ------
+        DeviceError
+            If the camera is lost three times, or not back within a minute.
+        """
+        for _ in range(2):
+            try:
+                return work()
+            except (UnfitRigError, FrameTimeoutError):
+                raise
+            except DeviceError:
+                self.recover()
+        return work()
+
+    def recover(self) -> None:
+        """Open a lost camera again, once it is back; it is looked for every second.
+
+        Raises
+        ------
+        DeviceError
+            If it is not back within a minute.
+        """
+        deadline = self.clock.now() + 60
+        with suppress(DeviceError):
+            self.camera.close()
+        while True:
+            try:
+                self.camera = self.reopen()
+                return
+            except DeviceError:
+                if self.clock.now() > deadline:
+                    raise
+            self.clock.sleep(1)
+
+
+def open_rig(
+    rig: str | VirtualSettings | None = None,
+    *,
+    projector: str | None = None,
+    camera: str | None = None,
+    patience: float = USUAL_PATIENCE,
+) -> Rig:
+    """Open a projector and a camera, or a virtual rig.
+
+    Parameters
+    ----------
+    rig : str or VirtualSettings, optional
+        ``virtual:SCENE``, or ``virtual:SCENE,name=value,...``; see `VirtualSettings`.
+    projector, camera : str, optional
+        Instead: addresses of devices, such as ``window:1`` and ``aravis:ID``.
+    patience : float
+        Seconds to wait for a frame, beyond its exposure; cameras that store or send frames slowly
+        need more.
+
+    Returns
+    -------
+    Rig
+        Close it in the end, best by a ``with`` statement.
+
+    Raises
+    ------
+    InputError
+        If an address makes no sense, or there is one device without the other.
+    DeviceError
+        If a device is missing or in use.
+    MissingExtraError
+        If the packages of a device's back end are not installed.
+
+    Examples
+    --------
+    >>> import lightmatrix as lm
+    >>> lm.open_rig("virtual:metal,delay=3,real=0")
+    Rig(virtual:metal, virtual:metal)
+    """
+    check_number("a patience", patience, most=3600, above=True, hint="give seconds, such as 10")
+    if rig is None:
+        if projector is None or camera is None:
+            raise InputError(
+                "there is no rig to photograph with",
+                hint="give a rig, virtual:l_objects, or a projector and a camera; "
+                "`lightmatrix rig list` names those that are there",
+            )
+        opened = _real(projector, camera)
+    elif projector is not None or camera is not None:
+        raise InputError(
+            "a rig and a projector or a camera",
+            hint="a virtual rig has both; give one or the other",
+        )
+    else:
+        opened = _virtual(rig if isinstance(rig, VirtualSettings) else parse_settings(rig))
+    opened.patience = patience
+    return opened
+
+
+def _real(projector: str, camera: str) -> Rig:
+    # The camera comes first: if another program has it, no window flashes up.
+    opened = open_camera(camera)
+    try:
+        return Rig(open_projector(projector), opened, lambda: open_camera(camera))
+    except BaseException:
+        opened.close()
+        raise
+
+
+def _virtual(settings: VirtualSettings) -> Rig:
+    size = (settings.size, settings.size)
+    if settings.scene == PROCEDURAL:
+        truth = ProceduralScene(size, size, settings.seed).truth()
+    else:
+        truth = library.truth(settings.scene, size)
+    clock = SimulatedClock() if not settings.real else Clock()
+    light = VirtualLight(truth, realism.ambient(truth, settings.room), settings)
+    camera = VirtualCamera(light, clock)
+    # The light of a black pixel is in the black frame, so the T that can be measured is smaller.
+    contrast = np.float32(1 - HARDWARE.leak)
+    measurable = replace(
+        truth,
+        matrix=truth.with_data(contrast * truth.matrix.data),
+        direct_data=contrast * truth.direct_data,
+    )
+    projector = VirtualProjector(light, clock)
+    return Rig(projector, camera, camera.reopen, clock, measurable, settings.unit)
+
+
+@dataclass(frozen=True, eq=False)
+class ProjectedPatterns:
+    """A pattern set on a projector's screen; an InputError if it does not fit."""
+
+    # K patterns.
+    patterns: PatternSet
+    # (rows, cols): the projector's pixels.
+    screen: tuple[int, int]
+    # Projector pixels along a side of each pattern pixel.
+    cell: int = 1
+    # Chooses grey values that give the patterns' light; black-and-white patterns need none.
+    response: ProjectorResponse | None = None
+
+    def __post_init__(self) -> None:
+        rows, cols = self.patterns.shape
+        if rows * self.cell > self.screen[0] or cols * self.cell > self.screen[1]:
+            cells = f", each pixel {self.cell} x {self.cell}" if self.cell > 1 else ""
+            raise InputError(
+                f"patterns of {rows} x {cols} pixels{cells}, for a projector of "
+                f"{self.screen[0]} x {self.screen[1]}",
+                hint=f"make patterns of {self.screen[0] // self.cell}x"
+                f"{self.screen[1] // self.cell} at most",
+            )
+
+    @cached_property
+    def _grey(self) -> bool:
+        """Whether the patterns have other values than black and white."""
+        return self.patterns.as_bits() is None
+
+    def image(self, index: int) -> NDArray[np.uint8]:
+        """The image of a pattern, (rows, cols) uint8, in the middle of a black screen."""
+        light = self.patterns.images(index, index + 1)[0]
+        if self._grey and self.response is not None:
+            grey = self.response.grey_for(light)
+        else:
+            grey = to_grey(light)
+        grey = grey.repeat(self.cell, axis=0).repeat(self.cell, axis=1)
+        if grey.shape == self.screen:
+            return grey
+        whole = np.zeros(self.screen, np.uint8)
+        top, left = ((a - b) // 2 for a, b in zip(self.screen, grey.shape, strict=True))
+        whole[top : top + grey.shape[0], left : left + grey.shape[1]] = grey
+        return whole

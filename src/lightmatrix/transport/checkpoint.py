@@ -1,0 +1,298 @@
+"""Checkpoints of estimates: finished tiles of rows beside the output, so that no work is lost.
+
+While an estimate runs, `<output>.partial` holds each finished tile of each of its steps as one
+file, renamed into place when whole, and the fingerprint of what is being computed. A run that was
+killed continues there. The output is locked meanwhile.
+
+The digest of a tile covers its arrays, its file's name and the fingerprint. So a tile that was
+damaged, renamed, or written late by a worker with other settings is computed again.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import re
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import ExitStack
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lightmatrix.errors import ClusterError, InputError, LightMatrixError, OutputError
+from lightmatrix.files.kinds import PARTIAL, STORE, read_object
+from lightmatrix.files.numpy_files import read_npz
+from lightmatrix.files.running import RunningResults, write_whole
+from lightmatrix.files.writing import claimed
+from lightmatrix.resources.threads import work_ahead
+from lightmatrix.transport.matrix import LightTransport
+from lightmatrix.transport.sparse_rows import SparseRows
+from lightmatrix.transport.store import open as open_store
+from lightmatrix.transport.store import save_rows
+
+# First row of a tile, and the row after its last.
+Span = tuple[int, int]
+# The array of a tile's file that holds the digest of all others.
+_DIGEST = "digest"
+_FINGERPRINT = "fingerprint.json"
+# The step whose tiles are the result.
+ROWS = "rows"
+
+
+class Checkpoint:
+    """Finished tiles of a matrix that is being computed, and the lock of the output.
+
+    An exception leaves the tiles for the next run. Those of the step `ROWS` are the result, those
+    of others are what an estimator needs to continue.
+    """
+
+    def __init__(
+        self, path: Path, kept: RunningResults, token: str, overwrite: bool, claim: ExitStack
+    ) -> None:
+        self._path = path
+        self._kept = kept
+        self._overwrite = overwrite
+        self._claim = claim
+        self.token = token
+        # The undamaged tiles of each step that was asked for.
+        self._spans: dict[str, list[Span]] = {}
+
+    @classmethod
+    def open(
+        cls, path: str | Path, fingerprint: Mapping[str, Any], *, overwrite: bool = False
+    ) -> Checkpoint:
+        """Begin, or continue, the running results of an output.
+
+        Parameters
+        ----------
+        path : str or Path
+            The output, such as scene.zarr; the tiles are kept in scene.zarr.partial.
+        fingerprint : mapping
+            Everything the result depends on, JSON-ready: digest of the input, parameters.
+        overwrite : bool
+            Whether an existing output may be replaced, and tiles of other inputs thrown away.
+
+        Raises
+        ------
+        OutputError
+            If the output exists, is being written by another run, there are tiles of other inputs,
+            or the disk fails.
+        """
+        wanted = json.loads(json.dumps(dict(fingerprint), default=str))
+        with ExitStack() as claim:
+            target = claim.enter_context(claimed(path, STORE, overwrite=overwrite))
+            kept = RunningResults.resume(
+                target,
+                PARTIAL,
+                wanted,
+                file=_FINGERPRINT,
+                contents="an incomplete estimate with other settings",
+                overwrite=overwrite,
+            )
+            if not kept.has(_FINGERPRINT):
+                try:
+                    with kept.keep(_FINGERPRINT) as part:
+                        part.write_text(json.dumps(wanted, indent=2))
+                except OutputError:
+                    kept.discard()
+                    raise
+            return cls(Path(path), kept, _token(wanted), overwrite, claim.pop_all())
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        with self._claim:
+            tiles = [tile for name in self._kept.names if (tile := tile_of(name)) is not None]
+            # Settings that no tile could be computed with must not stand in the way of others.
+            refused = isinstance(error, LightMatrixError) and not isinstance(
+                error, OutputError | ClusterError
+            )
+            if not tiles or (refused and not any(step == ROWS for step, _ in tiles)):
+                self.discard()
+
+    @property
+    def folder(self) -> Path:
+        """Where the tiles are kept, as an absolute path."""
+        return self._kept.path
+
+    def spans(self, step: str = ROWS) -> list[Span]:
+        """Rows of the finished, undamaged tiles of a step, in order and without overlap."""
+        if step not in self._spans:
+            tiles = [tile for name in self._kept.names if (tile := tile_of(name)) is not None]
+            spans = [span for other, span in tiles if other == step]
+            whole = [span for span in spans if self._tile(step, span) is not None]
+            self._spans[step] = without_overlap(whole)
+        return list(self._spans[step])
+
+    def write(self, start: int, stop: int, rows: SparseRows, step: str = ROWS) -> None:
+        """Keep a finished tile, the rows start..stop of a step."""
+        write_tile(self.place(start, stop, step), self.token, rows)
+        self.add(start, stop, step)
+
+    def place(self, start: int, stop: int, step: str = ROWS) -> Path:
+        """Where another process may write a tile, with `write_tile` and the `token`."""
+        return self._kept.place(tile_name(step, (start, stop)))
+
+    def add(self, start: int, stop: int, step: str = ROWS) -> None:
+        """Count a tile that was written as finished."""
+        self._spans[step] = without_overlap([*self.spans(step), (start, stop)])
+
+    def read(self, step: str) -> SparseRows:
+        """All tiles of a step, joined."""
+        return SparseRows.joined(list(self._tiles(step)))
+
+    def keep(self, name: str, data: bytes) -> None:
+        """Keep a file that is no tile until the output is whole."""
+        with self._kept.keep(name) as part:
+            part.write_bytes(data)
+
+    def forget(self, step: str) -> None:
+        """Throw away the tiles of a step."""
+        for name in self._kept.names:
+            tile = tile_of(name)
+            if tile is not None and tile[0] == step:
+                self._kept.forget(name)
+        self._spans[step] = []
+
+    def finish(
+        self,
+        *,
+        camera_shape: tuple[int, ...],
+        projector_shape: tuple[int, int],
+        background_grid: tuple[int, int] = (1, 1),
+        provenance: Mapping[str, Any] | None = None,
+    ) -> LightTransport:
+        """Join the tiles on disk into the output, so that T is in memory once, and remove them."""
+        spans = self.spans(ROWS)
+        edges = [0, *(stop for _, stop in spans)]
+        rows = int(np.prod(camera_shape))
+        if [start for start, _ in spans] != edges[:-1] or edges[-1] != rows:
+            raise InputError(f"{self.folder}: the tiles do not cover all {rows} rows once")
+        provenance = dict(provenance or {})
+        try:
+            save_rows(
+                self._path,
+                self._tiles(ROWS),
+                camera_shape=camera_shape,
+                projector_shape=projector_shape,
+                background_grid=background_grid,
+                provenance=provenance,
+                overwrite=self._overwrite,
+            )
+        except OutputError as error:
+            raise OutputError(
+                error.message,
+                hint=f"the finished tiles are kept in {self.folder}: check the folder, its "
+                "permissions and the free space, and run the same estimate again",
+            ) from error
+        self.discard()
+        return replace(open_store(self._path), provenance=provenance)
+
+    def discard(self) -> None:
+        """Throw away all that is kept."""
+        self._kept.discard()
+
+    def _tiles(self, step: str) -> Iterator[SparseRows]:
+        """Finished tiles one after the other, so that they are never all in memory."""
+        return work_ahead(partial(self._whole, step), self.spans(step))
+
+    def _whole(self, step: str, span: Span) -> SparseRows:
+        tile = self._tile(step, span)
+        if tile is None:
+            raise InputError(
+                f"{self.folder}: the tile {tile_name(step, span)} was damaged meanwhile",
+                hint="run the same estimate again; it computes that tile anew",
+            )
+        return tile
+
+    def _tile(self, step: str, span: Span) -> SparseRows | None:
+        """A finished tile; None if it is damaged."""
+        return read_tile(self._kept.file(tile_name(step, span)), self.token, span[1] - span[0])
+
+
+def tile_name(step: str, span: Span) -> str:
+    """The name of the file that keeps a tile of a step."""
+    return f"{step}-{span[0]}-{span[1]}.npz"
+
+
+def tile_of(name: str) -> tuple[str, Span] | None:
+    """The step and the rows of a tile by its file's name; None if it is no tile's."""
+    match = re.fullmatch(r"([a-z0-9-]+)-([0-9]{1,18})-([0-9]{1,18})\.npz", name)
+    return None if match is None else (match[1], (int(match[2]), int(match[3])))
+
+
+def write_tile(file: Path, token: str, rows: SparseRows) -> None:
+    """Write a tile in one step, from any process; `token` is that of the fingerprint."""
+    with write_whole(file) as part:
+        arrays: dict[str, Any] = rows.arrays()
+        arrays[_DIGEST] = _digest(file.name, token, arrays)
+        np.savez(part, **arrays)
+
+
+def read_tile(file: Path, token: str, count: int) -> SparseRows | None:
+    """A tile of `count` rows; None if it is missing, damaged, or was written for another token."""
+    try:
+        arrays = read_npz(file)
+        digest = arrays.pop(_DIGEST, None)
+        if digest is None or digest.dtype != np.uint8:
+            return None
+        if not np.array_equal(digest, _digest(file.name, token, arrays)):
+            return None
+        rows = SparseRows.from_arrays(arrays)
+    except InputError:
+        return None
+    return rows if rows.count == count else None
+
+
+def without_overlap(spans: Iterable[Span]) -> list[Span]:
+    """Spans of rows in order, of which a longer one excludes those that overlap it."""
+    chosen: list[Span] = []
+    for start, stop in sorted(spans, key=lambda span: span[0] - span[1]):
+        if start < stop and all(stop <= other[0] or start >= other[1] for other in chosen):
+            chosen.append((start, stop))
+    return sorted(chosen)
+
+
+def unfinished_spans(wanted: Iterable[Span], finished: Iterable[Span]) -> list[Span]:
+    """The unfinished parts of the wanted spans; both are in order and without overlap."""
+    finished, missing = list(finished), []
+    for start, stop in wanted:
+        for first, last in finished:
+            if last > start and first < stop:
+                if first > start:
+                    missing.append((start, first))
+                start = max(start, last)
+        if start < stop:
+            missing.append((start, stop))
+    return missing
+
+
+def _digest(name: str, token: str, arrays: Mapping[str, NDArray[Any]]) -> NDArray[np.uint8]:
+    """Hash of arrays, of their file's name and of what is computed, 32 bytes."""
+    hasher = hashlib.sha256(f"{name}\n{token}".encode())
+    for key in sorted(arrays):
+        values = arrays[key]
+        hasher.update(repr((key, values.shape, values.dtype.str)).encode())
+        hasher.update(values.tobytes())
+    return np.frombuffer(hasher.digest(), np.uint8)
+
+
+def fingerprint_token(folder: Path) -> str | None:
+    """The token that marks the tiles of a folder of running results; None if there is none."""
+    fingerprint = read_object(folder / _FINGERPRINT)
+    return None if fingerprint is None else _token(fingerprint)
+
+
+def _token(fingerprint: Mapping[str, Any]) -> str:
+    return hashlib.sha256(json.dumps(fingerprint, sort_keys=True).encode()).hexdigest()

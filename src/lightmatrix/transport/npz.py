@@ -1,0 +1,423 @@
+"""Files of other programs: T as npz that SciPy loads or mat for MATLAB, and correspondences as npz.
+
+`import_npz` reads exports, rendered truths, and sparse matrices that SciPy saved.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import sparse
+from scipy.io import savemat
+from scipy.sparse import coo_array, csr_array
+
+from lightmatrix.errors import InputError, OutputError
+from lightmatrix.files.json_files import parse_json
+from lightmatrix.files.kinds import (
+    CORRESPONDENCE,
+    CORRESPONDENCE_MARK,
+    MAT,
+    MAT_MARK,
+    TRANSPORT_MARK,
+    TRUTH_MARK,
+    export_kind,
+)
+from lightmatrix.files.numpy_files import NpyHeader, read_npz
+from lightmatrix.files.writing import atomic_file, check_output
+from lightmatrix.geometry.rig_geometry import RigGeometry, checked_fields
+from lightmatrix.transport.correspondence import Correspondence
+from lightmatrix.transport.matrix import LightTransport
+from lightmatrix.transport.sparse_rows import checked_float32, checked_matrix, checked_shape
+
+# The version of exports, truth files and correspondences. Files of another one are refused.
+VERSION = 1
+# Arrays with one value for each entry. All others are small, or have one value for each row and
+# cell.
+_ENTRIES = ("data", "indices", "row", "col", "direct_data")
+# Arrays of a correspondence for each camera pixel: numbers after (rows, cols), type, and whether
+# every file has them.
+_MATCHES = {
+    "pixel": ((2,), np.dtype(np.int32), True),
+    "place": ((2,), np.dtype(np.float32), True),
+    "confidence": ((), np.dtype(np.float32), True),
+    "uncertainty": ((2,), np.dtype(np.float32), False),
+    "light": ((), np.dtype(np.float32), False),
+}
+
+
+def export(
+    path: str | Path,
+    transport: LightTransport,
+    *,
+    dense_background: bool = False,
+    overwrite: bool = False,
+) -> None:
+    """Write a light transport matrix for SciPy (.npz) or MATLAB (.mat).
+
+    An npz file holds T as CSR, as `scipy.sparse.load_npz` reads it. Extra keys hold the shapes, the
+    background and the provenance, so that `open` returns the same LightTransport, except for the
+    diagnostics. A mat file (level 5) holds a sparse double matrix ``T`` and the ``background``. In
+    MATLAB, images are stored column by column: show row i as
+    ``reshape(T(i, :), fliplr(projector_shape))'``.
+
+    Parameters
+    ----------
+    path : str or Path
+        Ends in .npz or .mat.
+    transport : LightTransport
+        What to write.
+    dense_background : bool
+        Spread the background over all entries, so that the matrix is the whole of T: exact, but up
+        to M x N entries, 8 bytes each, not compressed. Otherwise the background is stored
+        separately and the matrix is the sparse part alone.
+    overwrite : bool
+        Whether an existing export may be replaced.
+
+    Raises
+    ------
+    OutputError
+        If the file exists, ends otherwise, is too large for MATLAB's format, or cannot be written.
+
+    Examples
+    --------
+    >>> import lightmatrix as lm
+    >>> lm.export("T_of_metal.npz", lm.truth("metal").transport())
+    """
+    kind = export_kind(path)
+    check_output(path, kind, overwrite=overwrite)
+    matrix, background = _parts(transport, dense_background)
+    shapes: dict[str, Any] = {
+        "camera_shape": np.array(transport.camera_shape),
+        "projector_shape": np.array(transport.projector_shape),
+        "background_grid": np.array(transport.background_grid),
+    }
+    # MATLAB's level-5 files count the bytes of a variable in 32 bits.
+    if kind is MAT and 8 * matrix.nnz >= 2**31:
+        raise OutputError(
+            f"{path}: {matrix.nnz} entries are too many for a .mat file",
+            hint="pass dense_background=False, or export to .npz",
+        )
+    with atomic_file(path, kind, overwrite=overwrite) as part:
+        if kind is MAT:
+            # MATLAB only has sparse matrices of doubles, compressed by columns.
+            content: dict[str, Any] = {
+                "T": sparse.csc_array(matrix, dtype=np.float64),
+                "background": background,
+                **{name: shape.astype(np.float64) for name, shape in shapes.items()},
+                "lightmatrix_version": float(VERSION),
+            }
+            savemat(part, content, appendmat=False, do_compression=True)
+            with part.open("r+b") as written:
+                # The file begins with 116 bytes of free text.
+                written.write(MAT_MARK.encode().ljust(116))
+            return
+        # Dense entries hardly compress, and gigabytes of them take minutes.
+        write = np.savez if dense_background else np.savez_compressed
+        # NumPy would add its own ending to a name whose ending is in capitals.
+        with part.open("wb") as stream:
+            write(
+                stream,
+                # First, so that even a file that was cut off is recognized as ours.
+                lightmatrix_transport=np.array(VERSION),
+                format=np.array(b"csr"),
+                _is_array=np.array(True),
+                shape=np.array(matrix.shape),
+                data=matrix.data,
+                indices=matrix.indices,
+                indptr=matrix.indptr,
+                background=background,
+                metadata=np.array(json.dumps(dict(transport.provenance), default=str)),
+                **shapes,
+            )
+
+
+def _parts(
+    transport: LightTransport, dense_background: bool
+) -> tuple[csr_array, NDArray[np.float32]]:
+    """The matrix to write and the background that it leaves out."""
+    if not dense_background or not transport.background.any():
+        return transport.sparse, transport.background
+    rows, pixels = transport.shape
+    dense = transport.background.any(axis=1)
+    # Arrays of the greatest possible size, so that entries are stored once, not joined at the end.
+    bound = int(dense.sum()) * pixels + int(np.diff(transport.sparse.indptr)[~dense].sum())
+    data = np.empty(bound, np.float32)
+    # Both index arrays have one type: SciPy would copy them to the wider one.
+    indptr = np.zeros(rows + 1, np.int32 if bound < 2**31 else np.int64)
+    indices = np.empty(bound, indptr.dtype)
+    # 64 MiB of dense rows are made at once.
+    step = max(1, (1 << 24) // pixels)
+    for start in range(0, rows, step):
+        chunk = np.arange(start, min(start + step, rows))
+        tile = csr_array(transport.dense_rows(chunk))
+        at = indptr[start]
+        data[at : at + tile.nnz] = tile.data
+        indices[at : at + tile.nnz] = tile.indices
+        indptr[start + 1 : start + len(chunk) + 1] = at + tile.indptr[1:]
+    end = int(indptr[-1])
+    matrix = csr_array((data[:end], indices[:end], indptr), shape=(rows, pixels))
+    return matrix, np.zeros_like(transport.background)
+
+
+@dataclass(frozen=True, eq=False)
+class SparseFile:
+    """The checked content of an npz file."""
+
+    # (M, N) float32; where the file holds the shapes, M and N are their products.
+    matrix: csr_array
+    # The direct part of each entry, (nnz,).
+    direct_data: NDArray[np.float32] | None
+    # What the matrix leaves out, (M, rows * cols) of the grid.
+    background: NDArray[np.float32] | None
+    background_grid: tuple[int, int]
+    camera_shape: tuple[int, ...] | None
+    projector_shape: tuple[int, int] | None
+    metadata: Mapping[str, Any]
+    # Of the rig, in a truth file of a rendered scene.
+    geometry: RigGeometry | None
+
+
+def import_npz(
+    path: str | Path,
+    camera_shape: tuple[int, ...] | None = None,
+    projector_shape: tuple[int, int] | None = None,
+) -> LightTransport:
+    """Read T from npz: an export, a truth, or a SciPy matrix, whose shapes must be known."""
+    content = read_sparse_npz(path)
+    camera = camera_shape or content.camera_shape
+    projector = projector_shape or content.projector_shape
+    if camera is None or projector is None:
+        raise InputError(
+            f"{path}: does not say the shapes of camera and projector",
+            hint="give camera_shape and projector_shape",
+        )
+    background = content.background
+    if background is None:
+        background = np.zeros((content.matrix.shape[0], 1), np.float32)
+    return LightTransport(
+        content.matrix,
+        background,
+        camera,
+        projector,
+        content.background_grid,
+        provenance=dict(content.metadata),
+    )
+
+
+def read_sparse_npz(path: str | Path) -> SparseFile:
+    """Read a sparse matrix in CSR, CSC or COO form."""
+    file = Path(path)
+    content = read_npz(file, _check_sizes)
+    for name in (TRANSPORT_MARK, TRUTH_MARK):
+        if name in content and _text(content[name]) != str(VERSION):
+            raise InputError(
+                f"{file}: has format version {_text(content[name])[:20]}, this lightmatrix reads "
+                f"{VERSION}",
+                hint="update lightmatrix",
+            )
+    try:
+        return _checked(file, content)
+    except ValueError as error:
+        raise InputError(
+            f"{file}: contradicts itself: {error}", hint="the file is damaged; write it again"
+        ) from error
+
+
+def _check_sizes(headers: Mapping[str, NpyHeader]) -> None:
+    """Refuse sizes that no matrix has, before any array is inflated."""
+    lacking = [name for name in ("format", "shape", "data") if name not in headers]
+    if lacking:
+        raise ValueError(f"no sparse matrix: {', '.join(lacking)} missing")
+    entries = headers["data"].shape
+    if len(entries) != 1:
+        raise ValueError("data does not have one value for each entry")
+    for name, header in headers.items():
+        if name in _ENTRIES:
+            if header.shape != entries:
+                words = "direct parts" if name == "direct_data" else name
+                raise ValueError(f"{header.shape} {words} for {entries[0]} entries")
+        # Any other array, such as the metadata, is far smaller than 16 MiB in real files.
+        elif name not in ("indptr", "background") and header.bytes > 16 << 20:
+            raise ValueError(f"{name[:40]!r} holds {header.bytes} bytes")
+
+
+def _checked(file: Path, content: Mapping[str, NDArray[Any]]) -> SparseFile:
+    rows, cols = checked_shape(content["shape"], (2,), "the matrix", pixels=max)
+    matrix = _matrix(content, (rows, cols))
+    camera, projector = None, None
+    if "camera_shape" in content:
+        camera = checked_shape(content["camera_shape"], (2, 3), "camera_shape")
+    if "projector_shape" in content:
+        projector = _pair(content["projector_shape"], "projector_shape")
+    for name, shape, length in (("camera", camera, rows), ("projector", projector, cols)):
+        if shape is not None and np.prod(shape) != length:
+            raise ValueError(
+                f"its {name} has {' x '.join(map(str, shape))} pixels, its matrix has {length}"
+            )
+    grid = (1, 1)
+    if "background_grid" in content:
+        grid = _pair(content["background_grid"], "background_grid")
+    background = content.get("background")
+    if background is not None:
+        if background.shape != (rows, grid[0] * grid[1]):
+            raise ValueError(f"a background of {background.shape}")
+        background = checked_float32(background, "the background")
+    direct = content.get("direct_data")
+    if direct is not None:
+        if _text(content["format"]) != "csr":
+            raise ValueError("direct parts belong to a matrix in the form csr")
+        direct = checked_float32(direct, "the direct part")
+    metadata: Any = {}
+    if "metadata" in content:
+        metadata = parse_json(_text(content["metadata"]), f"{file}: metadata", finite=False)
+        if not isinstance(metadata, dict):
+            raise ValueError("its metadata is not an object")
+    geometry = None
+    if "geometry" in content:
+        fields = parse_json(_text(content["geometry"]), f"{file}: geometry")
+        geometry = RigGeometry(**checked_fields(fields, str(file)))
+        if (geometry.camera_shape, geometry.projector_shape) != ((camera or ())[:2], projector):
+            raise ValueError("its geometry has other image sizes")
+    return SparseFile(matrix, direct, background, grid, camera, projector, metadata, geometry)
+
+
+def _matrix(content: Mapping[str, NDArray[Any]], shape: tuple[int, int]) -> csr_array:
+    rows, cols = shape
+    form = _text(content["format"])
+    needed = {"csr": ("indices", "indptr"), "csc": ("indices", "indptr"), "coo": ("row", "col")}
+    if form not in needed:
+        raise ValueError(f"a matrix in the form {form[:20]!r}; save it as csr")
+    lacking = [name for name in needed[form] if name not in content]
+    if lacking:
+        raise ValueError(f"{', '.join(lacking)} missing")
+    data = content["data"]
+    if form == "csr":
+        return checked_matrix(data, content["indices"], content["indptr"], shape)
+    if form == "csc":
+        flipped = checked_matrix(data, content["indices"], content["indptr"], (cols, rows))
+        return csr_array(flipped.T)
+    for name, most in (("row", rows), ("col", cols)):
+        index = content[name]
+        if index.dtype.kind not in "iu" or (index < 0).any() or (index >= most).any():
+            raise ValueError(f"a place lies outside the matrix of {rows} x {cols}")
+    places = (content["row"].astype(np.int32), content["col"].astype(np.int32))
+    return csr_array(coo_array((checked_float32(data, "data"), places), shape=shape))
+
+
+def _pair(value: NDArray[Any], name: str) -> tuple[int, int]:
+    rows, cols = checked_shape(value, (2,), name)
+    return rows, cols
+
+
+def _text(value: NDArray[Any]) -> str:
+    """The text of an array that holds a single value."""
+    if value.size != 1:
+        return "nothing"
+    item = value.reshape(-1)[0].item()
+    return item.decode("ascii", "replace") if isinstance(item, bytes) else str(item)
+
+
+def write_correspondence(
+    path: str | Path, matches: Correspondence, *, overwrite: bool = False
+) -> None:
+    """Write a correspondence as an npz file.
+
+    Parameters
+    ----------
+    path : str or Path
+        The file, .npz.
+    matches : Correspondence
+        What to write.
+    overwrite : bool
+        Whether an existing correspondence may be replaced.
+
+    Raises
+    ------
+    OutputError
+        If the file exists, is another one, or cannot be written.
+
+    Examples
+    --------
+    >>> import lightmatrix as lm
+    >>> matches = lm.correspondence(lm.truth("metal").transport())
+    >>> lm.write_correspondence("matches.npz", matches)
+    """
+    arrays = {name: getattr(matches, name) for name in _MATCHES}
+    content: dict[str, Any] = {CORRESPONDENCE_MARK: np.array(VERSION)}
+    content |= {name: array for name, array in arrays.items() if array is not None}
+    if matches.projector_shape is not None:
+        content["projector_shape"] = np.array(matches.projector_shape)
+    with (
+        atomic_file(path, CORRESPONDENCE, overwrite=overwrite) as temporary,
+        open(temporary, "wb") as stream,
+    ):
+        # Fractions of pixels hardly compress, and it takes longer than decoding.
+        np.savez(stream, **content)
+
+
+def read_correspondence(path: str | Path) -> Correspondence:
+    """Read a correspondence that `decode` or `write_correspondence` wrote.
+
+    Parameters
+    ----------
+    path : str or Path
+        The npz file.
+
+    Returns
+    -------
+    Correspondence
+
+    Raises
+    ------
+    InputError
+        If the file is missing, damaged, of a later version, or no correspondence.
+
+    Examples
+    --------
+    >>> import lightmatrix as lm
+    >>> matches = lm.correspondence(lm.truth("metal").transport())
+    >>> lm.write_correspondence("matches.npz", matches)
+    >>> lm.read_correspondence("matches.npz").projector_shape
+    (64, 64)
+    """
+    file = Path(path)
+    content = read_npz(file, _check_matches)
+    version = content[CORRESPONDENCE_MARK]
+    if version.shape or int(version) != VERSION:
+        raise InputError(
+            f"{file}: has format version {version}, this lightmatrix reads {VERSION}",
+            hint="update lightmatrix",
+        )
+    shape = content.get("projector_shape")
+    return Correspondence(
+        content["pixel"],
+        content["place"],
+        content["confidence"],
+        content.get("uncertainty"),
+        content.get("light"),
+        None if shape is None else (int(shape[0]), int(shape[1])),
+    )
+
+
+def _check_matches(headers: Mapping[str, NpyHeader]) -> None:
+    """Refuse arrays that no correspondence has, before any of them is read."""
+    if CORRESPONDENCE_MARK not in headers:
+        raise ValueError("no correspondence; `lightmatrix decode` writes one")
+    if "confidence" not in headers or len(headers["confidence"].shape) != 2:
+        raise ValueError("a correspondence without a confidence of each camera pixel")
+    grid = headers["confidence"].shape
+    for name, (numbers, kind, needed) in _MATCHES.items():
+        if name not in headers:
+            if needed:
+                raise ValueError(f"a correspondence without {name}")
+            continue
+        if headers[name].shape != (*grid, *numbers) or headers[name].dtype != kind:
+            raise ValueError(f"{name} is {headers[name].dtype} of {headers[name].shape}")
+    if "projector_shape" in headers and headers["projector_shape"].shape != (2,):
+        raise ValueError("a projector shape that is not rows and columns")

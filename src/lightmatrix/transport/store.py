@@ -1,0 +1,607 @@
+"""Light transport matrices on disk: one Zarr v3 group each, written whole or not at all.
+
+The group holds the sparse part as CSR (``indptr``, ``indices``, ``data``), the ``background``, one
+array per diagnostic under ``diagnostics/``, and shapes and provenance as attributes. A colour
+projector has a folder with a store for each primary.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+import zipfile
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import suppress
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from pathlib import Path
+from typing import Any, Self
+
+import numpy as np
+import zarr
+from numpy.typing import NDArray
+from scipy.sparse import csr_array
+
+from lightmatrix.errors import InputError
+from lightmatrix.files.colours import COLOURS, colour_paths
+from lightmatrix.files.kinds import (
+    COLOUR_STORES,
+    CORRESPONDENCE_MARK,
+    PACKED_CAPTURE,
+    PARTIAL,
+    STORE,
+    holds_member,
+)
+from lightmatrix.files.reading import read_bytes
+from lightmatrix.files.writing import atomic_folder
+from lightmatrix.files.zarr_arrays import (
+    CHUNK,
+    HEADER,
+    StoredArray,
+    as_damage_error,
+    read_attributes,
+    write_parts,
+)
+from lightmatrix.resources.memory import check_memory
+from lightmatrix.transport.correspondence import Correspondence
+from lightmatrix.transport.matrix import ColourTransport, LightTransport, cell_means
+from lightmatrix.transport.npz import import_npz, read_correspondence
+from lightmatrix.transport.operator import TransportOperator
+from lightmatrix.transport.sparse_rows import (
+    SparseRows,
+    check_indptr,
+    checked_float32,
+    checked_matrix,
+    checked_shape,
+    row_blocks,
+)
+
+FORMAT, VERSION = "lightmatrix-transport", 1
+# The arrays of the group, besides those of diagnostics/, and the types of their values.
+_ARRAYS = {"indptr": np.int64, "indices": np.int32, "data": np.float32, "background": np.float32}
+# The attributes that a seal covers, as far as a group has them.
+_SEALED = ("camera_shape", "projector_shape", "background_grid", "matrix")
+_RESTORE = (
+    "open it again if it was replaced; otherwise restore it from a copy, or estimate it again "
+    "with overwrite=True"
+)
+# Entries of T in a block of rows: eight chunks, so that few chunks are read twice because a block
+# ends within them.
+_BLOCK_ENTRIES = 1 << 23
+
+
+def save(path: str | Path, transport: LightTransport, *, overwrite: bool = False) -> None:
+    """Write a light transport matrix as a Zarr group.
+
+    Parameters
+    ----------
+    path : str or Path
+        Ends in .zarr.
+    transport : LightTransport
+        What to write.
+    overwrite : bool
+        Whether an existing one may be replaced; it stays until the new one is whole.
+
+    Raises
+    ------
+    OutputError
+        If it exists, ends otherwise, or cannot be written.
+
+    Examples
+    --------
+    >>> import lightmatrix as lm
+    >>> lm.save("saved.zarr", lm.truth("metal").transport())
+    """
+    rows = SparseRows(transport.sparse, transport.background, transport.diagnostics)
+    save_rows(
+        path,
+        [rows],
+        camera_shape=transport.camera_shape,
+        projector_shape=transport.projector_shape,
+        background_grid=transport.background_grid,
+        provenance=transport.provenance,
+        overwrite=overwrite,
+    )
+
+
+def save_rows(
+    path: str | Path,
+    parts: Iterable[SparseRows],
+    *,
+    camera_shape: tuple[int, ...],
+    projector_shape: tuple[int, int],
+    background_grid: tuple[int, int],
+    provenance: Mapping[str, Any],
+    overwrite: bool = False,
+) -> None:
+    """Write a matrix as `save` does, from parts with all rows in order, one at a time in memory."""
+    with atomic_folder(path, STORE, overwrite=overwrite) as part:
+        group = zarr.open_group(part, mode="w", zarr_format=3)
+        group.create_group("diagnostics")
+        write_parts(group, _arrays(parts))
+        group.attrs.update(
+            {
+                "format": FORMAT,
+                "version": VERSION,
+                "camera_shape": [int(n) for n in camera_shape],
+                "projector_shape": [int(n) for n in projector_shape],
+                "background_grid": [int(n) for n in background_grid],
+                "provenance": json.loads(json.dumps(dict(provenance), default=str)),
+            }
+        )
+        seal(part)
+
+
+def _arrays(parts: Iterable[SparseRows]) -> Iterator[dict[str, NDArray[Any]]]:
+    """The arrays of parts, joined until they fill eight chunks, which are compressed together."""
+    waiting: list[SparseRows] = []
+    entries, first = 0, np.zeros(1, np.int64)
+    parts = iter(parts)
+    while (part := next(parts, None)) is not None or waiting:
+        if part is not None:
+            waiting.append(part)
+            if sum(p.background.size + p.coefficients.nnz for p in waiting) < 8 * CHUNK:
+                continue
+        rows, waiting = SparseRows.joined(waiting), []
+        matrix = rows.coefficients
+        ends = np.concatenate([first, entries + matrix.indptr[1:].astype(np.int64)])
+        yield {
+            "indptr": ends,
+            "indices": np.asarray(matrix.indices, np.int32),
+            "data": np.asarray(matrix.data, np.float32),
+            "background": np.asarray(rows.background, np.float32),
+            **{f"diagnostics/{name}": values for name, values in rows.diagnostics.items()},
+        }
+        entries, first = entries + int(matrix.nnz), first[:0]
+
+
+def seal(place: Path) -> None:
+    """Add what shows that the arrays of a group are those that were written together.
+
+    `checksums` lists the checksums with which the chunks of each array end, so that a missing chunk
+    and a sound one from elsewhere are noticed when they are read. `digest` covers these, the
+    arrays' metadata and the shapes; it also names the matrix.
+    """
+    group = zarr.open_group(place, mode="r+", zarr_format=3, use_consolidated=False)
+    members = group.members(max_depth=None)
+    names = sorted(name for name, member in members if isinstance(member, zarr.Array))
+    checksums = {name: StoredArray.open(place / name).checksums() for name in names}
+    digest = _digest(place, {**group.attrs, "checksums": checksums})
+    group.attrs.update({"checksums": checksums, "digest": digest})
+
+
+def sealed_arrays(
+    place: Path, names: Iterable[str], attributes: Mapping[str, Any]
+) -> dict[str, StoredArray]:
+    """The arrays of a sealed group, whose chunks are compared with the seal as they are read."""
+    checksums = attributes["checksums"]
+    if sorted(checksums) != sorted(names):
+        raise ValueError("its arrays are not those that were written together")
+    arrays = {n: StoredArray.open(place / n, checksums=checksums[n]) for n in checksums}
+    if attributes["digest"] != _digest(place, attributes):
+        raise ValueError("its arrays, chunks or shapes are not those that were written together")
+    return arrays
+
+
+def _digest(place: Path, attributes: Mapping[str, Any]) -> str:
+    """SHA-256 of shapes and checksums as JSON, then of each array's metadata by its name."""
+    facts = {name: attributes[name] for name in _SEALED if name in attributes}
+    checksums = attributes["checksums"]
+    hasher = hashlib.sha256(json.dumps([facts, checksums], sort_keys=True).encode())
+    for name in sorted(checksums):
+        hasher.update(read_bytes(place / name / HEADER))
+    return hasher.hexdigest()
+
+
+def open(path: str | Path) -> LightTransport:
+    """Open a light transport matrix: a store (.zarr), or a file of `export` or `render` (.npz).
+
+    All of it is checked: indices, finite values, shapes.
+
+    Parameters
+    ----------
+    path : str or Path
+        A store is expected unless the name ends in .npz.
+
+    Returns
+    -------
+    LightTransport
+
+    Raises
+    ------
+    InputError
+        If there is none, it is incomplete, damaged, of a later format version, or not stored the
+        way that `save` does.
+
+    Examples
+    --------
+    >>> import lightmatrix as lm
+    >>> lm.save("scene.zarr", lm.truth("metal").transport())
+    >>> lm.open("scene.zarr")
+    LightTransport(camera 64 x 64, projector 64 x 64, 1922182 entries, metal)
+    """
+    if Path(path).suffix.lower() == ".npz":
+        return import_npz(path)
+    return StoredTransport.open(path).load()
+
+
+def open_matches(
+    source: LightTransport | Correspondence | str | Path,
+) -> LightTransport | Correspondence:
+    """Open a store, a T.npz or a correspondence; what is in memory is returned unchanged."""
+    if isinstance(source, LightTransport | Correspondence):
+        return source
+    path = Path(source)
+    if path.suffix.lower() == ".npz" and path.is_file():
+        # Damaged files are left to the reader of T to name.
+        with suppress(zipfile.BadZipFile, OSError):
+            if holds_member(path, CORRESPONDENCE_MARK):
+                return read_correspondence(path)
+    return open(path)
+
+
+def save_colour(folder: str | Path, transport: ColourTransport, *, overwrite: bool = False) -> None:
+    """Write the T of a colour projector as red.zarr, green.zarr and blue.zarr in a folder.
+
+    Parameters
+    ----------
+    folder : str or Path
+        The folder to make, whole or not at all.
+    transport : ColourTransport
+        What to write.
+    overwrite : bool
+        Whether an existing one may be replaced.
+
+    Raises
+    ------
+    OutputError
+        If the folder exists or cannot be written.
+
+    Examples
+    --------
+    >>> import lightmatrix as lm
+    >>> known = lm.truth("metal").transport()
+    >>> lm.save_colour("scene", lm.ColourTransport(known, known, known))
+    >>> lm.open_colour("scene").camera_shape
+    (64, 64)
+    """
+    with atomic_folder(folder, COLOUR_STORES, overwrite=overwrite) as part:
+        for name, one in zip(COLOURS, transport, strict=True):
+            save(part / f"{name}.zarr", one)
+
+
+def open_colour(folder: str | Path) -> ColourTransport:
+    """Read the T of a colour projector that `save_colour` or `estimate_colour` wrote.
+
+    Parameters
+    ----------
+    folder : str or Path
+        Holds red.zarr, green.zarr and blue.zarr.
+
+    Raises
+    ------
+    InputError
+        If one of them is missing or damaged.
+
+    Examples
+    --------
+    >>> import lightmatrix as lm
+    >>> known = lm.truth("metal").transport()
+    >>> lm.save_colour("saved", lm.ColourTransport(known, known, known))
+    >>> lm.open_colour("saved").projector_shape
+    (64, 64)
+    """
+    red, green, blue = (open(path) for path in colour_paths(folder))
+    return ColourTransport(red, green, blue)
+
+
+@dataclass(frozen=True, eq=False)
+class StoredTransport(TransportOperator):
+    """A light transport matrix on disk, of which as much is read as is asked for.
+
+    Made by `open`. Blocks of rows that were read are kept, up to a gigabyte, so that a matrix that
+    fits is decompressed once.
+
+    Parameters
+    ----------
+    place : Path
+        The store.
+    camera_shape, projector_shape, background_grid, provenance
+        As those of `LightTransport`.
+    arrays : mapping of str to StoredArray
+        ``indptr``, ``indices``, ``data``, ``background`` and ``diagnostics/NAME``, unread.
+    digest : str
+        Names this matrix.
+    memory : int
+        Bytes of blocks that are kept.
+
+    Examples
+    --------
+    >>> import lightmatrix as lm
+    >>> lm.save("lazy.zarr", lm.truth("metal").transport())
+    >>> stored = lm.StoredTransport.open("lazy.zarr")
+    >>> stored.relight(np.ones(stored.projector_shape)).shape, stored.row(20, 30).shape
+    ((64, 64), (64, 64))
+    >>> stored.region(slice(8, 16), slice(0, 64))
+    LightTransport(camera 8 x 64, projector 64 x 64, 214586 entries, metal)
+    """
+
+    place: Path
+    camera_shape: tuple[int, ...]
+    projector_shape: tuple[int, int]
+    background_grid: tuple[int, int]
+    provenance: Mapping[str, Any]
+    arrays: Mapping[str, StoredArray]
+    digest: str
+    memory: int = 1 << 30
+    _kept: dict[int, SparseRows] = field(default_factory=dict, repr=False)
+
+    def __repr__(self) -> str:
+        camera, projector = (
+            " x ".join(map(str, shape)) for shape in (self.camera_shape, self.projector_shape)
+        )
+        return (
+            f"StoredTransport({self.place}, camera {camera}, projector {projector}, "
+            f"{self.entries} entries)"
+        )
+
+    @classmethod
+    def open(cls, path: str | Path, *, memory: int = 1 << 30) -> Self:
+        """Open a store, reading no more than where its rows begin.
+
+        Parameters
+        ----------
+        path : str or Path
+            A .zarr folder from `estimate` or `save`.
+        memory : int
+            Bytes of blocks that are kept once they were read.
+
+        Raises
+        ------
+        InputError
+            If there is none, it is incomplete, damaged, or of a later format version. Rows are
+            checked when they are read, and a damaged chunk is named then.
+        """
+        place = Path(path)
+        if not place.exists():
+            if place.with_name(place.name + PARTIAL).exists():
+                raise InputError(
+                    f"{place}: the estimate is incomplete",
+                    hint="run the same `lightmatrix estimate` again; it continues where it stopped",
+                )
+            raise InputError(f"{place}: no such file", hint="check the name")
+        attributes = read_attributes(place)
+        if attributes.get("format") != FORMAT:
+            output = attributes.get("output")
+            if isinstance(output, dict) and output.get("kind") == PACKED_CAPTURE.name:
+                raise InputError(
+                    f"{place}: is a {PACKED_CAPTURE.name}, not a {STORE.name}",
+                    hint="estimate one from it: lightmatrix estimate",
+                )
+            raise InputError(
+                f"{place}: is not a {STORE.name}", hint="give a .zarr folder from `estimate`"
+            )
+        # True and 1.0 equal 1, but are no versions.
+        if type(attributes.get("version")) is not int or attributes["version"] != VERSION:
+            raise InputError(
+                f"{place}: has format version {str(attributes.get('version'))[:20]}, this "
+                f"lightmatrix reads {VERSION}",
+                hint="update lightmatrix",
+            )
+        with as_damage_error(place, _RESTORE):
+            camera = checked_shape(attributes["camera_shape"], (2, 3), "camera_shape")
+            rows, cols = checked_shape(attributes["projector_shape"], (2,), "projector_shape")
+            high, wide = checked_shape(attributes["background_grid"], (2,), "background_grid")
+            inner = sorted(
+                entry.name for entry in (place / "diagnostics").iterdir() if entry.is_dir()
+            )
+            diagnostics = [f"diagnostics/{name}" for name in inner]
+            arrays = sealed_arrays(place, [*_ARRAYS, *diagnostics], attributes)
+            for name, dtype in _ARRAYS.items():
+                if arrays[name].dtype != dtype:
+                    raise ValueError(f"{name} holds {arrays[name].dtype}, not {np.dtype(dtype)}")
+            samples = math.prod(camera)
+            wanted = {
+                "indptr": (samples + 1,),
+                "indices": arrays["data"].shape,
+                "background": (samples, high * wide),
+                **dict.fromkeys(diagnostics, (samples,)),
+            }
+            for name, shape in wanted.items():
+                if arrays[name].shape != shape:
+                    raise ValueError(f"{name} has shape {arrays[name].shape}, not {shape}")
+            provenance = attributes["provenance"]
+            if not isinstance(provenance, dict):
+                raise ValueError("its provenance is not an object")
+            digest = attributes["digest"]
+            matrix = cls(
+                place, camera, (rows, cols), (high, wide), provenance, arrays, digest, memory
+            )
+        check_memory(place, arrays["indptr"].bytes)
+        # Read now, so that damage of it is reported at once.
+        assert len(matrix._indptr) > 0
+        return matrix
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Camera samples and projector pixels (M, N)."""
+        return math.prod(self.camera_shape), math.prod(self.projector_shape)
+
+    @property
+    def image_shapes(self) -> tuple[tuple[int, ...], tuple[int, ...]]:
+        """The shapes of the camera and of the projector."""
+        return self.camera_shape, self.projector_shape
+
+    @property
+    def entries(self) -> int:
+        """Entries of the sparse part."""
+        return int(self._indptr[-1])
+
+    @cached_property
+    def pooling(self) -> csr_array:
+        """The operator m: mean over each cell of the background grid, (B, N)."""
+        return cell_means(self.projector_shape, self.background_grid)
+
+    def rows(self, start: int, stop: int) -> SparseRows:
+        """The camera samples start to stop, with diagnostics, read from their chunks alone.
+
+        Parameters
+        ----------
+        start, stop : int
+            0 <= start <= stop <= M.
+
+        Raises
+        ------
+        InputError
+            If there are no such rows, or naming a chunk that is damaged.
+        """
+        if not 0 <= start <= stop <= self.shape[0]:
+            raise InputError(
+                f"rows {start} to {stop} of a matrix of {self.shape[0]}", hint="ask for its rows"
+            )
+        return replace(self._rows(start, stop), diagnostics=self.diagnostics(start, stop))
+
+    def _rows(self, start: int, stop: int) -> SparseRows:
+        """Rows without their diagnostics, which images do not need."""
+        arrays = self.arrays
+        ends = self._indptr[start : stop + 1]
+        entries = slice(int(ends[0]), int(ends[-1]))
+        with as_damage_error(self.place, _RESTORE):
+            matrix = checked_matrix(
+                arrays["data"].read(entries),
+                arrays["indices"].read(entries),
+                ends - ends[0],
+                (stop - start, self.shape[1]),
+            )
+        return SparseRows(matrix, self.background(start, stop))
+
+    def background(self, start: int, stop: int) -> NDArray[np.float32]:
+        """Some rows of the background, (stop - start, B) float32."""
+        with as_damage_error(self.place, _RESTORE):
+            values = self.arrays["background"].read(slice(start, stop))
+            return checked_float32(values, "background")
+
+    def diagnostics(self, start: int, stop: int) -> dict[str, NDArray[Any]]:
+        """The diagnostics of some rows by name, (stop - start,) each."""
+        arrays = {name: self.arrays[name] for name in self.arrays if name not in _ARRAYS}
+        with as_damage_error(self.place, _RESTORE):
+            return {
+                name.removeprefix("diagnostics/"): array.read(slice(start, stop))
+                for name, array in arrays.items()
+            }
+
+    def blocks(self) -> Iterator[tuple[int, SparseRows]]:
+        """All rows in blocks of bounded size, without diagnostics: (first row, rows)."""
+        for start, stop in zip(self._cuts[:-1], self._cuts[1:], strict=True):
+            yield int(start), self._block(int(start), int(stop))
+
+    def region(self, rows: slice, cols: slice) -> LightTransport:
+        """A rectangle of the camera's pixels as a matrix in memory.
+
+        Parameters
+        ----------
+        rows, cols : slice
+            With start and stop within the camera and without step.
+
+        Raises
+        ------
+        InputError
+            If it is empty or leaves the camera.
+        """
+        height, width, *channels = self.camera_shape
+        for part, size in ((rows, height), (cols, width)):
+            if part.step not in (None, 1) or not 0 <= part.start < part.stop <= size:
+                raise InputError(
+                    f"a region of {rows.start}:{rows.stop}, {cols.start}:{cols.stop} of a camera "
+                    f"of {height} x {width}",
+                    hint="name rows and columns that it has",
+                )
+        depth = math.prod(channels)
+        lines = [
+            self.rows((r * width + cols.start) * depth, (r * width + cols.stop) * depth)
+            for r in range(rows.start, rows.stop)
+        ]
+        shape = (rows.stop - rows.start, cols.stop - cols.start, *channels)
+        return self._in_memory(SparseRows.joined(lines), shape)
+
+    def load(self) -> LightTransport:
+        """All of it in memory, as `lightmatrix.open` returns it."""
+        check_memory(self.place, sum(array.bytes for array in self.arrays.values()))
+        return self._in_memory(self.rows(0, self.shape[0]), self.camera_shape)
+
+    def _in_memory(self, rows: SparseRows, camera_shape: tuple[int, ...]) -> LightTransport:
+        with as_damage_error(self.place, _RESTORE):
+            return LightTransport(
+                rows.coefficients,
+                rows.background,
+                camera_shape,
+                self.projector_shape,
+                self.background_grid,
+                rows.diagnostics,
+                self.provenance,
+            )
+
+    def multiplied(self, vectors: NDArray[Any]) -> NDArray[Any]:
+        """T p for (N, k) vectors, read block by block."""
+        pooled = self.pooling @ vectors
+        light = np.empty((self.shape[0], vectors.shape[1]), vectors.dtype)
+        for start, block in self.blocks():
+            part = block.coefficients @ vectors + block.background @ pooled
+            light[start : start + block.count] = part
+        return light
+
+    def multiplied_transposed(self, vectors: NDArray[Any]) -> NDArray[Any]:
+        """T' c for (M,) or (M, k) vectors, read block by block and added in double precision."""
+        image = np.zeros((self.shape[1], *vectors.shape[1:]))
+        diffuse = np.zeros((math.prod(self.background_grid), *vectors.shape[1:]))
+        for start, block in self.blocks():
+            part = vectors[start : start + block.count]
+            image += block.coefficients.T @ part
+            diffuse += block.background.T @ part
+        return np.asarray(image + self.pooling.T @ diffuse, vectors.dtype)
+
+    def row(self, *camera_index: int) -> NDArray[np.float32]:
+        """How each projector pixel reaches one camera sample, as a projector image."""
+        index = self.row_number(camera_index)
+        row = self._rows(index, index + 1)
+        values = row.coefficients.toarray() + row.background @ self.pooling
+        return np.asarray(values, np.float32).reshape(self.projector_shape)
+
+    def dense_columns(self, index: NDArray[np.integer]) -> NDArray[np.float32]:
+        """Chosen columns of T, background included: (M, len(index)) float32."""
+        pooled = self.pooling[:, index].toarray()
+        columns = np.empty((self.shape[0], len(index)), np.float32)
+        for start, block in self.blocks():
+            values = block.coefficients[:, index].toarray() + block.background @ pooled
+            columns[start : start + block.count] = values
+        return columns
+
+    @cached_property
+    def _indptr(self) -> NDArray[np.int64]:
+        with as_damage_error(self.place, _RESTORE):
+            indptr = self.arrays["indptr"].read()
+            check_indptr(indptr, self.arrays["data"].shape[0])
+        return indptr.astype(np.int64)
+
+    @cached_property
+    def _cuts(self) -> NDArray[np.int64]:
+        """First rows of the blocks, and M."""
+        return row_blocks(self._indptr, _BLOCK_ENTRIES)
+
+    def _block(self, start: int, stop: int) -> SparseRows:
+        kept = self._kept.get(start)
+        if kept is not None:
+            return kept
+        block = self._rows(start, stop)
+        # The first blocks stay: going through all blocks in order, replacing the oldest would
+        # always remove the one that is needed next.
+        if sum(map(_bytes, self._kept.values())) + _bytes(block) <= self.memory:
+            self._kept[start] = block
+        return block
+
+
+def _bytes(rows: SparseRows) -> int:
+    matrix = rows.coefficients
+    parts = (matrix.data, matrix.indices, matrix.indptr, rows.background)
+    return sum(part.nbytes for part in parts)

@@ -1,0 +1,347 @@
+"""Each fault of a capture is found and named; intact captures, of any kind, are left alone.
+
+How often, over many captures, `python -m benchmarks.frame_checks` measures.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+import lightmatrix as lm
+from benchmarks import frame_checks
+from lightmatrix.check.all_checks import (
+    check_capture,
+    check_distinguishable,
+    check_interchanged,
+)
+from lightmatrix.check.finding import KINDS, join_names
+from lightmatrix.check.survey import Survey
+from lightmatrix.cli import main
+from lightmatrix.patterns.bits import BernoulliPatterns
+from lightmatrix.patterns.pattern_set import ImagePatterns
+from tests.helpers.surface import CAMERA, PROJECTOR, photographs
+
+K = 32
+
+
+PATTERNS = BernoulliPatterns(PROJECTOR, K)
+
+
+DECODER = lm.Decoder(clip=255, full_scale=255)
+
+
+Frames = NDArray[np.uint8]
+
+
+Found = list[tuple[str, tuple[int, ...]]]
+
+
+def found(
+    frames: Frames,
+    patterns: lm.PatternSet = PATTERNS,
+    decoder: lm.Decoder = DECODER,
+    **options: bool,
+) -> Found:
+    findings = check_capture(lm.Capture.from_arrays(patterns, frames, decoder), **options)
+    assert {each.kind for each in findings} <= set(KINDS)
+    assert all(each.message and each.advice for each in findings)
+    return [(each.kind, each.frames) for each in findings]
+
+
+def swapped(frames: Frames) -> Frames:
+    order = np.arange(K)
+    order[[3, 9]] = 9, 3
+    return frames[order]
+
+
+def lost(frames: Frames) -> Frames:
+    return np.concatenate([np.delete(frames, 12, axis=0), frames[-1:]])
+
+
+def blackened(frames: Frames) -> Frames:
+    return np.where(np.arange(K)[:, None, None] == 5, 0, frames).astype(np.uint8)
+
+
+def replaced(frames: Frames) -> Frames:
+    other = frames.copy()
+    other[5] = np.random.default_rng(0).permutation(other[5].ravel()).reshape(CAMERA)
+    return other
+
+
+def shifted(frames: Frames) -> Frames:
+    return np.concatenate([frames[:16], np.roll(frames[16:], 2, axis=2)])
+
+
+def coded(frames: Frames) -> Frames:
+    return np.rint(255 * (frames / 255.0) ** (1 / 2.2)).astype(np.uint8)
+
+
+@pytest.mark.parametrize(
+    ("fault", "expected"),
+    [
+        (lambda frames: frames, []),
+        (swapped, [("order", (3, 9))]),
+        (blackened, [("frame", (5,))]),
+        (replaced, [("frame", (5,))]),
+        (shifted, [("motion", tuple(range(16, K)))]),
+        (coded, [("response", ())]),
+        (lambda frames: swapped(blackened(frames)), [("order", (3, 9)), ("frame", (5,))]),
+    ],
+    ids=["intact", "swapped", "black", "replaced", "shifted", "coded", "swapped and black"],
+)
+def test_faults_are_named(fault: Callable[[Frames], Frames], expected: Found) -> None:
+    assert found(fault(photographs(PATTERNS))) == expected
+
+
+def test_a_lost_frame_displaces_the_rest() -> None:
+    ((kind, frames),) = found(lost(photographs(PATTERNS)))
+    assert kind == "order"
+    assert abs(frames[0] - 12) <= 1
+    assert frames == tuple(range(frames[0], 31))
+
+
+def test_light_that_changes() -> None:
+    beat = 1 + 0.05 * np.sin(1 + 1.3 * np.arange(K))
+    assert found(photographs(PATTERNS, gain=beat)) == [("flicker", ())]
+    one = np.where(np.arange(K) == 7, 1.1, 1.0)
+    assert found(photographs(PATTERNS, gain=one)) == [("flicker", (7,))]
+
+
+def test_only_the_order_of_frames() -> None:
+    frames = photographs(PATTERNS)
+    assert found(swapped(frames), order_only=True) == [("order", (3, 9))]
+    assert found(blackened(frames), order_only=True) == [("frame", (5,))]
+    bright = photographs(PATTERNS, exposure=20)
+    assert found(bright, order_only=True) == []
+    assert [kind for kind, _ in found(bright)] == ["light"]
+
+
+def test_a_bright_black_frame() -> None:
+    frames = photographs(PATTERNS)
+    black = lm.Decoder(clip=255, full_scale=255, black_frame=frames[0].ravel())
+    assert "black" in [kind for kind, _ in found(frames, decoder=black)]
+
+
+@pytest.mark.parametrize("kind", ["hadamard", "mix", "sparse"])
+def test_other_patterns_are_left_alone(kind: str) -> None:
+    patterns = {
+        "hadamard": lm.HadamardPatterns(PROJECTOR, 48, "random", True),
+        "mix": lm.make_patterns("mix", PROJECTOR, 64),
+        "sparse": BernoulliPatterns(PROJECTOR, 48, 0.25),
+    }[kind]
+    assert found(photographs(patterns, exposure=0.5), patterns) == []
+
+
+def test_colour_is_left_alone() -> None:
+    grey = photographs(PATTERNS)
+    colour = np.rint(grey[..., None] * np.array([1, 0.8, 0.5])).astype(np.uint8)
+    assert found(colour) == []
+
+
+# ---- the bundled scenes
+
+
+@pytest.mark.parametrize("fault", ["two frames swapped", "JPEG at quality 60"])
+def test_faults_of_a_bundled_scene_are_named(fault: str) -> None:
+    draws = (draw for draw in frame_checks.draws(40, seed=5) if draw.patterns.count == 32)
+    draw = next(draw for draw in draws if draw.scene == "metal")
+    findings, named = frame_checks.FAULTS[fault](draw, np.random.default_rng(1))
+    assert named, [each.message for each in findings]
+
+
+def test_a_shift_is_named_though_photographs_seem_unrelated_to_their_patterns() -> None:
+    draw = list(frame_checks.draws(7, seed=7))[-1]
+    findings, named = frame_checks.FAULTS["shifted 2 px from the middle on"](
+        draw, np.random.default_rng(6)
+    )
+    assert named, [each.message for each in findings]
+
+
+def test_several_exposures_of_a_bundled_scene_are_left_alone() -> None:
+    patterns = lm.BernoulliPatterns((64, 64), 32)
+    capture = lm.simulate("metal", patterns, exposure="0.4:0.5,0.1:0.5", leak=0.01, ambient=0.05)
+    assert lm.check(capture) == []
+
+
+def test_names_in_words() -> None:
+    assert join_names(list("ab")) == "a and b"
+    assert join_names(list("abc")) == "a, b and c"
+    assert join_names(["a"]) == "a"
+    assert join_names(list("abcde")) == "a, b, c, d and e"
+    assert join_names(list("abcdefg")) == "a, b, c, d, e and 2 more"
+
+
+MICRO = lm.MicroPhasePatterns((64, 64))
+
+
+def stack(capture: lm.Capture) -> np.ndarray:
+    return np.stack([capture.frame(k) for k in range(capture.count)])
+
+
+@pytest.mark.parametrize(
+    ("scene", "seed", "rows", "cols"),
+    [
+        # In these parts of the projector, two of the patterns are nearly the same.
+        ("metal", 0, slice(3, 19), slice(0, 32)),
+        ("gripper", 0, slice(3, 19), slice(0, 32)),
+        ("l_objects", 1, slice(28, 60), slice(22, 34)),
+    ],
+)
+def test_fine_stripes_that_are_alike_in_a_part_of_the_projector_accuse_nothing(
+    scene: str, seed: int, rows: slice, cols: slice
+) -> None:
+    capture = lm.simulate(scene, MICRO, seed=seed, noise=0.003)
+    part = np.ascontiguousarray(stack(capture)[:, rows, cols])
+    findings = lm.check(lm.Capture.from_arrays(MICRO, part, capture.decoder))
+    assert [each.kind for each in findings if each.kind in ("order", "unrelated")] == []
+
+
+def test_motion_is_named_from_the_same_frame_on_in_a_crop() -> None:
+    patterns = lm.BernoulliPatterns((64, 64), 48)
+    intact = lm.simulate("l_objects", patterns, noise=0.003, exposure=0.4)
+    frames = stack(intact)
+    frames[30:] = np.roll(frames[30:], 1, axis=2)
+    capture = lm.Capture.from_arrays(patterns, frames, intact.decoder)
+    whole = lm.check(capture)
+    assert [each.kind for each in whole] == ["motion"]
+    assert abs(whole[0].frames[0] - 30) <= 1
+    assert lm.check(capture.crop((10, 20), (24, 32))) == whole
+    assert lm.check(capture, crop=((40, 4), (20, 20))) == whole
+
+
+def test_only_the_crop_must_see_light_of_the_projector() -> None:
+    patterns = lm.BernoulliPatterns((64, 64), 32)
+    frames = np.full((32, 256, 256), 3, np.uint8)
+    frames[:, 100:164, 100:164] = stack(lm.simulate("metal", patterns, noise=0.003, exposure=0.4))
+    capture = lm.Capture.from_arrays(patterns, frames, lm.Sensor())
+    assert "unseen" in [each.kind for each in lm.check(capture)]
+    assert lm.check(capture.crop((100, 100), (64, 64))) == []
+
+
+RANDOM = BernoulliPatterns((10, 10), 12).images()
+
+
+def message(images: NDArray[np.floating]) -> str:
+    found = check_distinguishable(ImagePatterns(images.astype(np.float32)))
+    assert len(found) < 2
+    assert {each.kind for each in found} <= {"patterns", "stripes"}
+    return found[0].message if found else ""
+
+
+def test_stripes_in_both_directions_do_not() -> None:
+    rows = np.repeat(RANDOM[:, :, :1], 10, axis=2)
+    cols = np.repeat(RANDOM[:, :1], 10, axis=1)
+    for stripes in (rows, cols, np.concatenate([rows, cols])):
+        assert "along rows or along columns only" in message(stripes)
+    # One pattern that varies along both is enough, but by more than 2 %.
+    both = 0.9 * np.concatenate([rows, cols])
+    both[5, 3, 3] += 0.01
+    assert "along rows or along columns only" in message(both)
+    both[5, 3, 3] += 0.02
+    assert "along rows or along columns only" not in message(both)
+
+
+def test_a_fifth_of_the_pixels_may_be_alike() -> None:
+    for alike, fault in ((18, False), (24, True)):
+        images = RANDOM.copy().reshape(12, -1)
+        images[:, :alike:2] = images[:, 1:alike:2]
+        found = message(images.reshape(12, 10, 10))
+        assert bool(found) == fault
+        if fault:
+            assert f"{alike} % of the projector pixels look like another" in found
+
+
+def interchanged(patterns: lm.PatternSet, frames: NDArray[np.uint8]) -> bool:
+    camera = lm.Decoder(clip=255, full_scale=255)
+    capture = lm.Capture.from_arrays(patterns, frames, camera)
+    taken = Survey.take(capture.patterns, capture.frames, capture.decoder)
+    found = check_interchanged(taken)
+    assert [each.kind for each in found] in ([], ["interchanged"])
+    return bool(found)
+
+
+@pytest.mark.parametrize("frames", [3, 12])
+def test_exchanged_folders(frames: int) -> None:
+    noisy = np.random.default_rng(0).random((frames, 10, 10)).astype(np.float32)
+    drawn = (RANDOM[:frames] * 255).astype(np.uint8)
+    taken = (noisy * 255).astype(np.uint8)
+    assert interchanged(ImagePatterns(noisy), drawn)
+    assert not interchanged(ImagePatterns(noisy), taken)
+    assert not interchanged(ImagePatterns(RANDOM[:frames]), drawn)
+    assert not interchanged(BernoulliPatterns((10, 10), frames), drawn)
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    capture = lm.simulate("metal", lm.BernoulliPatterns((64, 64), 32), exposure=0.3)
+    capture.save(tmp_path / "capture")
+    return tmp_path / "capture"
+
+
+def run(words: str, capsys: pytest.CaptureFixture[str]) -> tuple[int, list[dict[str, object]]]:
+    code = main(["check", *words.split(), "--json"])
+    found = json.loads(capsys.readouterr().out)["findings"]
+    assert all(set(each) == {"kind", "frames", "message", "advice"} for each in found)
+    return code, found
+
+
+def test_the_command(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(str(folder), capsys) == (0, [])
+    assert main(["check", str(folder)]) == 0
+    assert "nothing is wrong" in capsys.readouterr().out
+    images = sorted((folder / "images").iterdir())
+    images[3].write_bytes(images[4].read_bytes())
+    code, found = run(str(folder), capsys)
+    assert code == 1
+    assert [(each["kind"], each["frames"]) for each in found] == [("order", [3])]
+    assert found == [each.as_dict() for each in lm.check(folder)]
+    images[3].unlink()
+    code, found = run(f"--patterns {folder}/patterns --images {folder}/images", capsys)
+    assert code == 1
+    assert [(each["kind"], each["frames"]) for each in found] == [("counts", [3])]
+    assert "31 photographs" in str(found[0]["message"])
+    assert main(["check", str(folder)]) == 1
+    assert "counts: 32 patterns" in capsys.readouterr().out
+
+
+def test_files_that_do_not_fit_together_are_findings(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    images = sorted((folder / "images").iterdir())
+    for image in images[5:7]:
+        lm.write_image(image, np.zeros((9, 9), np.uint8), overwrite=True)
+    images[8].write_bytes(b"no image")
+    code, found = run(str(folder), capsys)
+    assert code == 1
+    assert [each["kind"] for each in found] == ["files", "files"]
+    assert [each["frames"] for each in found] == [[5, 6], [8]]
+    assert str(found[0]["message"]).endswith(", and 1 more like it")
+    assert "more like it" not in str(found[1]["message"])
+
+
+def test_no_capture_is_an_error(capsys: pytest.CaptureFixture[str]) -> None:
+    for words in ([], ["nowhere"], ["--patterns", "p"], ["c", "--clip", "3"]):
+        assert main(["check", *words]) == 2
+        assert "error:" in capsys.readouterr().err
+    with pytest.raises(lm.InputError):
+        lm.check()
+
+
+def test_estimate_says_what_check_finds(
+    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for image in (folder / "images").iterdir():
+        levels = lm.read_image(image) / 255
+        bent = np.rint(255 * levels ** (1 / 2.2)).astype(np.uint8)
+        lm.write_image(image, bent, overwrite=True)
+    words = ["estimate", str(folder), "-o", str(tmp_path / "x.zarr"), "--no-coherent", "--json"]
+    assert main([*words, "--iterations", "2"]) == 0
+    shown = capsys.readouterr()
+    assert "response: " in shown.err
+    assert [each["kind"] for each in json.loads(shown.out)["findings"]] == ["response"]

@@ -1,0 +1,177 @@
+"""Patterns with their inverses: what their sums show of order, single frames, light and motion."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+import lightmatrix as lm
+from lightmatrix.check.frame_order import missing_places
+from lightmatrix.check.inverse_pairs import Pairs, PairSums
+from lightmatrix.check.survey import Survey
+from lightmatrix.patterns.bits import BernoulliPatterns
+from lightmatrix.patterns.pattern_set import ImagePatterns
+from tests.helpers.surface import CAMERA, PROJECTOR, photographs
+
+DECODER = lm.Decoder(clip=255, full_scale=255)
+
+
+def gray_code() -> ImagePatterns:
+    """Column and row stripes, each with its inverse; white and black at the end: 22 patterns."""
+    rows, cols = np.indices(PROJECTOR)
+    images = []
+    for place, size in ((cols, PROJECTOR[1]), (rows, PROJECTOR[0])):
+        for bit in reversed(range((size - 1).bit_length())):
+            stripe = ((place ^ (place >> 1)) >> bit & 1).astype(float)
+            images += [stripe, 1 - stripe]
+    images += [1 - images[9], images[9], np.ones(PROJECTOR), np.zeros(PROJECTOR)]
+    return ImagePatterns(np.array(images, np.float32))
+
+
+PATTERNS = gray_code()
+
+
+K = PATTERNS.count
+
+
+def found(frames: NDArray[np.uint8]) -> list[tuple[str, tuple[int, ...]]]:
+    capture = lm.Capture.from_arrays(PATTERNS, frames, DECODER)
+    findings = [(each.kind, each.frames) for each in lm.check(capture)]
+    # Stripes never tell rows with several footprints.
+    assert findings.pop(0) == ("stripes", ())
+    return findings
+
+
+def ordered(*swap: int) -> NDArray[np.int64]:
+    order = np.arange(K)
+    order[list(swap)] = swap[::-1]
+    return order
+
+
+def test_pairs_are_patterns_and_their_inverses() -> None:
+    pairs = Pairs.find(PATTERNS)
+    assert pairs is not None
+    # The last stripes are there twice, in the other order; white and black tell nothing.
+    assert pairs.pairs == tuple((k, k + 1) for k in range(0, 20, 2))
+    assert pairs.others == (20, 21)
+    assert Pairs.find(BernoulliPatterns((16, 16), 32)) is None
+
+
+def test_most_patterns_must_be_in_pairs() -> None:
+    stripes = PATTERNS.subset(np.arange(8)).images()
+    for others, enough in ((5, True), (6, False)):
+        random = np.random.default_rng(0).random((others, *PROJECTOR), np.float32)
+        pairs = Pairs.find(ImagePatterns(np.concatenate([random, stripes])))
+        assert (pairs is not None) == enough
+        if pairs is not None:
+            assert pairs.others == tuple(range(others))
+    # Four of them.
+    assert Pairs.find(PATTERNS.subset(np.arange(6))) is None
+
+
+def test_intact_frames_are_left_alone() -> None:
+    assert found(photographs(PATTERNS, exposure=0.5)) == []
+
+
+@pytest.mark.parametrize("swap", [(2, 7), (4, 13)])
+def test_swapped_frames_are_named(swap: tuple[int, int]) -> None:
+    assert ("order", swap) in found(photographs(PATTERNS, exposure=0.5)[ordered(*swap)])
+
+
+def test_a_stripe_in_place_of_white_is_out_of_order() -> None:
+    # Sums do not tell whether stripes and white were swapped, or their inverses.
+    order = found(photographs(PATTERNS, exposure=0.5)[ordered(6, 20)])
+    assert [frames in ((6, 20), (7, 21)) for kind, frames in order if kind == "order"] == [True]
+
+
+def test_a_black_frame_is_named() -> None:
+    frames = photographs(PATTERNS, exposure=0.5)
+    frames[6] = 1
+    assert found(frames) == [("frame", (6,))]
+
+
+def test_a_pair_that_shows_something_else_is_named() -> None:
+    frames = photographs(PATTERNS, exposure=0.5)
+    frames[6] = np.random.default_rng(0).permutation(frames[6].ravel()).reshape(CAMERA)
+    assert found(frames) == [("frame", (6, 7))]
+
+
+def test_light_that_changes_is_measured() -> None:
+    gain = 1 + 0.05 * np.sin(1 + 1.3 * np.arange(K))
+    assert found(photographs(PATTERNS, exposure=0.5, gain=gain)) == [("flicker", ())]
+    one = np.ones(K)
+    one[4] = 1.1
+    assert found(photographs(PATTERNS, exposure=0.5, gain=one)) == [("flicker", (4,))]
+
+
+@pytest.mark.parametrize("start", [8, 9])
+def test_motion_is_found_to_the_pair(start: int) -> None:
+    frames = photographs(PATTERNS, exposure=0.5)
+    frames[start:] = np.roll(frames[start:], 2, axis=2)
+    ((kind, moved),) = found(frames)
+    assert kind == "motion"
+    assert moved == tuple(range(moved[0], K))
+    assert moved[0] in (8, 10)
+    # Motion at the beginning and end of one pair only is none.
+    frames = photographs(PATTERNS, exposure=0.5)
+    frames[8:10] = np.roll(frames[8:10], 2, axis=2)
+    assert "motion" not in [kind for kind, _ in found(frames)]
+
+
+@pytest.mark.parametrize("place", [3, 10, 17])
+def test_a_missing_frame_is_named_with_its_inverse_at_most(place: int) -> None:
+    frames = np.delete(photographs(PATTERNS, exposure=0.5), place, axis=0)
+    capture = lm.Capture.from_arrays(PATTERNS.subset(np.arange(K - 1)), frames, DECODER)
+    survey = Survey.take(capture.patterns, capture.frames, capture.decoder)
+    named = missing_places(replace(survey, patterns=PATTERNS))
+    assert place in named
+    assert set(named) <= {place, place ^ 1}
+
+
+# ---- sums
+
+
+def sums(values: NDArray[np.floating], clipped: NDArray[np.bool_] | None = None) -> PairSums:
+    clipped = np.zeros(values.shape, bool) if clipped is None else clipped
+    samples = lm.Samples(values, clipped, np.ones(values.shape[1]))
+    pairs = tuple((k, k + 1) for k in range(0, values.shape[1], 2))
+    return PairSums(pairs, samples)
+
+
+def pairs_of(rows: int = 40, count: int = 6) -> NDArray[np.float64]:
+    lit = np.random.default_rng(0).integers(0, 2, (rows, count)) * 0.8 + 0.1
+    return np.stack([lit, 1 - lit], axis=2).reshape(rows, -1)
+
+
+def test_oddness_is_the_relative_deviation_of_the_sum() -> None:
+    values = pairs_of()
+    values[:, 4] += 0.2
+    made = sums(values)
+    np.testing.assert_allclose(made.usual, 1)
+    assert made.oddness(4, 5) == pytest.approx(0.2)
+    assert made.oddness(0, 1) == pytest.approx(0, abs=1e-9)
+    assert made.odd == [(4, 5)]
+    values[:, 4] -= 0.06
+    assert sums(values).odd == []
+    # Against what pairs usually deviate by; clipped samples do not count.
+    values = pairs_of() + np.tile([0.06, 0.0, -0.06, 0.0], 3)
+    values[:, 4] += 0.12
+    assert sums(values).odd == []
+    values[:, 4] += 0.1
+    assert sums(values).odd == [(4, 5)]
+    clipped = np.zeros(values.shape, bool)
+    clipped[:30, 0] = True
+    values[:30, 0] = 5
+    assert sums(values, clipped).odd == [(4, 5)]
+
+
+@pytest.mark.parametrize(("light", "black"), [(0.02, True), (0.06, True), (0.1, False)])
+def test_black_frames_are_dark_beside_their_partner(light: float, black: bool) -> None:
+    values = pairs_of()
+    values[:, 5] = light
+    made = sums(values)
+    assert made.black_frame((4, 5)) == (5 if black else None)
+    assert made.black_frame((0, 1)) is None

@@ -1,0 +1,170 @@
+"""Predictions from a shortlist of projector pixels are those from all of them, nearly."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+import lightmatrix as lm
+from lightmatrix.check import pursuit
+from lightmatrix.check.pursuit import (
+    best_pixels,
+    column_scale,
+    predict_by_pursuit,
+)
+from lightmatrix.patterns import pattern_set
+
+SHAPE, COUNT, ROWS = (48, 64), 64, 40
+
+
+def _values(patterns: lm.PatternSet) -> NDArray[np.float32]:
+    """Samples of camera pixels that see three projector pixels each, not far from each other."""
+    random = np.random.default_rng(0)
+    place = random.integers(8, (SHAPE[0] - 8, SHAPE[1] - 8), (ROWS, 2))
+    near = place[:, None] + random.integers(-3, 4, (ROWS, 3, 2))
+    seen = patterns.columns(np.ravel_multi_index(near.reshape(-1, 2).T, SHAPE))
+    light = np.einsum("kmp,p->mk", seen.reshape(COUNT, ROWS, 3), [0.5, 0.3, 0.2])
+    return (light + 0.01 * random.standard_normal(light.shape)).astype(np.float32)
+
+
+def _predicted(patterns: lm.PatternSet, values: Any, count: int = 60) -> NDArray[np.float32]:
+    fold = np.where(np.arange(COUNT) < count, np.arange(COUNT) % 3, -1)
+    seen = np.where(fold < 0, np.nan, values)
+    return predict_by_pursuit(patterns, column_scale(patterns), seen, fold)
+
+
+@pytest.fixture(params=["bits", "grey"])
+def patterns(request: pytest.FixtureRequest) -> lm.PatternSet:
+    if request.param == "bits":
+        return lm.make_patterns("bernoulli", SHAPE, COUNT)
+    return lm.ImagePatterns(np.random.default_rng(3).random((COUNT, *SHAPE), np.float32))
+
+
+def test_they_predict_what_all_pixels_do(
+    patterns: lm.PatternSet, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    values = _values(patterns)
+    all_pixels = _predicted(patterns, values)
+    monkeypatch.setattr(pursuit, "SEARCHED_WHOLE", 0)
+    # Not all in one block, nor all on the list.
+    monkeypatch.setattr(pursuit, "_MOST_ROWS", 16)
+    monkeypatch.setattr(pursuit, "_LISTED", 128)
+    monkeypatch.setattr(pursuit, "_GROUPS", 1000)
+    listed = _predicted(patterns, values)
+    spread = values.var(axis=1).sum()
+    missed = [((found - values) ** 2).mean(axis=1).sum() / spread for found in (all_pixels, listed)]
+    assert missed[0] < 0.3
+    assert missed[1] < 1.1 * missed[0]
+    # Most rows by the very same pixels, but some by others.
+    assert np.abs(all_pixels - listed).max() > 1e-3
+    assert (np.abs(all_pixels - listed).max(axis=1) < 1e-3).mean() > 0.6
+
+
+def test_what_a_part_holds_does_not_predict_it(
+    patterns: lm.PatternSet, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(pursuit, "SEARCHED_WHOLE", 0)
+    values = _values(patterns)
+    before = _predicted(patterns, values)
+    values[:, 0:60:3] = np.random.default_rng(1).random((ROWS, 20))
+    after = _predicted(patterns, values)
+    np.testing.assert_allclose(before[:, 0:60:3], after[:, 0:60:3], atol=1e-4)
+    assert np.isfinite(after).all()
+    assert np.abs(before[:, 1:60:3] - after[:, 1:60:3]).max() > 0.1
+
+
+def test_rows_beside_each_other_are_found_beside_each_other() -> None:
+    shape = (96, 128)
+    patterns = lm.make_patterns("bernoulli", shape, COUNT)
+    assert patterns.pixels > pursuit.SEARCHED_WHOLE
+    random = np.random.default_rng(0)
+    place = random.integers(8, (88, 120), (10, 1, 2)) + random.integers(-6, 7, (10, 4, 2))
+    seen = np.ravel_multi_index(place.reshape(-1, 2).T, shape)
+    values = patterns.columns(seen).T + 0.1 * random.standard_normal((40, COUNT), np.float32)
+    fold = np.arange(COUNT) % 3
+    predicted = predict_by_pursuit(patterns, column_scale(patterns), values, fold, group=4)
+    missed = ((predicted - values) ** 2).mean(axis=1) / values.var(axis=1)
+    assert missed.max() < 0.2
+
+
+def test_the_scale_of_a_pixel_is_one_over_its_deviation() -> None:
+    images = np.random.default_rng(3).random((COUNT, 3, 5), np.float32)
+    images[:, 1, 2] = 0.7
+    images[:, 2, 2] = 0.7 + 0.0005 * images[:, 0, 0]
+    scale = column_scale(lm.ImagePatterns(images)).reshape(3, 5)
+    assert scale[1, 2] == scale[2, 2] == 0
+    varied = scale > 0
+    assert varied.sum() == 13
+    np.testing.assert_allclose(scale[varied], 1 / images.std(axis=0)[varied], rtol=1e-4)
+
+
+def test_the_best_pixel_correlates_most(
+    patterns: lm.PatternSet, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    # Some pixels at a time.
+    monkeypatch.setattr(pattern_set, "_PIXELS_AT_ONCE", patterns.pixels // 3)
+    residual = np.random.default_rng(1).standard_normal((7, COUNT)).astype(np.float32)
+    residual -= residual.mean(axis=1, keepdims=True)
+    columns = patterns.columns(np.arange(patterns.pixels)).astype(np.float64)
+    scores = residual @ columns / columns.std(axis=0)
+    scale = column_scale(patterns)
+    best = best_pixels(patterns, scale, residual)
+    np.testing.assert_array_equal(best, scores.argmax(axis=1))
+    # A pixel that is worse by a thousandth at most may win.
+    ties = 1 + pursuit._TIE * np.random.default_rng(0).random(2 * len(scale), np.float32)
+    drawn = best_pixels(patterns, scale, residual, ties)
+    assert (scores[np.arange(7), drawn] > 0.998 * scores.max(axis=1)).all()
+
+
+def test_rows_choose_different_ones_among_pixels_that_are_alike() -> None:
+    images = np.repeat(np.random.default_rng(3).random((COUNT, 4, 1), np.float32), 6, axis=2)
+    patterns = lm.ImagePatterns(images)
+    choose = pursuit._search_all(patterns, column_scale(patterns), np.arange(COUNT))
+    residual = np.repeat(images[:, 2, :1].T - images[:, 2, 0].mean(), 30, axis=0)
+    chosen = choose(residual.astype(np.float32))
+    assert set(chosen // 6) == {2}
+    assert len(set(chosen)) >= 4
+
+
+def test_three_pixels_are_explained_exactly(patterns: lm.PatternSet) -> None:
+    train, held = np.arange(0, COUNT, 2), np.arange(1, COUNT, 2)
+    places = np.array([[5, 900], [70, 2000], [1300, 3000]])
+    light = np.array([0.5, 0.3, 0.2])
+    columns = patterns.columns(places.ravel()).reshape(COUNT, 3, 2)
+    values = (np.einsum("kpm,p->mk", columns, light) + np.array([[0.1], [0.2]])).astype(np.float32)
+    order = iter(places)
+    predicted = pursuit._pursue(patterns, values, train, held, lambda _: next(order))
+    # Within what the ridge of 0.0001 takes.
+    np.testing.assert_allclose(predicted, values[:, held], atol=2e-3)
+    # The second pixel is chosen for what the first leaves.
+    seen: list[NDArray[np.float32]] = []
+
+    def choose(residual: NDArray[np.float32]) -> NDArray[np.int64]:
+        seen.append(residual)
+        return places[len(seen) - 1]
+
+    pursuit._pursue(patterns, values, train, held, choose)
+    first = columns[train, 0] - columns[train, 0].mean(axis=0)
+    for row in range(2):
+        assert abs(seen[1][row] @ first[:, row]) < 1e-3 * abs(seen[0][row] @ first[:, row])
+
+
+@pytest.mark.parametrize("known", [COUNT, COUNT - 4])
+def test_correlations_of_folds_are_those_of_their_frames(
+    patterns: lm.PatternSet, known: int
+) -> None:
+    values = np.random.default_rng(2).random((3, COUNT)).astype(np.float32)
+    seen = np.arange(COUNT) < known
+    values[:, ~seen] = np.nan
+    part = np.where(seen, np.arange(COUNT) % 3, -1)
+    folds = [(np.flatnonzero(seen & (part != p)), np.flatnonzero(part == p)) for p in (-1, 0, 1, 2)]
+    folds = [fold for fold in folds if len(fold[1])]
+    columns = patterns.columns(np.arange(patterns.pixels)).astype(np.float64)
+    for (train, _), scores in zip(
+        folds, pursuit._scores_by_fold(patterns, values, folds), strict=True
+    ):
+        centred = values[:, train] - values[:, train].mean(axis=1, keepdims=True)
+        np.testing.assert_allclose(scores, centred @ columns[train], atol=1e-3)

@@ -1,0 +1,122 @@
+"""Faults of a real board under Gray code stripes are found and named.
+
+The tests use a window of it; LIGHTMATRIX_BOARD names a folder with the whole of it.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+import lightmatrix as lm
+from lightmatrix.check.finding import KINDS
+from lightmatrix.check.frame_order import missing_places
+from lightmatrix.check.inverse_pairs import Pairs
+from lightmatrix.check.survey import Survey
+from lightmatrix.files.images import decode_image, encode_image
+from lightmatrix.files.stacks import ImageStack
+
+WINDOW = Path(__file__).parents[1] / "data" / "graycode-board"
+BOARD = Path(os.environ.get("LIGHTMATRIX_BOARD", WINDOW))
+CAMERA = lm.Decoder(clip=255, full_scale=255)
+Images = NDArray[np.uint8]
+
+
+def coded(frames: Images) -> Images:
+    return np.rint(255 * (frames / 255.0) ** (1 / 2.2)).astype(np.uint8)
+
+
+def compressed(frames: Images, quality: int = 60) -> Images:
+    saved = [encode_image(f, "jpeg", quality=quality) for f in frames]
+    return np.stack([decode_image(each) for each in saved])
+
+
+def exchanged(frames: Images, a: int, b: int) -> Images:
+    order = np.arange(len(frames))
+    order[[a, b]] = b, a
+    return frames[order]
+
+
+def told(found: list[lm.Finding]) -> list[tuple[str, tuple[int, ...]]]:
+    assert {each.kind for each in found} <= set(KINDS)
+    assert all(each.message and each.advice for each in found)
+    return [(each.kind, each.frames) for each in found]
+
+
+# ---- the real board
+
+
+@pytest.fixture(scope="module")
+def board() -> tuple[lm.PatternSet, Images]:
+    frames = np.stack(list(ImageStack.open(BOARD / "capture_0")))
+    return lm.read_patterns(BOARD / "graycode_pattern"), frames
+
+
+def darkened(frames: Images) -> Images:
+    dark = frames.copy()
+    dark[9] = frames[41]
+    return dark
+
+
+def shifted(frames: Images) -> Images:
+    late = np.roll(frames[21:], 2, axis=2)
+    late[:, :, :2] = frames[21:, :, :2]
+    return np.concatenate([frames[:21], late])
+
+
+def flickering(frames: Images) -> Images:
+    gain = 1 + 0.05 * np.sin(1 + 1.3 * np.arange(len(frames)))
+    return np.rint(frames * gain[:, None, None]).clip(0, 255).astype(np.uint8)
+
+
+@pytest.mark.parametrize(
+    ("fault", "expected"),
+    [
+        (lambda frames: frames, []),
+        (lambda frames: exchanged(frames, 4, 24), [("order", (4, 24))]),
+        (lambda frames: exchanged(frames, 40, 41), [("black", (41,)), ("white", (40,))]),
+        (darkened, [("frame", (9,))]),
+        (coded, [("response", ())]),
+        (compressed, [("jpeg", ())]),
+        (shifted, [("motion", tuple(range(22, 42)))]),
+        (flickering, [("flicker", ())]),
+    ],
+    ids=["intact", "swapped", "white and black", "black", "gamma", "JPEG", "shifted", "flicker"],
+)
+def test_faults_of_the_real_board_are_named(
+    fault: Callable[[Images], Images],
+    expected: list[tuple[str, tuple[int, ...]]],
+    board: tuple[lm.PatternSet, Images],
+) -> None:
+    patterns, frames = board
+    capture = lm.Capture.from_arrays(patterns, fault(frames), CAMERA)
+    # Stripes never tell rows with several footprints.
+    assert told(lm.check(capture)) == [("stripes", ()), *expected]
+
+
+@pytest.mark.parametrize("place", [3, 17])
+def test_the_frame_that_the_board_lacks_is_named(
+    place: int, board: tuple[lm.PatternSet, Images]
+) -> None:
+    patterns, frames = board
+    rest = np.delete(frames, place, axis=0)
+    capture = lm.Capture.from_arrays(patterns.subset(np.arange(41)), rest, CAMERA)
+    survey = Survey.take(capture.patterns, capture.frames, CAMERA)
+    named = missing_places(replace(survey, patterns=patterns))
+    assert place in named
+    # A stripe and its inverse may be told apart by nothing.
+    assert set(named) <= {place, place ^ 1}
+
+
+def test_pairs_are_patterns_and_their_inverses(board: tuple[lm.PatternSet, Images]) -> None:
+    pairs = Pairs.find(board[0])
+    assert pairs is not None
+    assert pairs.pairs == tuple((k, k + 1) for k in range(0, 40, 2))
+    assert set(pairs.others) == {40, 41}
+    assert Pairs.find(lm.BernoulliPatterns((16, 16), 32)) is None

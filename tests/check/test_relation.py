@@ -1,0 +1,123 @@
+"""Captures whose photographs do not follow their patterns, and intact ones that look odd."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+import lightmatrix as lm
+from benchmarks.synthetic_captures import PATTERNS, SCENES, draw
+from lightmatrix.check.all_checks import check_capture
+from lightmatrix.check.finding import Finding
+from lightmatrix.check.relation import (
+    Relation,
+    check_relation,
+)
+from lightmatrix.check.survey import Survey
+from lightmatrix.errors import InputError, LightMatrixWarning
+
+
+def relation(capture: lm.Capture) -> list[Finding]:
+    survey = Survey.take(capture.patterns, capture.frames, capture.decoder, capture.mask)
+    return check_relation(survey)
+
+
+@pytest.mark.parametrize("scene", ["textured", "translucent", "permutation"])
+@pytest.mark.parametrize(
+    ("damage", "kind", "words"),
+    [
+        ("other seed", "unrelated", "do not follow the patterns"),
+        ("random order", "unrelated", "do not follow the patterns"),
+        ("by name", "order", "photographs are in the order of their names"),
+        ("patterns inverted", "order", "negative"),
+        ("negative", "order", "negative"),
+    ],
+)
+def test_names_what_the_photographs_follow(scene: str, damage: str, kind: str, words: str) -> None:
+    (finding,) = check_capture(draw(scene, "random", damage, 16, 3).capture)
+    assert finding.kind == kind
+    assert words in finding.message
+
+
+@pytest.mark.parametrize("patterns", sorted(PATTERNS))
+@pytest.mark.parametrize("scene", sorted(SCENES))
+def test_accuses_no_intact_capture(scene: str, patterns: str) -> None:
+    assert relation(draw(scene, patterns, "intact", 16, 1).capture) == []
+
+
+@pytest.mark.parametrize("scene", ["textured", "diffuse", "broad"])
+@pytest.mark.parametrize("patterns", ["random", "few", "with inverses"])
+def test_accuses_no_crop(scene: str, patterns: str) -> None:
+    capture = draw(scene, patterns, "intact", 32, 2).capture
+    for corner in ((0, 0), (12, 9)):
+        assert relation(capture.crop(corner, (12, 12))) == []
+
+
+def test_noise_alone_is_no_relation_to_judge() -> None:
+    frames = np.random.default_rng(0).integers(90, 110, (32, 16, 16)).astype(np.uint8)
+    assert (
+        relation(lm.Capture.from_arrays(lm.BernoulliPatterns((16, 16), 32), frames, lm.Sensor()))
+        == []
+    )
+
+
+def test_estimate_refuses_what_is_explained_and_warns_of_the_rest() -> None:
+    with pytest.raises(InputError, match="order of their names") as refused:
+        lm.estimate(draw("textured", "random", "by name", 16, 0).capture)
+    assert "check=False" in (refused.value.hint or "")
+    capture = draw("textured", "random", "other seed", 16, 0).capture
+    with pytest.warns(LightMatrixWarning, match=re.escape("do not follow the patterns")):
+        lm.estimate(capture, coherent=False, iterations=2)
+
+
+# ---- the parts
+
+
+def made(scene: str = "textured", damage: str = "intact", seed: int = 1) -> Relation:
+    capture = draw(scene, "random", damage, 16, seed).capture
+    survey = Survey.take(capture.patterns, capture.frames, capture.decoder, capture.mask)
+    result = Relation.of(survey)
+    assert result is not None
+    return result
+
+
+def test_few_frames_are_not_judged() -> None:
+    capture = draw("textured", "random", "other seed", 16, 0).capture
+    survey = Survey.take(capture.patterns, capture.frames, capture.decoder, capture.mask)
+    for count, kinds in ((15, []), (40, ["unrelated"])):
+        few = replace(
+            survey.select_frames(np.arange(count)),
+            patterns=capture.patterns.subset(np.arange(count)),
+        )
+        assert [each.kind for each in check_relation(few)] == kinds
+
+
+def test_little_evidence_accuses_nobody() -> None:
+    relation = made(damage="other seed", seed=0)
+    assert relation.unrelated
+    assert not replace(relation, pixels=relation.pixels * 40).unrelated
+    noise = np.random.default_rng(0).standard_normal(relation.samples.shape).astype(np.float32)
+    assert not replace(relation, samples=noise, contrasted=False).unrelated
+    alike = 1e-4 * relation.features
+    assert not replace(relation, features=alike).unrelated
+
+
+@pytest.mark.parametrize(
+    ("order", "words"),
+    [
+        (np.roll(np.arange(64), -1), "each photograph shows the pattern after its own"),
+        (np.roll(np.arange(64), 1), "each photograph shows the pattern before its own"),
+        (np.argsort(sorted(range(64), key=str)), "the patterns are in the order of their names"),
+    ],
+)
+def test_other_orders_are_recognised(order: NDArray[np.int64], words: str) -> None:
+    capture = draw("textured", "random", "intact", 16, 3).capture
+    frames = np.stack([capture.frame(int(k)) for k in order])
+    mixed = lm.Capture.from_arrays(capture.patterns, frames, lm.Sensor(1.0, 0.0, 0.003))
+    (finding,) = relation(mixed)
+    assert words in finding.message
+    assert "same order" in finding.advice

@@ -1,0 +1,177 @@
+"""Frames that do not show their pattern, or have other light, by what their prediction misses."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+import lightmatrix as lm
+from lightmatrix.check.prediction import FramePrediction
+from lightmatrix.check.wrong_frames import (
+    brightness_changes,
+    check_flicker,
+    check_frames,
+    wrong_frames,
+)
+from tests.helpers.predictions import prediction
+
+K, M = 16, 60
+
+
+NAMES = [f"frame {k}" for k in range(K)]
+
+
+def off(frame: int, share: float, rows: int = M) -> FramePrediction:
+    """A frame that misses a share of its variation; the others miss 1 %."""
+    example = prediction(rows=rows, frames=K)
+    expected = example.expected / example.expected.std(axis=1, keepdims=True)
+    variation = (expected - expected.mean(axis=1, keepdims=True)).var(axis=0) + 1e-12
+    sign = np.where(np.arange(rows) % 2, 1.0, -1.0)[:, None]
+    size = np.full(K, 0.01)
+    size[frame] = share
+    usual = expected.mean(axis=1, keepdims=True)
+    variation = ((expected - usual) ** 2).mean(axis=0)
+    return replace(example, expected=expected, observed=expected + sign * np.sqrt(size * variation))
+
+
+@pytest.mark.parametrize(("share", "wrong"), [(0.22, False), (0.4, True), (3.0, True)])
+def test_a_frame_that_misses_much_of_its_variation_is_wrong(share: float, wrong: bool) -> None:
+    assert np.flatnonzero(wrong_frames(off(5, share))).tolist() == [5] * wrong
+
+
+def test_a_frame_must_miss_more_than_the_others() -> None:
+    noisy = off(5, 0.35)
+    sign = np.where(np.arange(M) % 2, 1.0, -1.0)[:, None]
+    for usual, wrong in ((0.08, True), (0.1, False)):
+        usual_misses = noisy.expected + sign * np.sqrt(usual)
+        observed = np.where(np.arange(K) == 5, noisy.observed, usual_misses)
+        assert wrong_frames(replace(noisy, observed=observed))[5] == wrong
+
+
+def test_light_that_is_smooth_over_the_projector_accuses_nobody() -> None:
+    example = off(5, 0.01)
+    part = np.arange(M) // 15
+    smooth = np.where(np.arange(K) == 5, 1.0, 0.0) * np.array([1, -1, 1, -1])[part][:, None]
+    missed = replace(example, observed=example.observed + 0.9 * smooth, part=part)
+    assert not wrong_frames(missed).any()
+    assert wrong_frames(replace(missed, part=np.arange(M)))[5]
+
+
+def test_too_few_rows_accuse_nobody() -> None:
+    assert not wrong_frames(off(5, 2.0, rows=19)).any()
+    assert wrong_frames(off(5, 2.0, rows=20))[5]
+    example = off(5, 2.0)
+    trusted = example.trusted.copy()
+    trusted[19:, 5] = False
+    assert not wrong_frames(replace(example, trusted=trusted)).any()
+
+
+def test_dark_frames_are_wrong_only_where_light_is_expected() -> None:
+    example = prediction(rows=M, frames=K)
+    # Hardly any variation is missed: the pattern is flat, and dark by itself.
+    expected, observed = example.expected.copy(), example.observed.copy()
+    expected[:, 5] = 0.05
+    observed[:, 5] = 0.01
+    assert not wrong_frames(replace(example, expected=expected, observed=observed))[5]
+    expected[:, 5] = 0.075
+    observed[:, 5] = 0.02
+    assert wrong_frames(replace(example, expected=expected, observed=observed))[5]
+
+
+def test_no_row_decides_alone() -> None:
+    example = off(5, 0.01, rows=120)
+    observed = example.observed.copy()
+    observed[0, 5] += 8
+    assert not wrong_frames(replace(example, observed=observed))[5]
+
+
+def test_black_frames_and_others() -> None:
+    gain = np.ones(K)
+    gain[[2, 3, 4]] = 0.09, 0.11, 0.0
+    example = prediction(rows=M, frames=K, gain=gain)
+    wrong = np.isin(np.arange(K), [2, 3, 4])
+    black, other = check_frames(example, wrong, NAMES)
+    assert (black.kind, black.frames) == ("frame", (2, 4))
+    assert black.message == "frame 2 and frame 4: black, although the pattern is not"
+    assert (other.kind, other.frames) == ("frame", (3,))
+    assert check_frames(example, np.zeros(K) > 0, NAMES) == []
+    # Samples that are not trusted say nothing.
+    trusted = example.trusted.copy()
+    trusted[::2, 3] = False
+    observed = example.observed.copy()
+    observed[::2, 3] = 7
+    again = replace(example, trusted=trusted, observed=observed)
+    assert check_frames(again, wrong, NAMES)[1].frames == (3,)
+
+
+def test_frames_are_not_called_dark_by_rows_that_should_be_dark() -> None:
+    # All that is lit clips: only samples that are expected to be dark can be compared.
+    generator = np.random.default_rng(0)
+    lit = generator.random((M, K)) < 0.5
+    light = np.where(lit, 1.0, 0.0)
+    expected = light + np.where(lit, 0.0, generator.normal(0.01, 0.02, light.shape))
+    example = replace(off(5, 0.01), observed=light, expected=expected, trusted=~lit)
+    assert not wrong_frames(example).any()
+
+
+def test_samples_that_only_their_own_frame_shows_are_not_compared() -> None:
+    """One pixel at a time: no other frame tells how bright its pixel is."""
+    patterns = lm.ImagePatterns(np.eye(256, dtype=np.float32).reshape(256, 16, 16))
+    frames = np.zeros((256, 256), np.uint8)
+    frames[np.arange(256), np.arange(256)] = np.random.default_rng(0).integers(60, 250, 256)
+    capture = lm.Capture.from_arrays(patterns, frames.reshape(256, 16, 16), lm.Sensor())
+    assert [each.kind for each in lm.check(capture)] == []
+
+
+def findings(
+    change: NDArray[np.float64] | list[float], error: float = 0.001
+) -> list[tuple[str, tuple[int, ...]]]:
+    change = np.asarray(change)
+    frames = np.arange(len(change))
+    found = check_flicker(change, np.full(len(change), error), frames, NAMES)
+    return [(each.kind, each.frames) for each in found]
+
+
+def test_the_change_of_a_frame_and_its_error_are_measured() -> None:
+    example = prediction(rows=60, frames=12, noise=0.01)
+    gain = np.ones(12)
+    gain[3] = 1.03
+    bright = prediction(rows=60, frames=12, noise=0.01, gain=gain)
+    change, error = brightness_changes(bright)
+    assert change[3] == pytest.approx(0.03, abs=4 * error[3])
+    assert np.abs(np.delete(change, 3)).max() < 0.02
+    # The error is the spread over many draws of the noise.
+    draws = np.array(
+        [
+            brightness_changes(prediction(rows=60, frames=12, noise=0.01, seed=seed))[0]
+            for seed in range(60)
+        ]
+    )
+    assert np.median(brightness_changes(example)[1]) == pytest.approx(draws.std(), rel=0.25)
+
+
+def test_rows_that_miss_the_same_light_are_one_witness() -> None:
+    example = prediction(rows=64, frames=12, noise=0.01)
+    part = np.arange(64) // 4
+    shared = np.random.default_rng(3).normal(0, 0.05, (16, 12))[part]
+    missed = replace(example, observed=example.observed + shared, part=part)
+    change, error = brightness_changes(missed)
+    assert (np.abs(change) < 4 * error).all()
+    alone = brightness_changes(replace(missed, part=np.arange(64)))[1]
+    assert np.median(error) > 1.5 * np.median(alone)
+
+
+def test_light_that_varies_in_all_frames_or_in_one() -> None:
+    beat = np.where(np.arange(12) % 2, 1.0, -1.0)
+    assert findings(0.03 * beat) == [("flicker", ())]
+    assert findings(0.003 * beat) == []
+    assert findings(0.03 * beat, error=0.03) == []
+    change = np.zeros(12)
+    change[7] = 0.05
+    assert findings(change) == findings(-change) == [("flicker", (7,))]
+    assert findings(change / 2) == findings(change, error=0.05) == []
+    found = check_flicker(change, np.full(12, 0.001), np.arange(12), NAMES)
+    assert "in frame 7 (+5 %)" in found[0].message

@@ -1,0 +1,107 @@
+"""The questions that each frame has to answer, one by one."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+import lightmatrix as lm
+from lightmatrix.rig.devices.base import Frame
+from lightmatrix.rig.light_levels import _possible
+from lightmatrix.rig.pattern_match import choose_samples
+from lightmatrix.rig.photograph import AveragedFrame, Shot, copied_rows
+from lightmatrix.rig.references import References, measure_drift
+
+SHAPE, TOP, NOISE = (20, 30), 4095.0, 12.0
+
+
+def _photograph(light: Any, seed: int) -> Any:
+    draw = np.random.default_rng(seed)
+    return np.rint(64 + light + NOISE * draw.standard_normal(SHAPE)).astype(np.uint16)
+
+
+def _average(light: Any, count: int = 4) -> AveragedFrame:
+    shots = [Shot(Frame(_photograph(light, k), k, 0.0, TOP), 0.01, 0.0) for k in range(count)]
+    mean = np.mean([shot.data for shot in shots], axis=0, dtype=np.float32)
+    return AveragedFrame(np.asarray(mean), shots, NOISE, 0.001)
+
+
+@pytest.mark.parametrize(
+    ("rows", "copied"), [(slice(0, 6), 6), (slice(12, 20), 8), (slice(5, 9), 0), (slice(0, 0), 0)]
+)
+def test_rows_of_an_earlier_frame_are_recognized_at_both_ends(rows: slice, copied: int) -> None:
+    data, earlier = _photograph(800.0, 1), _photograph(800.0, 2)
+    data[rows] = earlier[rows]
+    changing = np.full(SHAPE[0], 0.97)
+    assert copied_rows(data, earlier, changing, TOP) == copied
+
+
+def test_equal_rows_that_clip_or_do_not_change_are_no_copies() -> None:
+    clipped = np.full(SHAPE, 4095, np.uint16)
+    assert copied_rows(clipped, clipped, np.full(SHAPE[0], 0.97), TOP) == 0
+    dark = np.zeros(SHAPE, np.uint16)
+    assert copied_rows(dark, dark, np.zeros(SHAPE[0]), TOP) == 0
+    assert copied_rows(dark, dark[:-1], np.full(SHAPE[0], 0.97), TOP) == 0
+
+
+def test_black_frames_lose_their_noise_but_neither_hot_pixels_nor_light() -> None:
+    black = np.zeros(SHAPE)
+    black[3, 4] = 500
+    cleaned = _average(black).without_noise
+    assert cleaned[3, 4] == pytest.approx(564, abs=4 * NOISE)
+    assert np.unique(cleaned).size == 2
+    # A gradient over the image is the room's light.
+    lit = _average(np.linspace(0, 200, SHAPE[1]) + black)
+    np.testing.assert_array_equal(lit.without_noise, lit.mean)
+
+
+def test_drift_tells_lamp_room_and_motion_apart() -> None:
+    light = np.random.default_rng(0).uniform(500, 2500, SHAPE)
+    black, white = _average(np.zeros(SHAPE)), _average(light)
+    start = References(black, white, black.mean)
+    same = measure_drift(start, _photograph(light, 9), _photograph(0.0, 10))
+    assert same.warning() is None
+    dimmed = measure_drift(start, _photograph(0.9 * light, 9), _photograph(0.0, 10))
+    assert dimmed.gain == pytest.approx(0.9, abs=0.005)
+    room = measure_drift(start, _photograph(light + 80, 9), _photograph(80.0, 10))
+    assert room.room == pytest.approx(80 / TOP, rel=0.05)
+    assert room.gain == pytest.approx(1, abs=0.005)
+    moved = measure_drift(start, _photograph(np.roll(light, 1, axis=1), 9), _photograph(0.0, 10))
+    assert "did something move" in str(moved.warning())
+
+
+@pytest.mark.parametrize(("size", "group"), [(16, 1), (80, 25)])
+def test_samples_are_lit_and_come_in_groups_for_large_projectors(size: int, group: int) -> None:
+    light = np.zeros((60, 70))
+    light[:, 20:50] = 1000
+    index, members = choose_samples(light, lm.BernoulliPatterns((size, size), 4))
+    assert members == group
+    rows, cols = np.divmod(index.reshape(-1, members), 70)
+    # The first of a group is lit, and the others are at most 6 pixels away.
+    assert (light[rows[:, 0], cols[:, 0]] == 1000).all()
+    assert abs(rows - rows[:, :1]).max() <= 6
+    assert abs(cols - cols[:, :1]).max() <= 6
+    assert len(set(rows[:, 0])) > 20
+
+
+@pytest.mark.parametrize(
+    ("advised", "period", "seconds", "warning"),
+    [
+        (0.05, 0.0, 0.05, None),
+        (0.025, 0.01, 0.02, None),
+        (0.004, 0.01, 0.01, "would flicker"),
+        (5.0, 0.0, 1.0, "for 1 s at most"),
+        (1.5, 0.0, 1.0, None),
+        (0.0001, 0.0, 0.001, "for 0.001 s at least"),
+        (0.0006, 0.0, 0.001, None),
+    ],
+)
+def test_exposures_that_the_camera_has_and_that_do_not_flicker(
+    advised: float, period: float, seconds: float, warning: str | None
+) -> None:
+    possible, warnings = _possible(advised, period, (0.001, 1.0))
+    assert possible == pytest.approx(seconds)
+    assert [warning in text for text in warnings if warning] == [True] * (warning is not None)
+    assert bool(warnings) == (warning is not None)

@@ -1,0 +1,107 @@
+"""GenTL producers through harvesters: the simulated one that the genicam wheel brings."""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from lightmatrix.errors import DeviceError, InputError, MissingExtraError
+from lightmatrix.rig.devices.base import Address, Camera
+from lightmatrix.rig.devices.gentl import find_gentl, open_gentl
+from lightmatrix.rig.devices.registry import open_camera
+
+from .contract import CameraContract
+
+genicam = pytest.importorskip("genicam", reason="genicam is missing: make test-install")
+pytest.importorskip("harvesters", reason="harvesters is missing: make test-install")
+PRODUCER = Path(genicam.__file__).parent / "viky.cti"
+RED = f"gentl:VikyTL_DEV_red,producer={PRODUCER},exposure=0.01"
+
+
+class TestGenTL(CameraContract):
+    # It has neither an exposure nor a trigger.
+    exposes = False
+    triggered = False
+
+    @pytest.fixture
+    def camera(self) -> Iterator[Camera]:
+        camera = open_camera(RED)
+        yield camera
+        camera.close()
+
+
+def test_frames_are_pictures() -> None:
+    camera = open_camera(f"{RED},Width=320,Height=240")
+    frames = [camera.get_image(5).data for _ in range(8)]
+    camera.close()
+    assert {frame.shape for frame in frames} == {(240, 320)}
+    # A ball that flies.
+    assert int(frames[0].max()) - int(frames[0].min()) > 50
+    assert (frames[0] != frames[-1]).any()
+
+
+def test_flush_throws_away_what_waits_in_the_driver() -> None:
+    """Its frames carry no time, so that stale ones would pass for new."""
+    camera = open_camera(RED)
+    first = camera.get_image(5).id
+    time.sleep(0.5)
+    camera.flush()
+    later = camera.get_image(5).id
+    camera.close()
+    assert later > first + 4
+
+
+def test_cameras_are_found(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("GENICAM_GENTL64_PATH", str(PRODUCER.parent))
+    devices = find_gentl()
+    assert [device.address for device in devices] == [
+        f"gentl:VikyTL_DEV_{colour}" for colour in ("red", "green", "blue")
+    ]
+    # By its serial number, too.
+    camera = open_camera("gentl:2,exposure=1")
+    assert "Viky" in camera.info()["name"]
+    camera.close()
+
+
+def test_a_camera_in_use() -> None:
+    first = open_camera(RED)
+    with pytest.raises(DeviceError, match=r"another program has it"):
+        open_camera(RED)
+    first.get_image(5)
+    first.close()
+    open_camera(RED).close()
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        (",PixelFormat=RGBa8", "RGBa8 cannot be used, lightmatrix does not unpack it"),
+        (",PixelFormat=Mono16", "Mono16 cannot be used, it does not offer that"),
+        (",Gian=3", "no feature Gian"),
+        (",Width=wide", "Width=wide was refused"),
+        (",trigger=software", "no trigger 'software'"),
+    ],
+)
+def test_settings_that_the_camera_refuses(options: str, words: str) -> None:
+    with pytest.raises(DeviceError, match=words):
+        open_camera(RED + options)
+
+
+def test_what_cannot_be_opened(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    with pytest.raises(DeviceError, match="no such camera was found; there are: VikyTL_DEV_red,"):
+        open_camera(RED.replace("_red", "_pink"))
+    with pytest.raises(InputError, match="how long its frames are exposed"):
+        open_camera(RED.replace(",exposure=0.01", ""))
+    monkeypatch.delenv("GENICAM_GENTL64_PATH", raising=False)
+    with pytest.raises(DeviceError, match="no GenTL producer in sight"):
+        open_camera("gentl")
+    (tmp_path / "broken.cti").write_text("no producer")
+    with pytest.raises(DeviceError, match=r"cannot be loaded"):
+        open_camera(f"gentl,producer={tmp_path / 'broken.cti'},exposure=1")
+    monkeypatch.setitem(sys.modules, "harvesters.core", None)
+    with pytest.raises(MissingExtraError, match=r"\.\[gentl\]"):
+        open_gentl(Address("gentl"))

@@ -1,0 +1,177 @@
+"""Measurements of virtual rigs agree with their settings."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import lightmatrix as lm
+from lightmatrix.patterns.projector_curve import ProjectorResponse
+from lightmatrix.rig.rig import Rig
+from lightmatrix.rig.rig_measurements import PARTS, outdated_parts
+
+from .faulty_rig import USUAL, faulty_rig
+
+_RIG = "virtual:procedural,size=12,real=0" + USUAL
+
+
+def _rig(words: str = "") -> Rig:
+    return faulty_rig(_RIG + words)
+
+
+def _measured(rig: Rig, part: str) -> Any:
+    return getattr(lm.measure_rig(rig, [part]), part)
+
+
+@pytest.mark.parametrize("fps", [0, 30, 29.97])
+@pytest.mark.parametrize("delay", range(6))
+def test_the_settle_time_is_found_within_a_refresh(delay: int, fps: float) -> None:
+    settle = _measured(_rig(f",fps={fps},delay={delay},seed={delay}"), "settle")
+    assert delay / 60 <= settle.seconds <= (delay + 1) / 60
+    assert settle.unsettled <= settle.seconds
+
+
+def test_occasional_late_images_do_not_lengthen_the_settle_time() -> None:
+    settle = _measured(_rig(",fps=0,delay=2,late=0.07,seed=3"), "settle")
+    assert 2 / 60 <= settle.seconds <= 3 / 60
+
+
+def test_a_picture_that_never_settles() -> None:
+    with pytest.raises(lm.DeviceError, match="does not see the projector"):
+        _measured(_rig(",fps=0,delay=40"), "settle")
+
+
+@pytest.mark.parametrize("gamma", [1.0, 1.8, 2.2, 2.6])
+def test_the_projectors_gamma_is_found(gamma: float) -> None:
+    response = _measured(_rig(f",gamma={gamma},seed=1"), "response")
+    assert response.gamma == pytest.approx(gamma, rel=0.02)
+    # The inverse gives the light that is asked for, as well as 8 bits can.
+    wanted = np.linspace(0, 1, 100)
+    shown = (response.grey_for(wanted) / 255) ** gamma
+    np.testing.assert_allclose(shown, wanted, atol=0.012)
+
+
+def test_a_response_that_is_no_power() -> None:
+    levels = tuple(range(0, 256, 15))
+    light = np.array(levels) / 255
+    bent = 3 * light**2 - 2 * light**3
+    response = ProjectorResponse(levels, tuple(map(float, bent)), 1.7)
+    grey = response.grey_for(np.array([0, 0.5, 1])).tolist()
+    assert grey == [0, 128, 255] or grey == [0, 127, 255]
+
+
+@pytest.mark.parametrize("fps", [0, 30])
+def test_flicker_is_noticed_and_avoided(fps: float) -> None:
+    rig = _rig(f",flicker=0.1,flicker_hz=100,fps={fps}")
+    flicker = _measured(rig, "flicker")
+    assert flicker.frequency == 100
+    assert flicker.amplitude == pytest.approx(0.1, rel=0.1)
+    advice = _measured(rig, "exposure")
+    for seconds in advice.seconds:
+        assert seconds * 100 == pytest.approx(round(seconds * 100), abs=1e-3)
+
+
+def test_a_room_whose_light_varies() -> None:
+    # A sine's standard deviation is 0.71 of its amplitude; a short exposure averages little of it.
+    flicker = _measured(_rig(",room=0.1,room_flicker=0.5,fps=0"), "flicker")
+    assert flicker.room == pytest.approx(0.71 * 0.5 * 0.1, rel=0.3)
+    # White pictures flicker with it, and exposures of whole periods are rid of it.
+    assert flicker.frequency == 100
+
+
+def test_no_flicker_where_there_is_none() -> None:
+    for seed in range(5):
+        flicker = _measured(_rig(f",fps=0,seed={seed}"), "flicker")
+        assert not flicker.noticed
+        assert flicker.spread < 0.005
+
+
+def test_the_brightest_single_response_does_not_clip() -> None:
+    rig = _rig(",black=200,bits=12")
+    advice = _measured(rig, "exposure")
+    assert advice.pedestal == pytest.approx(200, abs=1)
+    assert advice.noise == pytest.approx(0.003, rel=0.1)
+    assert rig.truth is not None
+    single = rig.truth.matrix.max(axis=1).toarray().max()
+    assert single * min(advice.seconds) / rig.unit < 1
+    # But white is near to it.
+    white = rig.truth.matrix.sum(axis=1)
+    assert 0.8 < np.quantile(white, 0.99) * min(advice.seconds) / rig.unit < 1.2
+
+
+@pytest.mark.parametrize(("curve", "is_linear"), [(1.0, True), (0.8, False), (1.25, False)])
+def test_a_camera_that_is_not_linear(curve: float, is_linear: bool) -> None:
+    linearity = _measured(_rig(f",curve={curve},black=0,fps=0"), "linearity")
+    assert linearity.linear is is_linear
+    assert linearity.exponent == pytest.approx(curve, rel=0.05)
+
+
+def test_a_camera_that_does_not_see_the_projector() -> None:
+    for part in PARTS:
+        with pytest.raises(lm.DeviceError, match="does not see the projector"):
+            lm.measure_rig(_rig(",unit=1e6,room=0"), [part])
+
+
+def test_a_scene_that_is_too_bright() -> None:
+    with pytest.raises(lm.DeviceError, match="clips even at the camera's shortest exposure"):
+        lm.measure_rig(_rig(",unit=0.000001"), ["exposure"])
+
+
+def test_measurements_are_kept_and_used(tmp_path: Path) -> None:
+    file = tmp_path / "rig.json"
+    first = lm.measure_rig(_rig(), keep=file)
+    assert lm.RigMeasurements.load(file) == first
+    # Only what is asked for is measured again.
+    second = lm.measure_rig(_rig(",seed=5"), ["exposure"], keep=file)
+    assert second.response == first.response
+    assert second.exposure != first.exposure
+    # Measurements of another rig are not used.
+    other = lm.measure_rig(lm.open_rig("virtual:procedural,size=10,real=0"), ["settle"], keep=file)
+    assert other.response is None
+    with pytest.raises(lm.InputError, match="measuring 'gamma'"):
+        lm.measure_rig(_rig(), ["gamma"])
+
+
+def test_outdated_parts_are_noticed() -> None:
+    known = lm.measure_rig(_rig(",delay=2,fps=0"))
+    assert outdated_parts(_rig(",delay=2,fps=0,noise=0.004"), known) == []
+    assert outdated_parts(_rig(",delay=4,fps=0"), known) == ["settle"]
+    assert outdated_parts(_rig(",delay=2,fps=0,gamma=2.5"), known) == ["response", "linearity"]
+    assert "linearity" in outdated_parts(_rig(",delay=2,fps=0,curve=0.8"), known)
+    assert outdated_parts(_rig(",delay=2,fps=0,unit=0.023"), known) == ["exposure"]
+    for words in (",flicker=0.1", ",room_flicker=0.8,room=0.1"):
+        assert outdated_parts(_rig(",delay=2,fps=0" + words), known)[-2:] == ["flicker", "exposure"]
+
+
+@pytest.mark.parametrize(
+    ("key", "value"),
+    [
+        ("settle", {"seconds": "soon", "unsettled": 0, "changes": 3, "late": 0}),
+        ("settle", {"seconds": 1}),
+        ("settle", 3),
+        ("exposure", {}),
+        ("brightness", None),
+        ("projector", 5),
+    ],
+)
+def test_a_damaged_file(key: str, value: object, tmp_path: Path) -> None:
+    file = tmp_path / "rig.json"
+    known = lm.measure_rig(_rig(), ["settle"])
+    file.write_text(json.dumps({**known.as_dict(), key: value}))
+    with pytest.raises(lm.InputError, match=r"rig\.json: is damaged") as caught:
+        lm.measure_rig(_rig(), ["settle"], keep=file)
+    assert "remove it" in str(caught.value.hint)
+
+
+def test_a_file_that_is_not_ours_is_not_replaced(tmp_path: Path) -> None:
+    file = tmp_path / "rig.json"
+    file.write_text('{"format": "something else", "version": 1}')
+    with pytest.raises(lm.InputError, match="lightmatrix-rig"):
+        lm.measure_rig(_rig(), ["settle"], keep=file)
+    with pytest.raises(lm.OutputError, match="not written by lightmatrix"):
+        replace(lm.measure_rig(_rig(), ["settle"])).save(file)

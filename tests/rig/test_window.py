@@ -1,0 +1,152 @@
+"""The window shows images exact to the bit, on the monitor that was asked for."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from lightmatrix.errors import DeviceError, InputError, MissingExtraError
+from lightmatrix.rig.devices.base import Address, Projector
+from lightmatrix.rig.devices.window import WindowProjector, find_windows, open_window
+
+from .conftest import SCREEN, SECOND
+from .contract import ProjectorContract
+
+pytest.importorskip("glfw", reason="glfw is missing: make test-install")
+pytest.importorskip("moderngl", reason="moderngl is missing: make test-install")
+mss = pytest.importorskip("mss", reason="mss is missing: make test-install")
+
+
+@pytest.fixture
+def grab() -> Iterator[Any]:
+    grabbers: list[Any] = []
+
+    def _grab(left: int, shape: tuple[int, int]) -> NDArray[np.uint8]:
+        if not grabbers:
+            grabbers.append(mss.MSS())
+        area = {"left": left, "top": 0, "width": shape[1], "height": shape[0]}
+        return np.asarray(grabbers[0].grab(area))[..., 2::-1]
+
+    yield _grab
+    for grabber in grabbers:
+        grabber.close()
+
+
+class TestOneScreen(ProjectorContract):
+    @pytest.fixture
+    def projector(self, screen: str, grab: Any) -> Iterator[WindowProjector]:
+        self._grab = grab
+        window = open_window(Address("window"))
+        assert window.shape == SCREEN
+        yield window
+        window.close()
+
+    def shown(self, projector: Projector) -> NDArray[np.uint8]:
+        return self._grab(0, SCREEN)
+
+
+class TestSecondScreen(ProjectorContract):
+    @pytest.fixture
+    def projector(self, two_screens: str, grab: Any) -> Iterator[WindowProjector]:
+        self._grab = grab
+        window = open_window(Address("window", "1"))
+        assert window.shape == SECOND
+        yield window
+        window.close()
+
+    def shown(self, projector: Projector) -> NDArray[np.uint8]:
+        return self._grab(SCREEN[1], SECOND)
+
+
+def test_the_second_monitor_is_taken_where_there_is_one(two_screens: str) -> None:
+    devices = find_windows()
+    assert [device.address for device in devices] == ["window:0", "window:1"]
+    assert "DUMMY1, 800 x 600 at" in devices[1].description
+    for address in (Address("window"), Address("window", "DUMMY1")):
+        window = open_window(address)
+        assert (window.info()["monitor"], window.info()["name"]) == (1, "DUMMY1")
+        assert window.info()["refresh"] > 0
+        window.close()
+
+
+def test_windows_on_both_monitors(two_screens: str) -> None:
+    first, second = open_window(Address("window", "0")), open_window(Address("window", "1"))
+    for _ in range(3):
+        first.black()
+        second.black()
+    first.close()
+    # The other one stays.
+    second.black()
+    second.close()
+
+
+def test_gamma_ramps_are_reported_and_made_straight(two_screens: str) -> None:
+    import glfw
+
+    def ramp(address: Address) -> dict[str, Any]:
+        window = open_window(address)
+        try:
+            return window.info()["gamma_ramp"]
+        finally:
+            window.close()
+
+    assert ramp(Address("window", "1")) == {"linear": True}
+    # Another program bends it, such as one that spares the eyes at night.
+    glfw.init()
+    glfw.set_gamma(glfw.get_monitors()[1], 2.2)
+    try:
+        bent = ramp_of_open = open_window(Address("window", "1"))
+        reported = ramp_of_open.info()["gamma_ramp"]
+        assert not reported["linear"]
+        assert reported["red"][8] == pytest.approx(0.5 ** (1 / 2.2), abs=0.01)
+        straight = open_window(Address("window", "1", {"gamma": "linear"}))
+        assert straight.info()["gamma_ramp"] == {"linear": True}
+        straight.close()
+        bent.close()
+    finally:
+        glfw.terminate()
+    assert ramp(Address("window", "1")) == {"linear": True}
+
+
+def test_a_closed_window_is_noticed(screen: str) -> None:
+    import glfw
+
+    window = open_window(Address("window"))
+    glfw.set_window_should_close(window._window, True)
+    with pytest.raises(DeviceError, match="was closed"):
+        window.black()
+    window.close()
+
+
+@pytest.mark.parametrize(
+    ("address", "kind", "words"),
+    [
+        (Address("window", "2"), DeviceError, r"no such monitor; there are: 0 \(screen\)"),
+        (Address("window", "HDMI-9"), DeviceError, "no such monitor"),
+        (Address("window", "0", {"gama": "linear"}), InputError, "no option 'gama'"),
+        (Address("window", "0", {"gamma": "2"}), InputError, "gamma is '2'"),
+    ],
+)
+def test_what_cannot_be_opened(
+    screen: str, address: Address, kind: type[Exception], words: str
+) -> None:
+    with pytest.raises(kind, match=words):
+        open_window(address)
+
+
+def test_no_display(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv("DISPLAY", raising=False)
+    monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
+    with pytest.raises(DeviceError, match=r"no display.*\(X11: .*; neither DISPLAY nor") as caught:
+        open_window(Address("window"))
+    assert "DISPLAY=:0" in str(caught.value.hint)
+
+
+def test_a_missing_package(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(__import__("sys").modules, "moderngl", None)
+    with pytest.raises(MissingExtraError, match=r"\.\[window\]"):
+        open_window(Address("window"))
