@@ -1,11 +1,20 @@
-"""C: outputs replace only what this program wrote, and never anything but files and folders."""
+"""Outputs replace only what this program wrote, and never anything but files and folders."""
 
 from __future__ import annotations
 
-from ..case import Case, Limits, Prepare
-from ..checks import every, holds, is_link
-from ..put import both, copy, device, folder_at, link, move, pipe, plug, remove, text
+from pathlib import Path
 
+import pytest
+
+from .case import Case, Prepare, bear
+from .checks import every, holds, is_link
+from .put import both, copy, device, folder_at, link, move, pipe, plug, remove, text
+from .run import Limits, Ran, run
+
+NEEDS = (
+    *("T.npz", "patterns", "capture", "scene.zarr", "plain.npz", "plain.zarr", "photos"),
+    *("projected", "black.png", "holiday.jpg", "shown.png"),
+)
 PATTERNS = "patterns bernoulli -k 2 --size 8x8"
 SIMULATE = "simulate T.npz --patterns patterns"
 ESTIMATE = "estimate capture --no-coherent"
@@ -30,210 +39,113 @@ WRITERS = {
 
 
 def _not_files() -> list[Case]:
-    cases = []
-    for what, put in {"device": device, "pipe": pipe, "socket": plug}.items():
-        for name, (command, ending) in WRITERS.items():
-            output = f"out{ending}"
-            cases.append(
-                Case(
-                    f"{name} over a {what}",
-                    f"{command} {output} --overwrite",
-                    output,
-                    put(output),
-                    # Refused at once, long before anything is computed.
-                    seconds=8,
-                )
-            )
-    for name in ("patterns", "simulate", "relight png", "export npz"):
-        command, ending = WRITERS[name]
-        output = f"out{ending}"
-        linked = both(device("node"), link(output, "node"))
-        cases.append(
-            Case(
-                f"{name} over a link to a device", f"{command} {output} --overwrite", "out", linked
-            )
+    cases = [
+        Case(
+            f"{name} over a {put.__name__}", f"{line} out{end} --overwrite", "out", put(f"out{end}")
         )
+        for put in (device, pipe, plug)
+        for name, (line, end) in WRITERS.items()
+    ]
+    for name in ("patterns", "simulate", "relight png", "export npz"):
+        line, end = WRITERS[name]
+        linked = both(device("node"), link(f"out{end}", "node"))
+        words = f"{name} over a link to a device"
+        cases.append(Case(words, f"{line} out{end} --overwrite", "out", linked))
     return cases
 
 
 def _places() -> list[Case]:
-    cases = []
-    # The current folder and those above it, each written in several ways.
+    # The current folder and those above it, each written in several ways; an empty name is the
+    # current folder to pathlib.
     places = (".", "./", "..", "../..", "../work", "patterns/..", "../../outer", "''")
-    for place in places:
-        for overwrite in ("", " --overwrite"):
-            name = f"patterns into {place}{overwrite}"
-            # An empty name is the current folder to pathlib.
-            cases.append(Case(name, f"{PATTERNS} -o {place}{overwrite}"))
+    over = f"{PATTERNS} -o {{}} --overwrite"
     ours = both(move("patterns/patterns.json", "patterns.json"), remove("patterns"))
-    cases += [
+    disk, inner = (Limits(mount=(name, 1 << 20)) for name in ("disk", "patterns/disk"))
+    own = "relight scene.zarr shown.png -o shown.png"
+    return [
+        *(Case(f"patterns into {place}", f"{PATTERNS} -o {place}") for place in places),
+        *(Case(f"patterns over {place}", over.format(place)) for place in places),
         Case("simulate into the current folder", f"{SIMULATE} -o . --overwrite"),
         Case("demo into the current folder", "demo -o . --overwrite"),
+        Case("the current folder looks like ours", over.format("."), prepare=ours),
+        Case("a mount point", over.format("disk"), "disk", folder_at("disk"), limits=disk),
         Case(
-            "patterns into the current folder that looks like ours",
-            f"{PATTERNS} -o . --overwrite",
-            prepare=ours,
-        ),
-        Case(
-            "patterns over a mount point",
-            f"{PATTERNS} -o disk --overwrite",
-            "disk",
-            folder_at("disk"),
-            limits=Limits(mount=("disk", 1 << 20)),
-        ),
-        Case(
-            "patterns over a folder that holds a mount point",
-            f"{PATTERNS} -o patterns --overwrite",
+            "a folder that holds a mount point",
+            over.format("patterns"),
             "patterns",
             folder_at("patterns/disk"),
-            limits=Limits(mount=("patterns/disk", 1 << 20)),
+            limits=inner,
         ),
-        Case("patterns over their own input", f"{SIMULATE} -o patterns --overwrite", "patterns"),
+        Case("simulate over its patterns", f"{SIMULATE} -o patterns --overwrite", "patterns"),
         Case(
-            "estimate over its capture's folder",
-            f"{ESTIMATE} -o capture/../capture --overwrite",
-            "capture",
+            "estimate over its capture", f"{ESTIMATE} -o capture/../capture --overwrite", "capture"
         ),
-        Case(
-            "relight over its own pattern",
-            "relight scene.zarr shown.png -o shown.png",
-            "shown.png",
-        ),
+        Case("relight over its own pattern", own, "shown.png"),
         Case("export over its own store", "export plain.zarr plain.zarr --overwrite", "plain.zarr"),
     ]
-    return cases
+
+
+def _again(folder: Path) -> Ran:
+    run("export scene.zarr own.mat", folder)
+    return run("export plain.zarr own.mat --overwrite", folder)
 
 
 def _files() -> list[Case]:
-    relight = "relight scene.zarr shown.png"
-    return [
-        Case(
-            "export over a foreign npz",
-            "export scene.zarr mine.npz --overwrite",
-            "mine.npz",
-            text("mine.npz"),
-        ),
-        Case(
-            "export over a foreign mat",
-            "export scene.zarr mine.mat --overwrite",
-            "mine.mat",
-            text("mine.mat"),
-        ),
-        Case(
-            "export over a folder",
-            "export scene.zarr mine.npz --overwrite",
-            "mine.npz",
-            text("mine.npz/photo.jpg"),
-        ),
-        Case(
-            "export over an empty folder",
-            "export scene.zarr mine.npz --overwrite",
-            "mine.npz",
-            folder_at("mine.npz"),
-        ),
-        Case(
-            "export over our own npz",
-            "export scene.zarr plain.npz --overwrite",
-            code=0,
-            makes=("plain.npz",),
-        ),
-        Case(
-            "export over our own mat",
-            "export scene.zarr own.mat --overwrite",
-            (),
-            code=0,
-            scenario=lambda folder, run: (
-                run("export scene.zarr own.mat"),
-                run("export plain.zarr own.mat --overwrite"),
-            )[1],
-            makes=("own.mat",),
-        ),
-        Case("relight over a picture", f"{relight} -o black.png --overwrite", code=0),
+    relight = "relight scene.zarr shown.png -o"
+    export = "export scene.zarr mine.npz --overwrite"
+    foreign: dict[str, tuple[str, Prepare]] = {
+        "export over a foreign npz": (export, text("mine.npz")),
+        "export over a foreign mat": (export.replace("npz", "mat"), text("mine.mat")),
+        "export over a folder": (export, text("mine.npz/photo.jpg")),
+        "export over an empty folder": (export, folder_at("mine.npz")),
         # Images carry no marker, so that for images --overwrite is enough.
-        Case(
-            "relight over a text that is called png",
-            f"{relight} -o notes.png --overwrite",
-            "notes.png",
-            text("notes.png"),
-        ),
-        Case(
-            "relight over a folder",
-            f"{relight} -o mine.png --overwrite",
-            "mine.png",
-            text("mine.png/photo.jpg"),
-        ),
-        Case(
-            "relight over a picture, not asked to",
-            f"{relight} -o black.png",
-            ("black.png", "--overwrite"),
-        ),
-        Case("patterns over a file", f"{PATTERNS} -o holiday.jpg --overwrite", "holiday.jpg"),
-        Case(
-            "estimate over a file",
-            f"{ESTIMATE} -o mine.zarr --overwrite",
-            "mine.zarr",
-            text("mine.zarr"),
-        ),
+        "relight over a text called png": (f"{relight} mine.png --overwrite", text("mine.png")),
+        "relight over a folder": (f"{relight} mine.png --overwrite", text("mine.png/photo.jpg")),
+        "estimate over a file": (f"{ESTIMATE} -o mine.zarr --overwrite", text("mine.zarr")),
+        "patterns over a file": (f"{PATTERNS} -o mine --overwrite", text("mine")),
+    }
+    kept = ("black.png", "--overwrite")
+    return [
+        *(Case(name, line, "mine", put) for name, (line, put) in foreign.items()),
+        Case("export over our own npz", "export scene.zarr plain.npz --overwrite", code=0),
+        Case("export over our own mat", code=0, scenario=_again, makes=("own.mat",)),
+        Case("relight over a picture", f"{relight} black.png --overwrite", code=0),
+        Case("relight over a picture, not asked to", f"{relight} black.png", kept),
     ]
 
 
 def _links() -> list[Case]:
     outside = both(copy("patterns", "../kept"), link("out", "../kept"))
-    photographs = both(text("../kept/photo.jpg"), link("out", "../kept"))
-
-    def of_file(put: Prepare) -> Prepare:
-        return both(put, link("out.npz", "target.npz"))
-
+    target = link("out.npz", "target.npz")
+    over, export = f"{PATTERNS} -o out --overwrite", "export scene.zarr out.npz"
+    refused: dict[str, tuple[str, Prepare]] = {
+        "to photographs": (over, both(text("../kept/photo.jpg"), link("out", "../kept"))),
+        "to a foreign file": (f"{export} --overwrite", both(text("target.npz"), target)),
+        "to itself": (over, link("out", "out")),
+        "to the current folder": (over, link("out", ".")),
+        "to nowhere, for an estimate": (f"{ESTIMATE} -o out", link("out", "gone/away.zarr")),
+        "to nowhere, for patterns": (f"{PATTERNS} -o out", link("out", "gone/away")),
+        "to nowhere, for an export": (export, link("out.npz", "gone/away.npz")),
+    }
     return [
+        *(Case(f"a link {w}", line, "out|kept|npz", put) for w, (line, put) in refused.items()),
         Case(
             "a link to our own folder is followed",
-            f"{PATTERNS} -o out --overwrite",
+            over,
             (),
             outside,
             code=0,
             makes=("../kept",),
             check=every(is_link("out"), holds("../kept/pattern_0001.png")),
         ),
-        Case("a link to photographs", f"{PATTERNS} -o out --overwrite", "kept|out", photographs),
         Case(
             "a link to our own file is followed",
-            "export scene.zarr out.npz --overwrite",
+            f"{export} --overwrite",
             (),
-            of_file(copy("plain.npz", "target.npz")),
+            both(copy("plain.npz", "target.npz"), target),
             code=0,
             makes=("target.npz",),
             check=is_link("out.npz"),
-        ),
-        Case(
-            "a link to a foreign file",
-            "export scene.zarr out.npz --overwrite",
-            "npz",
-            of_file(text("target.npz")),
-        ),
-        Case("a link to itself", f"{PATTERNS} -o out --overwrite", "out", link("out", "out")),
-        Case(
-            "a link that leads nowhere, for an estimate",
-            f"{ESTIMATE} -o out.zarr",
-            "out.zarr",
-            link("out.zarr", "gone/away.zarr"),
-        ),
-        Case(
-            "a link that leads nowhere, for patterns",
-            f"{PATTERNS} -o out",
-            "out",
-            link("out", "gone/away"),
-        ),
-        Case(
-            "a link that leads nowhere, for an export",
-            "export scene.zarr out.npz",
-            "out.npz",
-            link("out.npz", "gone/away.npz"),
-        ),
-        Case(
-            "a link to the current folder",
-            f"{PATTERNS} -o out --overwrite",
-            "out",
-            link("out", "."),
         ),
         Case(
             "a linked folder above the output",
@@ -247,21 +159,9 @@ def _links() -> list[Case]:
     ]
 
 
-# What its cases need of the work folder.
-NEEDS = (
-    *(
-        "T.npz",
-        "patterns",
-        "capture",
-        "scene.zarr",
-        "plain.npz",
-        "plain.zarr",
-        "photos",
-        "projected",
-        "black.png",
-        "holiday.jpg",
-        "shown.png",
-    ),
-)
-
 CASES = [*_not_files(), *_places(), *_files(), *_links()]
+
+
+@pytest.mark.parametrize("case", CASES, ids=str)
+def test_outputs(case: Case, work: Path) -> None:
+    bear(case, work)
