@@ -7,7 +7,7 @@ import re
 import shlex
 import stat
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import pytest
@@ -72,7 +72,7 @@ class Case:
     check: Check | None = None
     then: str | None = None
     scenario: Scenario | None = None
-    limits: Limits = Limits()
+    limits: Limits = field(default_factory=Limits)
 
     def __str__(self) -> str:
         return self.name

@@ -57,7 +57,9 @@ def prints(*phrases: str) -> Check:
     """Words that standard output must hold, as they are."""
 
     def check(folder: Path, ran: Ran) -> str | None:
-        return next((f"{p!r} is not in {ran.out[:200]!r}" for p in phrases if p not in ran.out), None)
+        return next(
+            (f"{p!r} is not in {ran.out[:200]!r}" for p in phrases if p not in ran.out), None
+        )
 
     return check
 

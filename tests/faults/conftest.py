@@ -12,7 +12,7 @@ import pytest
 
 from tests.helpers.systems import FORKS
 
-from .work import copy_work, make_work
+from .work import fresh_copy, make_work
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -35,7 +35,7 @@ def template() -> Iterator[Path]:
         pytest.MonkeyPatch.context() as patch,
     ):
         for name, value in {
-            "PYTHONPATH": os.pathsep.join((str(ROOT), os.environ.get("PYTHONPATH", ""))),
+            "PYTHONPATH": os.pathsep.join(filter(None, (str(ROOT), os.environ.get("PYTHONPATH")))),
             "OMP_NUM_THREADS": "1",
             "OPENBLAS_NUM_THREADS": "1",
             "MPLBACKEND": "Agg",
@@ -56,8 +56,5 @@ def template() -> Iterator[Path]:
 @pytest.fixture
 def work(request: pytest.FixtureRequest, template: Path) -> Iterator[Path]:
     """A fresh copy of what the cases of a module need: its NEEDS."""
-    with tempfile.TemporaryDirectory(prefix="case-", dir=template.parents[2]) as base:
-        (Path(base) / "tmp").mkdir()
-        place = Path(base) / "outer" / "work"
-        copy_work(template, place, request.module.NEEDS)
+    with fresh_copy(template, request.module.NEEDS) as place:
         yield place

@@ -5,16 +5,20 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
+import pytest
 
 from lightmatrix.files.images import decode_image
 
-from ..case import Case, nothing
-from ..put import array, described, text
-from ..work import SHAPE
-from .streams import by_shell
+from .case import Case, bear
+from .put import array, described, text
+from .test_streams import by_shell
+from .work import SHAPE
 
-_RELIGHT = "relight scene.zarr {} -o new.npy"
-_LEVELS = np.arange(64, dtype=np.uint8).reshape(SHAPE)
+NEEDS = ("capture", "scene.zarr", "photos", "projected")
+ESTIMATE = "estimate capture --no-coherent"
+LEVELS = np.arange(64, dtype=np.uint8).reshape(SHAPE)
+TEN_BITS = b"P5 8 8 1023\n" + (LEVELS.astype(np.uint16) * 16).astype(">u2").tobytes()
+WHITE_200 = text("a.pgm", b"P5 8 8 200\n" + LEVELS.tobytes())
 
 
 def _float_levels(folder: Path) -> None:
@@ -24,86 +28,72 @@ def _float_levels(folder: Path) -> None:
     np.save(folder / "photos.npy", frames.astype(np.float32))
 
 
-def _levels() -> list[Case]:
-    ten_bits = (_LEVELS.astype(np.uint16) * 16).astype(">u2").tobytes()
-    folders = "estimate --patterns projected --images photos.npy -o new.zarr"
-    return [
-        Case(
-            "a PGM whose white is 200",
-            _RELIGHT.format("a.pgm"),
-            "white is 200, not 255",
-            text("a.pgm", b"P5 8 8 200\n" + _LEVELS.tobytes()),
-        ),
-        Case(
-            "a pattern of 10 bits in 16, whose brightest level is not white",
-            _RELIGHT.format("a.pgm"),
-            "16 bits, but no level above 1008",
-            text("a.pgm", b"P5 8 8 1023\n" + ten_bits),
-            code=0,
-        ),
-        Case("photographs of 0 to 255 as float", folders, "--clip", _float_levels),
-        Case(
-            "a pattern barely above 1",
-            _RELIGHT.format("a.npy"),
-            "1.0000002",
-            array("a.npy", np.full(SHAPE, 1.0000002)),
-        ),
-        Case(
-            "an exposure of 1e-300",
-            "estimate capture --no-coherent -o new.zarr",
-            "an exposure of 1e-300",
-            described(exposure=1e-300),
-        ),
-    ]
+def _relit(file: str) -> str:
+    return f"relight scene.zarr {file} -o new.npy"
 
 
-def _options() -> list[Case]:
-    estimate = "estimate capture --no-coherent"
-    return [
-        Case("a viewer without a report", f"{estimate} -o new.zarr --viewer", "without --report"),
+def _surroundings(name: str, value: str, command: str) -> Case:
+    """A variable of the environment that our libraries read."""
+    return Case(
+        f"a wrong {name}",
+        command,
+        f"unset {name}",
+        scenario=by_shell(f"lm {command}", **{name: value}),
+    )
+
+
+CASES = [
+    Case("a PGM whose white is 200", _relit("a.pgm"), "white is 200, not 255", WHITE_200),
+    Case(
+        "a pattern of 10 bits in 16, whose brightest level is not white",
+        _relit("a.pgm"),
+        "16 bits, but no level above 1008",
+        text("a.pgm", TEN_BITS),
+        code=0,
+    ),
+    Case(
+        "photographs of 0 to 255 as float",
+        "estimate --patterns projected --images photos.npy -o new.zarr",
+        "--clip",
+        _float_levels,
+    ),
+    Case(
+        "a pattern barely above 1",
+        _relit("a.npy"),
+        "1.0000002",
+        array("a.npy", np.full(SHAPE, 1.0000002)),
+    ),
+    Case(
+        "an exposure of 1e-300",
+        f"{ESTIMATE} -o new.zarr",
+        "an exposure of 1e-300",
+        described(exposure=1e-300),
+    ),
+    Case("a viewer without a report", f"{ESTIMATE} -o new.zarr --viewer", "without --report"),
+    *(
         Case(
-            "a report where the estimate goes",
-            f"{estimate} -o new.zarr --report new.zarr",
+            f"a report at {place}",
+            f"{ESTIMATE} -o new.zarr --report {place}",
             "is where the estimate goes",
-        ),
-        Case(
-            "a report within the estimate",
-            f"{estimate} -o new.zarr --report new.zarr/report",
-            "is where the estimate goes",
-        ),
-        Case(
-            "an output where no file can be made",
-            f"{estimate} -o /proc/new.zarr",
-            "/proc/new.zarr: cannot be written",
-        ),
-        Case(
-            "pictures over a store",
-            "info scene.zarr --pictures scene.zarr --overwrite",
-            "holds a light transport matrix",
-        ),
-    ]
-
-
-def _surroundings() -> list[Case]:
-    """Variables of the environment that our libraries read."""
-    variables = {
-        "MPLBACKEND": ("nonsense", "info scene.zarr --pictures new"),
-        "SOURCE_DATE_EPOCH": ("yesterday", "info scene.zarr --pictures new"),
-        "ZARR_THREADING__MAX_WORKERS": ("-1", "info scene.zarr"),
-    }
-    return [
-        Case(
-            f"a wrong {name}",
-            command,
-            f"unset {name}",
-            nothing,
-            scenario=by_shell(f"lm {command}", **{name: value}),
         )
-        for name, (value, command) in variables.items()
-    ]
+        for place in ("new.zarr", "new.zarr/report")
+    ),
+    Case(
+        "an output where no file can be made",
+        f"{ESTIMATE} -o /proc/new.zarr",
+        "/proc/new.zarr: cannot be written",
+    ),
+    Case(
+        "pictures over a store",
+        "info scene.zarr --pictures scene.zarr --overwrite",
+        "holds a light transport matrix",
+    ),
+    _surroundings("MPLBACKEND", "nonsense", "info scene.zarr --pictures new"),
+    _surroundings("SOURCE_DATE_EPOCH", "yesterday", "info scene.zarr --pictures new"),
+    _surroundings("ZARR_THREADING__MAX_WORKERS", "-1", "info scene.zarr"),
+]
 
 
-# What its cases need of the work folder.
-NEEDS = ("capture", "scene.zarr", "photos", "projected")
-
-CASES = [*_levels(), *_options(), *_surroundings()]
+@pytest.mark.parametrize("case", CASES, ids=str)
+def test_misread(case: Case, work: Path) -> None:
+    bear(case, work)

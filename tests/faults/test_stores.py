@@ -8,10 +8,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pytest
 
-from ..case import Case, Prepare
-from ..checks import every, prints, same_matrix, within
-from ..put import (
+from .case import Case, Prepare, bear
+from .checks import prints, same_matrix
+from .put import (
     DEEP,
     attribute,
     both,
@@ -28,6 +29,7 @@ from ..put import (
     with_item,
 )
 
+NEEDS = ("T.npz", "scene.zarr", "shown.png")
 # What reads a store. Any of these crashed on some damaged one.
 READERS = {
     "info": "info bad.zarr",
@@ -37,11 +39,14 @@ READERS = {
     "export whole": "export bad.zarr out.npz --dense-background",
     "evaluate": "evaluate bad.zarr --truth T.npz",
 }
-BAD = copy("scene.zarr", "bad.zarr")
+INFO = READERS["info"]
+HEADER, INNER = "bad.zarr/zarr.json", "bad.zarr/data/zarr.json"
+OUT = ("out.npy", "out.npz", "out.mat")
 
 
-# CSR sums what stands twice, so that this may be read.
-ALLOWED = ("an index twice in a row",)
+def _bad(*puts: Prepare) -> Prepare:
+    """A copy of a sound store with faults put into it."""
+    return both(copy("scene.zarr", "bad.zarr"), *puts)
 
 
 def _arrays() -> list[Case]:
@@ -75,23 +80,23 @@ def _arrays() -> list[Case]:
         "diagnostics of other rows": ("diagnostics/gap", lambda held: held[:-1]),
         "diagnostics without a dimension": ("diagnostics/gap", lambda held: held[0].reshape(())),
     }
-    cases = []
-    for words, (name, change) in faults.items():
-        put = both(BAD, stored("bad.zarr", name, change))
+    # CSR sums what stands twice, so that this may be read.
+    allowed = "an index twice in a row"
+    return [
+        Case(
+            f"{words}: {reader}",
+            READERS[reader],
+            "" if words == allowed else "bad.zarr",
+            _bad(stored("bad.zarr", name, change)),
+            code=(0, 2) if words == allowed else 2,
+            makes=OUT,
+        )
+        for words, (name, change) in faults.items()
         # Damage that only one reader minds is tried with every one, most with two.
-        readers = READERS if words.startswith(("an index", "row ends")) else ("info", "relight")
-        cases += [
-            Case(
-                f"{words}: {reader}",
-                READERS[reader],
-                "" if words in ALLOWED else "bad.zarr",
-                put,
-                code=(0, 2) if words in ALLOWED else 2,
-                makes=("out.npy", "out.npz", "out.mat"),
-            )
-            for reader in readers
-        ]
-    return cases
+        for reader in (
+            READERS if words.startswith(("an index", "row ends")) else ("info", "relight")
+        )
+    ]
 
 
 def _attributes() -> list[Case]:
@@ -118,54 +123,50 @@ def _attributes() -> list[Case]:
     cases = []
     for key, wrong in values.items():
         for number, value in enumerate(wrong):
-            name = f"{key} is {str(value)[:24]} ({number})"
-            put = both(BAD, attribute("bad.zarr", key, value))
-            cases.append(Case(name, READERS["info"], "bad.zarr", put))
+            name = f"{key} is {str(value)[:24]}"
+            put = _bad(attribute("bad.zarr", key, value))
+            cases.append(Case(name, INFO, "bad.zarr", put))
             if key.endswith(("shape", "grid")) and number < 4:
                 cases.append(Case(f"{name}, relit", READERS["relight"], "bad.zarr", put))
-    for value in (
-        {"versions": "text"},
-        {"versions": {"a": 5}},
-        {"solver_parameters": "text"},
-        {"solver": ["a"]},
-        {"estimator": {"a": 1}},
-    ):
-        cases.append(
-            Case(
-                f"provenance of {value}",
-                READERS["info"],
-                (),
-                both(BAD, attribute("bad.zarr", "provenance", value)),
-                code=(0, 2),
-            )
-        )
+
+    def provenance(value: object) -> Prepare:
+        return _bad(attribute("bad.zarr", "provenance", value))
+
     markup = {
         "estimator": "[/red]",
         "solver": "[bold",
         "scene": ":smile:",
-        "versions": {"[/x]": "[y]"},
+        "versions": {"[x]": "["},
     }
-    half = both(BAD, attribute("bad.zarr", "provenance", {"estimator": "half \ud800 of a sign"}))
-    cases += [
-        Case(f"provenance that is no text: {reader}", command, (), half, code=0,
-             makes=("out.npy", "out.npz", "out.mat"))
-        for reader, command in {**READERS, "info json": "info bad.zarr --json"}.items()
-    ]  # fmt: skip
-    cases.append(
+    half = provenance({"estimator": "half \ud800 of a sign"})
+    return [
+        *cases,
+        *(
+            Case(f"provenance of {value}", INFO, (), provenance(value), code=(0, 2))
+            for value in (
+                {"versions": "text"},
+                {"versions": {"a": 5}},
+                {"solver_parameters": "text"},
+                {"solver": ["a"]},
+                {"estimator": {"a": 1}},
+            )
+        ),
+        *(
+            Case(f"provenance that is no text: {reader}", command, (), half, code=0, makes=OUT)
+            for reader, command in {**READERS, "info json": f"{INFO} --json"}.items()
+        ),
         Case(
             "provenance of markup",
-            f"{READERS['info']} --verbose",
+            f"{INFO} --verbose",
             (),
-            both(BAD, attribute("bad.zarr", "provenance", markup)),
+            provenance(markup),
             code=0,
-            check=every(prints("[/red]"), prints(":smile:")),
-        )
-    )
-    return cases
+            check=prints("[/red]", ":smile:"),
+        ),
+    ]
 
 
 def _header() -> list[Case]:
-    name = "bad.zarr/zarr.json"
     contents: dict[str, str | bytes] = {
         "nested 100,000 deep": DEEP,
         "of a list": "[]",
@@ -176,11 +177,6 @@ def _header() -> list[Case]:
         "of a group without words": '{"zarr_format": 3, "node_type": "group"}',
         "of format 4": '{"zarr_format": 4, "node_type": "group"}',
     }
-    cases = [
-        Case(f"zarr.json {words}", READERS["info"], "bad.zarr", both(BAD, text(name, content)))
-        for words, content in contents.items()
-    ]
-    inner = "bad.zarr/data/zarr.json"
     edits: dict[str, dict[str, Any]] = {
         "a shape of 10^15": {"shape": [10**15]},
         "a shape below 0": {"shape": [-5]},
@@ -190,44 +186,28 @@ def _header() -> list[Case]:
         "codecs that are pickles": {"codecs": [{"name": "numcodecs.pickle", "configuration": {}}]},
         "an unknown codec": {"codecs": [{"name": "of-the-future"}]},
     }
-    cases += [
-        Case(
-            f"an array with {words}",
-            READERS["info"],
-            "bad.zarr",
-            both(BAD, json_edit(inner, lambda held, change=change: held.update(change))),  # type: ignore[misc]
-            check=within(10),
-        )
-        for words, change in edits.items()
-    ]
+    faults: dict[str, Prepare] = {
+        **{f"zarr.json {words}": _bad(text(HEADER, c)) for words, c in contents.items()},
+        **{
+            f"an array with {words}": _bad(
+                json_edit(INNER, lambda held, change=change: held.update(change))  # type: ignore[misc]
+            )
+            for words, change in edits.items()
+        },
+        "zarr.json is a pipe": _bad(pipe(HEADER)),
+        "zarr.json is a folder": _bad(folder_at(HEADER)),
+        "zarr.json is missing": _bad(remove(HEADER)),
+        "an array's zarr.json is a pipe": _bad(pipe(INNER)),
+        "an array is missing": _bad(remove("bad.zarr/indices")),
+        "a store that is a pipe": pipe("bad.zarr"),
+        "a store that is a file": text("bad.zarr"),
+        "a store that is a link to nowhere": link("bad.zarr", "gone.zarr"),
+    }
+    lost = _bad(remove("bad.zarr/diagnostics"))
     return [
-        *cases,
-        Case("zarr.json is a pipe", READERS["info"], "bad.zarr", both(BAD, pipe(name))),
-        Case("zarr.json is a folder", READERS["info"], "bad.zarr", both(BAD, folder_at(name))),
-        Case("zarr.json is missing", READERS["info"], "bad.zarr", both(BAD, remove(name))),
-        Case("an array's zarr.json is a pipe", READERS["info"], "bad.zarr", both(BAD, pipe(inner))),
-        Case(
-            "an array is missing",
-            READERS["info"],
-            "bad.zarr",
-            both(BAD, remove("bad.zarr/indices")),
-        ),
-        Case(
-            "diagnostics are missing",
-            READERS["info"],
-            "bad.zarr",
-            both(BAD, remove("bad.zarr/diagnostics")),
-            code=(0, 2),
-        ),
-        Case("a store that is a pipe", READERS["info"], "bad.zarr", pipe("bad.zarr")),
-        Case("a store that is a file", READERS["info"], "bad.zarr", text("bad.zarr")),
-        Case(
-            "a store that is a link to nowhere",
-            READERS["info"],
-            "bad.zarr",
-            link("bad.zarr", "gone.zarr"),
-        ),
-        Case("a store by a link", READERS["info"], (), link("bad.zarr", "scene.zarr"), code=0),
+        *(Case(words, INFO, "bad.zarr", put) for words, put in faults.items()),
+        Case("diagnostics are missing", INFO, (), lost, code=(0, 2)),
+        Case("a store by a link", INFO, (), link("bad.zarr", "scene.zarr"), code=0),
         Case("a store that is a capture", "info capture", "capture"),
     ]
 
@@ -238,74 +218,58 @@ def _chunk_of(folder: Path, array: str) -> str:
 
 
 def _chunks() -> list[Case]:
+    damages: dict[str, Any] = {
+        "flipped": lambda name: flip(name, 0.5, 3),
+        "cut off": lambda name: cut(name, 20),
+        "empty": lambda name: cut(name, 0),
+        "missing": remove,
+        "of noise": lambda name: text(name, bytes(range(256))),
+        "a pipe": pipe,
+    }
+
     def at_chunk(array: str, put: Any) -> Prepare:
-        def fault(folder: Path) -> None:
-            BAD(folder)
-            put(_chunk_of(folder, array))(folder)
+        return _bad(lambda folder: put(_chunk_of(folder, array))(folder))
 
-        return fault
-
-    cases = []
-    for array in ("data", "indices", "indptr", "background"):
-        damages = {
-            "flipped": lambda name: flip(name, 0.5, 3),
-            "cut off": lambda name: cut(name, 20),
-            "empty": lambda name: cut(name, 0),
-            "missing": remove,
-            "of noise": lambda name: text(name, bytes(range(256))),
-            "a pipe": pipe,
-        }
-        for words, put in damages.items():
-            cases.append(
-                Case(
-                    f"a chunk of {array} {words}", READERS["info"], "bad.zarr", at_chunk(array, put)
-                )
-            )
-    return cases
+    return [
+        Case(f"a chunk of {array} {words}", INFO, "bad.zarr", at_chunk(array, put))
+        for array in ("data", "indices", "indptr", "background")
+        for words, put in damages.items()
+    ]
 
 
 def _foreign_parts() -> list[Case]:
     """Parts that are sound in themselves but were not written together."""
 
-    def other_matrix(folder: Path) -> None:
-        BAD(folder)
-        stored("bad.zarr", "data", lambda held: 2 * held)(folder)
-
-    def chunk_of_another(folder: Path) -> None:
-        other_matrix(folder)
-        chunk = (folder / _chunk_of(folder, "data")).read_bytes()
+    def of_another(folder: Path, what: str) -> None:
+        _bad(stored("bad.zarr", "data", lambda held: 2 * held))(folder)
+        if what == "chunk":
+            what = _chunk_of(folder, "data")
+        shutil.move(folder / what, folder / "other")
         shutil.rmtree(folder / "bad.zarr")
-        BAD(folder)
-        (folder / _chunk_of(folder, "data")).write_bytes(chunk)
-
-    def array_of_another(folder: Path) -> None:
-        other_matrix(folder)
-        shutil.move(folder / "bad.zarr" / "data", folder / "other")
-        shutil.rmtree(folder / "bad.zarr")
-        BAD(folder)
-        shutil.rmtree(folder / "bad.zarr" / "data")
-        shutil.move(folder / "other", folder / "bad.zarr" / "data")
+        both(_bad(remove(what)), lambda folder: shutil.move(folder / "other", folder / what))(
+            folder
+        )
 
     def indices_over_data(folder: Path) -> None:
-        BAD(folder)
+        _bad()(folder)
         shutil.copyfile(folder / _chunk_of(folder, "indices"), folder / _chunk_of(folder, "data"))
 
     def turned(held: dict[str, Any]) -> None:
         rows, cols = held["attributes"]["camera_shape"]
         held["attributes"]["camera_shape"] = [rows * 2, cols // 2]
 
-    def unsealed(held: dict[str, Any]) -> None:
-        del held["attributes"]["digest"]
-
-    whole, inner = "bad.zarr/zarr.json", "bad.zarr/data/zarr.json"
-    as_integers = json_edit(inner, lambda held: held.update(data_type="uint32"))
+    as_integers = json_edit(INNER, lambda held: held.update(data_type="uint32"))
+    unsealed = json_edit(HEADER, lambda held: held["attributes"].pop("digest"))
     faults: dict[str, tuple[Prepare, tuple[str, ...]]] = {
-        "a chunk of another store": (chunk_of_another, ("bad.zarr", "data/c/0")),
-        "an array of another store": (array_of_another, ("bad.zarr", "data/c/0")),
+        "a chunk of another store": (lambda f: of_another(f, "chunk"), ("bad.zarr", "data/c/0")),
+        "an array of another store": (
+            lambda f: of_another(f, "bad.zarr/data"),
+            ("bad.zarr", "data/c/0"),
+        ),
         "the indices as data": (indices_over_data, ("bad.zarr", "data/c/0")),
-        "data read as whole numbers": (both(BAD, as_integers), ("bad.zarr", "together")),
-        "a camera of another shape": (both(BAD, json_edit(whole, turned)), ("bad.zarr",)),
-        "no digest": (both(BAD, json_edit(whole, unsealed)), ("bad.zarr", "digest")),
+        "data read as whole numbers": (_bad(as_integers), ("bad.zarr", "together")),
+        "a camera of another shape": (_bad(json_edit(HEADER, turned)), ("bad.zarr",)),
+        "no digest": (_bad(unsealed), ("bad.zarr", "digest")),
     }
     return [
         Case(f"{words}: {reader}", READERS[reader], says, put)
@@ -318,71 +282,44 @@ def _consolidated() -> list[Case]:
     """Metadata that stands twice: only that of the arrays counts, and none of it runs code."""
 
     def lie(folder: Path) -> None:
-        BAD(folder)
-        arrays = {}
-        for file in (folder / "bad.zarr").rglob("zarr.json"):
-            name = str(file.parent.relative_to(folder / "bad.zarr"))
-            if name != ".":
-                arrays[name] = json.loads(file.read_text())
+        _bad()(folder)
+        store = folder / "bad.zarr"
+        arrays = {
+            str(file.parent.relative_to(store)): json.loads(file.read_text())
+            for file in store.rglob("*/zarr.json")
+        }
         arrays["data"]["shape"] = [3]
-        consolidated = {"kind": "inline", "must_understand": False, "metadata": arrays}
-        json_edit(
-            "bad.zarr/zarr.json", lambda held: held.update(consolidated_metadata=consolidated)
-        )(folder)
+        both_times = {"kind": "inline", "must_understand": False, "metadata": arrays}
+        json_edit(HEADER, lambda held: held.update(consolidated_metadata=both_times))(folder)
 
     def old_format(folder: Path) -> None:
         # A store of format 2 whose objects are pickles that would leave a file `pwned`.
-        place = folder / "bad.zarr"
-        BAD(folder)
-        text("bad.zarr/.zgroup", '{"zarr_format": 2}')(folder)
-        attributes = json.loads((place / "zarr.json").read_text())["attributes"]
-        text("bad.zarr/.zattrs", json.dumps(attributes))(folder)
-        array = {
-            "zarr_format": 2,
-            "shape": [1],
-            "chunks": [1],
-            "dtype": "|O",
-            "compressor": None,
-            "fill_value": None,
-            "order": "C",
-            "filters": [{"id": "pickle", "protocol": 0}],
-        }
-        metadata = {
-            "zarr_consolidated_format": 1,
-            "metadata": {".zgroup": {"zarr_format": 2}, ".zattrs": attributes},
-        }
+        _bad()(folder)
+        attributes = json.loads((folder / HEADER).read_text())["attributes"]
+        array = {"zarr_format": 2, "shape": [1], "chunks": [1], "dtype": "|O", "compressor": None}
+        array |= {"fill_value": None, "order": "C", "filters": [{"id": "pickle", "protocol": 0}]}
+        metadata = {".zgroup": {"zarr_format": 2}, ".zattrs": attributes}
         for name in ("data", "indices", "indptr", "background"):
-            metadata["metadata"][f"{name}/.zarray"] = array  # type: ignore[index]
-            text(f"bad.zarr/{name}/.zarray", json.dumps(array))(folder)
+            metadata[f"{name}/.zarray"] = array
             text(f"bad.zarr/{name}/0", b"cos\nsystem\n(S'touch pwned'\ntR.")(folder)
-        text("bad.zarr/.zmetadata", json.dumps(metadata))(folder)
+        for name, content in metadata.items():
+            text(f"bad.zarr/{name}", json.dumps(content))(folder)
+        whole = {"zarr_consolidated_format": 1, "metadata": metadata}
+        text("bad.zarr/.zmetadata", json.dumps(whole))(folder)
 
+    alone, beside = both(old_format, remove(HEADER)), both(old_format, text(HEADER, "{}"))
+    same = same_matrix("bad.zarr", "scene.zarr")
     return [
-        Case(
-            "consolidated metadata that lies",
-            READERS["info"],
-            (),
-            lie,
-            code=0,
-            check=same_matrix("bad.zarr", "scene.zarr"),
-        ),
-        Case("a store of format 2 beside the third", READERS["info"], (), old_format, code=(0, 2)),
-        Case(
-            "a store of format 2 with pickles",
-            READERS["info"],
-            "bad.zarr",
-            both(old_format, remove("bad.zarr/zarr.json")),
-        ),
-        Case(
-            "a store of format 2 with pickles and an empty zarr.json",
-            READERS["info"],
-            "bad.zarr",
-            both(old_format, text("bad.zarr/zarr.json", "{}")),
-        ),
+        Case("consolidated metadata that lies", INFO, (), lie, code=0, check=same),
+        Case("a store of format 2 beside the third", INFO, (), old_format, code=(0, 2)),
+        Case("a store of format 2 with pickles", INFO, "bad.zarr", alone),
+        Case("the same with an empty zarr.json", INFO, "bad.zarr", beside),
     ]
 
 
-# What its cases need of the work folder.
-NEEDS = ("T.npz", "scene.zarr", "shown.png")
-
 CASES = [*_arrays(), *_attributes(), *_header(), *_chunks(), *_foreign_parts(), *_consolidated()]
+
+
+@pytest.mark.parametrize("case", CASES, ids=str)
+def test_stores(case: Case, work: Path) -> None:
+    bear(case, work)
