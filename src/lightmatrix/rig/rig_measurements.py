@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 
 from lightmatrix.errors import InputError
-from lightmatrix.files.json_files import read_json
 from lightmatrix.files.kinds import RIG, RIG_FORMAT
+from lightmatrix.files.reading import read_json
 from lightmatrix.files.writing import atomic_file
 from lightmatrix.patterns.projector_curve import ProjectorResponse
 from lightmatrix.rig.devices.base import set_exposure
