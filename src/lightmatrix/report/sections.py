@@ -42,10 +42,10 @@ from lightmatrix.report.elements import (
     photograph,
 )
 from lightmatrix.report.facts import Facts, Validation
-from lightmatrix.reprs import shown_value
+from lightmatrix.reprs import labelled, shown_value
 from lightmatrix.shape.shape import depth_map, normal_colours
 from lightmatrix.shape.triangulation import triangulate
-from lightmatrix.transport.matrix import LightTransport, labelled
+from lightmatrix.transport.matrix import LightTransport
 from lightmatrix.uses.compensation import Compensation, compensator
 from lightmatrix.uses.separation import separate
 
