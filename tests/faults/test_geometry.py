@@ -113,7 +113,7 @@ def _poses() -> list[Case]:
         Case("a board that only the camera sees", only_camera, unlit, _boards_without_projector),
         Case("too few poses", CALIBRATE.format("capture lit"), "2 usable poses"),
         Case("a pose that is missing", CALIBRATE.format("nowhere capture lit"), "nowhere"),
-        Case("a pose that is a photograph", CALIBRATE.format("holiday.jpg lit"), "holiday.jpg"),
+        Case("a photograph", CALIBRATE.format("holiday.jpg capture lit"), "holiday.jpg"),
         *(
             Case(f"{value} for {usual}", several.replace(usual, value), says, again)
             for usual, (says, wrong) in values.items()
