@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lightmatrix.capture.capture import Capture, Crop
-from lightmatrix.capture.decoding import CaptureParts
 from lightmatrix.capture.folder import read_capture, read_folders
+from lightmatrix.capture.frames import CaptureParts
 from lightmatrix.capture.settings import ReadSettings
 from lightmatrix.check.finding import Finding
 from lightmatrix.check.frame_order import check_counts, check_order
@@ -205,30 +205,26 @@ def _survey(capture: Capture) -> Survey:
 def check_distinguishable(patterns: PatternSet) -> list[Finding]:
     """Whether the patterns can tell several footprints in a row, and single pixels, apart."""
     if is_separable(patterns):
-        return [
-            Finding(
-                "stripes",
-                (),
-                "each pattern varies along rows or along columns only (Gray code, stripes, "
-                "fringes): where a camera pixel sees several places, they cannot tell these from "
-                "the crossings of their rows and columns",
-                "fine for correspondence and shape (`decode`); for all of T project random "
-                "patterns too, such as Bernoulli patterns",
-            )
-        ]
+        message = (
+            "each pattern varies along rows or along columns only (Gray code, stripes, fringes): "
+            "where a camera pixel sees several places, they cannot tell these from the crossings "
+            "of their rows and columns"
+        )
+        advice = (
+            "fine for correspondence and shape (`decode`); for all of T project random patterns "
+            "too, such as Bernoulli patterns"
+        )
+        return [Finding("stripes", (), message, advice)]
     alike = float(np.mean(np.bincount(patterns.twins)[patterns.twins] > 1))
     # A few patterns leave some pixels alike by chance.
     if alike < 0.2:
         return []
-    return [
-        Finding(
-            "patterns",
-            (),
-            f"{100 * alike:.0f} % of the projector pixels look like another: all "
-            "patterns show the same there",
-            "project more patterns, or finer ones, or bin the projector",
-        )
-    ]
+    message = (
+        f"{100 * alike:.0f} % of the projector pixels look like another: all patterns show the "
+        "same there"
+    )
+    advice = "project more patterns, or finer ones, or bin the projector"
+    return [Finding("patterns", (), message, advice)]
 
 
 def check_interchanged(survey: Survey) -> list[Finding]:
@@ -242,14 +238,9 @@ def check_interchanged(survey: Survey) -> list[Finding]:
     noisy = all(len(np.unique(patterns.rows(k, k + 1))) >= 24 for k in frames)
     if not (drawn and noisy):
         return []
-    return [
-        Finding(
-            "interchanged",
-            (),
-            "the photographs have a few exact grey values, and the patterns have noise",
-            "patterns and photographs seem to be in each other's place: exchange the folders",
-        )
-    ]
+    message = "the photographs have a few exact grey values, and the patterns have noise"
+    advice = "patterns and photographs seem to be in each other's place: exchange the folders"
+    return [Finding("interchanged", (), message, advice)]
 
 
 # In the two functions below, `disorder` and `unrelated` are what the checks of the order and of the
