@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lightmatrix.capture.capture import Capture, Crop
-from lightmatrix.capture.decoding import CaptureParts
 from lightmatrix.capture.folder import read_capture, read_folders
+from lightmatrix.capture.frames import CaptureParts
 from lightmatrix.capture.settings import ReadSettings
 from lightmatrix.check.finding import Finding
 from lightmatrix.check.frame_order import check_counts, check_order
