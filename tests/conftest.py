@@ -61,13 +61,18 @@ _TOGETHER = {
 
 @pytest.hookimpl(optionalhook=True)
 def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
-    """Each file to one process, as it has fixtures of its own, and some files to the same one."""
+    """Each file to one process, as it has fixtures of its own, and some files to the same one.
+
+    The examples share nothing and are the longest file, so each is handed out by itself.
+    """
     if config.getoption("dist") != "loadfile":
         return None
     from xdist.scheduler import LoadFileScheduling
 
     def group(nodeid: str) -> str:
         file = nodeid.split("::", 1)[0]
+        if file == "tests/project/test_examples.py":
+            return nodeid
         return _TOGETHER.get(file, file)
 
     scheduling = LoadFileScheduling(config, log)
