@@ -1,0 +1,162 @@
+"""Maps over the camera: one value per camera pixel, with its colours.
+
+`lightmatrix show`, `lightmatrix info` and the report draw the same maps.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import matplotlib as mpl
+import numpy as np
+from matplotlib.colors import Colormap, LinearSegmentedColormap, LogNorm, Normalize
+from numpy.typing import NDArray
+
+from lightmatrix.errors import InputError
+from lightmatrix.pictures.style import CLIPPED_COLOUR
+from lightmatrix.transport.correspondence import Correspondence
+from lightmatrix.transport.matrix import LightTransport
+
+WHITE_TO_RED = LinearSegmentedColormap.from_list("clipped", [(1.0, 1.0, 1.0), CLIPPED_COLOUR])
+# The grey of camera pixels without a value.
+UNKNOWN = (0.7, 0.7, 0.7)
+
+
+@dataclass(frozen=True, eq=False)
+class Map:
+    """One value for each camera pixel, and how to colour it."""
+
+    # The map in one word, as in file names.
+    name: str
+    title: str
+    # The quantity and unit of the colour scale.
+    label: str
+    # (rows, cols); NaN where a pixel has no value.
+    values: NDArray[np.float64]
+    # The values at the ends of the colour scale.
+    low: float
+    high: float
+    # Lightness must rise or fall along the whole colour map, so that it reads without colour.
+    colours: str | Colormap = "viridis"
+    # Whether colours follow the logarithm, which needs low > 0.
+    logarithmic: bool = False
+
+    @property
+    def norm(self) -> Normalize:
+        """The map from values to [0, 1]; values beyond the ends are clipped."""
+        return (LogNorm if self.logarithmic else Normalize)(self.low, self.high, clip=True)
+
+    @property
+    def colour_map(self) -> Colormap:
+        """The colours, with grey for pixels without a value."""
+        return mpl.colormaps.get_cmap(self.colours).with_extremes(bad=UNKNOWN)
+
+    @property
+    def shown(self) -> np.ma.MaskedArray[tuple[int, int], np.dtype[np.float64]]:
+        """Values clipped to the scale, with missing ones masked."""
+        return np.ma.masked_invalid(np.clip(self.values, self.low, self.high))
+
+    def pixels(self) -> NDArray[np.uint8]:
+        """The map as an image, (rows, cols, 3)."""
+        return np.asarray(self.colour_map(self.norm(self.shown), bytes=True))[..., :3]
+
+
+def clipping_map(transport: LightTransport) -> Map:
+    """Share of each camera pixel's samples that clipped, in per cent, in the worst channel."""
+    shares = 100 * _diagnostic(transport, "clipped_share")
+    title = f"Clipped samples: {np.mean(shares):.1f} %"
+    label = "clipped share of a camera pixel's samples, %"
+    return Map("clipping", title, label, shares, 0, 100, WHITE_TO_RED)
+
+
+def gap_map(transport: LightTransport) -> Map:
+    """Relative duality gap of each row, the largest of a pixel's channels."""
+    gaps = _diagnostic(transport, "gap")
+    known = gaps[np.isfinite(gaps)]
+    if not known.size:
+        raise InputError("no row has a duality gap", hint="estimate with the solver active-set")
+    # A non-breaking hyphen keeps 7e-06 on one line.
+    middle, largest = (
+        f"{gap:.1g}".replace("-", "\u2011") for gap in (np.median(known), known.max())
+    )
+    title = f"Relative duality gap: median {middle}, largest {largest}"
+    label = "(P - D) / P of a camera pixel's row"
+    # The scale begins far below any tolerance of a solver, so that smaller gaps and those of dark
+    # rows (0) look alike.
+    high = max(1e-3, float(known.max()))
+    return Map("gap", title, label, gaps, 1e-7, high, logarithmic=True)
+
+
+def footprint_map(transport: LightTransport) -> Map:
+    """Size of each camera pixel's footprint in projector pixels."""
+    sizes = _diagnostic(transport, "footprint")
+    known = sizes[np.isfinite(sizes)]
+    middle, high = np.quantile(known, (0.5, 0.99)).tolist() if known.size else (0.0, 1.0)
+    title = f"Footprint size: median {middle:.2g} projector pixels"
+    return Map("footprint", title, "projector pixels", sizes, 0, max(high, 1.0))
+
+
+def estimated_error_map(transport: LightTransport) -> Map:
+    """The estimated relative error of each camera pixel's rows."""
+    errors = _diagnostic(transport, "estimated_error")
+    return _of_errors("estimated-error", "Estimated error per camera pixel", "estimated ", errors)
+
+
+def error_map(values: NDArray[np.floating]) -> Map:
+    """Relative error of each camera pixel against the truth, (rows, cols); NaN where T is dark."""
+    return _of_errors("error", "Error against the truth", "", values.astype(float))
+
+
+def _of_errors(name: str, title: str, kind: str, errors: NDArray[np.float64]) -> Map:
+    known = errors[np.isfinite(errors)]
+    middle = 100 * float(np.median(known)) if known.size else np.nan
+    label = f"{kind}relative error of a camera pixel's row"
+    title += f": median {middle:.2g} %"
+    # The scale ends at 100 %, the error of T = 0, and begins at 0.1 %, which noise hides.
+    return Map(name, title, label, errors, 1e-3, 1.0, "magma", logarithmic=True)
+
+
+def correspondence_maps(matches: Correspondence) -> tuple[Map, Map, Map]:
+    """Row and column of the projector that each camera pixel sees most, and the confidence."""
+    row, col = np.moveaxis(matches.place.astype(np.float64), -1, 0)
+    confidence = np.where(matches.valid, matches.confidence.astype(np.float64), np.nan)
+    middle = 100 * float(np.median(confidence[matches.valid])) if matches.valid.any() else 0.0
+    label = "share of the light from 5 x 5 projector pixels"
+    return (
+        Map("row", "Projector row", "projector row", row, *_ends(row)),
+        Map("column", "Projector column", "projector column", col, *_ends(col)),
+        Map("confidence", f"Confidence: median {middle:.0f} %", label, confidence, 0, 1, "gray"),
+    )
+
+
+def _ends(places: NDArray[np.float64]) -> tuple[float, float]:
+    """The range of projector rows or columns that holds nearly all places."""
+    known = places[np.isfinite(places)]
+    if not known.size:
+        return 0, 1
+    # Wrong matches may lie anywhere, so the scale leaves out 0.5 % at either end.
+    low, high = np.quantile(known, (0.005, 0.995))
+    return float(np.floor(low)), float(max(np.ceil(high), np.floor(low) + 1))
+
+
+def has_diagnostic(transport: LightTransport, name: str) -> bool:
+    """Whether any row has a value of this diagnostic."""
+    values = transport.diagnostics.get(name)
+    return values is not None and bool(np.isfinite(np.asarray(values, float)).any())
+
+
+def _diagnostic(transport: LightTransport, name: str) -> NDArray[np.float64]:
+    """A diagnostic of each camera pixel, (rows, cols), the largest of its channels."""
+    if name not in transport.diagnostics:
+        coherent = name in ("footprint", "estimated_error")
+        kind = "a coherent estimate" if coherent else "an estimate"
+        raise InputError(
+            f"this matrix has no {name.replace('_', ' ')} of its rows",
+            hint=f"give {kind}, or a store (.zarr) of one",
+        )
+    image = np.asarray(transport.diagnostics[name], float).reshape(transport.camera_shape)
+    if image.ndim == 2:
+        return image
+    # A pixel is NaN only if all its channels are.
+    known = np.where(np.isfinite(image), image, -np.inf).max(axis=2)
+    return np.where(np.isfinite(known), known, np.nan)

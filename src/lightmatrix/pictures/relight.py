@@ -1,0 +1,174 @@
+"""`lm.relight`: camera images under new patterns, from and to files."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from contextlib import nullcontext
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image
+
+from lightmatrix.errors import InputError
+from lightmatrix.files.colours import colour_paths, holds_colour
+from lightmatrix.files.images import DISPLAY_GAMMA, read_grey, read_light, write_image
+from lightmatrix.files.kinds import IMAGE
+from lightmatrix.files.reading import errors_naming
+from lightmatrix.files.writing import check_output
+from lightmatrix.patterns.pattern_set import block_mean
+from lightmatrix.ranges import check_number
+from lightmatrix.transport import store as store
+from lightmatrix.transport.matrix import ColourTransport, LightTransport
+
+Relit = LightTransport | store.StoredTransport
+
+
+def relight(
+    transport: Relit | ColourTransport | str | Path | Sequence[Relit | str | Path],
+    pattern: NDArray[Any] | str | Path,
+    *,
+    exposure: float = 1.0,
+    gamma: float | None = None,
+    resize: bool = False,
+    output: str | Path | None = None,
+    overwrite: bool = False,
+) -> NDArray[np.float32]:
+    """The camera image under a new pattern: c = e T p.
+
+    Parameters
+    ----------
+    transport : LightTransport, StoredTransport, str or Path, or three of them; or ColourTransport
+        T, or where `open` finds it. For a colour projector, the matrices of red, green and blue,
+        whose light is added, or the folder of their stores. A store is read block by block, so it
+        need not fit into memory.
+    pattern : (rows, cols) array, str or Path
+        Pattern of the projector's size, in [0, 1], or an image file. A colour projector takes
+        (rows, cols, 3), or a grey pattern as white light. If the projector was binned for T, the
+        pattern may have the size before binning, and is averaged.
+    exposure : float
+        Exposure e of the image, > 0.
+    gamma : float, optional
+        Display gamma of a PNG, 0.1 to 10; 1 keeps it linear. None: 2.2, as in all other pictures.
+        Files of other formats are always linear.
+    resize : bool
+        Whether to resize a pattern of any other size to the projector.
+    output : str or Path, optional
+        Image file to write: .png (8 bits, clipped at full scale), .tiff, .exr or .npy (all values).
+    overwrite : bool
+        Whether an existing image may be replaced.
+
+    Returns
+    -------
+    camera_shape float32
+        Linear image, not clipped; 1 is the clip level.
+
+    Raises
+    ------
+    InputError
+        On a pattern of another size that may not be resized, numbers out of range, matrices of
+        different rigs, and a number of matrices other than one and three.
+    OutputError
+        If the image cannot be written.
+
+    Examples
+    --------
+    >>> import lightmatrix as lm
+    >>> known = lm.truth("metal").transport()
+    >>> image = lm.relight(known, np.ones((64, 64)), exposure=0.2, output="white.png")
+    >>> lm.read_image("white.png").shape
+    (64, 64)
+    """
+    hint = "use a number above 0, such as 1"
+    check_number("an exposure", exposure, most=1e9, above=True, hint=hint)
+    shown = DISPLAY_GAMMA if gamma is None else gamma
+    check_number("a gamma", shown, least=0.1, most=10, hint="use 0.1 to 10, such as 2.2")
+    if output is not None:
+        target = check_output(output, IMAGE, overwrite=overwrite)
+        if gamma not in (None, 1) and target.suffix.lower() != ".png":
+            raise InputError(
+                f"a gamma of {gamma:g} for {target}, which holds linear values",
+                hint="write a .png, or leave out the gamma",
+            )
+    if isinstance(transport, str | Path) and holds_colour(transport):
+        transport = colour_paths(transport)
+    single = isinstance(transport, LightTransport | store.StoredTransport | str | Path)
+    sources: list[Any] = [transport] if single else [*transport]  # type: ignore[misc]
+    matrices = [_opened(source) for source in sources]
+    _check_one_rig(matrices)
+    image = np.zeros(matrices[0].camera_shape, np.float32)
+    channels = _channels(pattern, len(matrices))
+    for matrix, source, channel in zip(matrices, sources, channels, strict=True):
+        # Errors name the store, because its damage may be the reason why the pattern does not fit.
+        with errors_naming(Path(source)) if isinstance(source, str | Path) else nullcontext():
+            light = _fitted(channel, matrix, resize)
+        image += exposure * matrix.relight(light)
+    if output is not None:
+        written = image
+        if target.suffix.lower() == ".png":
+            written = np.clip(image, 0, 1) ** (1 / shown)
+        write_image(output, written.astype(np.float32), overwrite=overwrite)
+    return image
+
+
+def _check_one_rig(matrices: list[Relit]) -> None:
+    """Raise InputError unless these are one or three matrices of the same shapes."""
+    if len(matrices) not in (1, 3):
+        raise InputError(
+            f"{len(matrices)} matrices", hint="give one, or those of red, green and blue"
+        )
+    first = matrices[0]
+    for matrix in matrices[1:]:
+        for name in ("camera_shape", "projector_shape"):
+            if getattr(matrix, name) != getattr(first, name):
+                raise InputError(
+                    f"matrices of {name} {getattr(first, name)} and {getattr(matrix, name)}",
+                    hint="give red, green and blue of one rig with the same binning",
+                )
+
+
+def _channels(pattern: NDArray[Any] | str | Path, count: int) -> list[NDArray[Any]]:
+    """The pattern of each of the projector's primaries."""
+    if count == 1:
+        return [read_grey(pattern) if isinstance(pattern, str | Path) else np.asarray(pattern)]
+    image = read_light(pattern) if isinstance(pattern, str | Path) else np.asarray(pattern)
+    if image.ndim == 2:
+        return [image] * count
+    if image.ndim != 3 or image.shape[2] != count:
+        raise InputError(
+            f"a pattern of shape {image.shape} for a colour projector",
+            hint="give (rows, cols, 3), or (rows, cols) for white light",
+        )
+    return list(np.moveaxis(image, 2, 0))
+
+
+def _opened(transport: Relit | str | Path) -> Relit:
+    """A matrix unchanged, or a store that is read block by block."""
+    if isinstance(transport, LightTransport | store.StoredTransport):
+        return transport
+    if Path(transport).suffix.lower() == ".npz":
+        return store.open(transport)
+    return store.StoredTransport.open(transport)
+
+
+def _fitted(pattern: NDArray[Any], transport: Relit, resize: bool) -> NDArray[Any]:
+    """A pattern averaged as the projector was binned, or resized if that is allowed."""
+    wanted = transport.projector_shape
+    if pattern.ndim != 2 or pattern.shape == wanted:
+        return pattern
+    description = transport.provenance.get("capture_description")
+    block = description.get("bin_projector") if isinstance(description, Mapping) else None
+    if block and tuple(-(-n // b) for n, b in zip(pattern.shape, block, strict=True)) == wanted:
+        rows, cols = (int(b) for b in block)
+        return block_mean(pattern[None].astype(np.float64), (rows, cols))[0]
+    if not resize:
+        raise InputError(
+            f"a pattern of shape {pattern.shape} for a projector of {wanted[0]} x {wanted[1]}",
+            hint="resize it with --resize, or resize=True",
+        )
+    # Shrinking averages over pixels, which keeps the light; enlarging is bilinear.
+    shrinks = pattern.shape[0] >= wanted[0] and pattern.shape[1] >= wanted[1]
+    filter_ = Image.Resampling.BOX if shrinks else Image.Resampling.BILINEAR
+    image = Image.fromarray(pattern.astype(np.float32))
+    return np.asarray(image.resize((wanted[1], wanted[0]), filter_)).clip(0, 1)

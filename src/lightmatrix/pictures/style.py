@@ -1,0 +1,86 @@
+"""The style of all figures, and the panels that several of them share."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import matplotlib as mpl
+import numpy as np
+from matplotlib.figure import Figure
+from matplotlib.ticker import FixedLocator, NullLocator
+from numpy.typing import NDArray
+
+from lightmatrix.files.images import DISPLAY_GAMMA
+
+CLIPPED_COLOUR = (0.90, 0.10, 0.12)
+# Colour-blind readers can tell the colours of this palette apart (Okabe and Ito).
+COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
+STYLE: dict[Any, Any] = {
+    "font.size": 9,
+    "axes.titlesize": 9,
+    "axes.labelsize": 9,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "legend.frameon": False,
+    "legend.fontsize": 8,
+    "lines.linewidth": 1.6,
+    "savefig.dpi": 200,
+    "figure.dpi": 100,
+    "svg.hashsalt": "lightmatrix",
+}
+
+
+@contextmanager
+def figure(width: float, height: float) -> Iterator[Figure]:
+    """A figure of this size in inches, in the common style; needs no display."""
+    with mpl.rc_context(STYLE):
+        yield Figure(figsize=(width, height), layout="constrained")
+
+
+def save(drawing: Figure, folder: Path, name: str, formats: tuple[str, ...] = ("png",)) -> None:
+    """Write a figure as folder/name.png (and .svg)."""
+    for suffix in formats:
+        drawing.savefig(folder / f"{name}.{suffix}", facecolor="white")
+
+
+def fix_ticks(axis: Any, places: Sequence[float]) -> None:
+    """Set the ticks of a logarithmic axis, written as plain numbers."""
+    axis.set_major_locator(FixedLocator(places))
+    axis.set_major_formatter("{x:g}")
+    axis.set_minor_locator(NullLocator())
+
+
+def display(image: NDArray[Any], white: float) -> NDArray[np.float64]:
+    """A linear image for display: divided by `white`, clipped to [0, 1], gamma 2.2."""
+    return np.clip(np.asarray(image, float) / max(white, 1e-12), 0, 1) ** (1 / DISPLAY_GAMMA)
+
+
+def white_level(image: NDArray[Any]) -> float:
+    """The light that a picture shows as white: that of all but the brightest 0.5 % of its pixels.
+
+    Chosen by eye: highlights must not make everything else dark.
+    """
+    level = float(np.quantile(image, 0.995))
+    return level if level > 0 else 1.0
+
+
+def mark_clipped(image: NDArray[Any], clipped: NDArray[np.bool_]) -> NDArray[np.float64]:
+    """A grey display image in [0, 1] as RGB, with clipped pixels in red."""
+    marked = np.repeat(np.asarray(image, float)[..., None], 3, axis=-1)
+    marked[clipped] = CLIPPED_COLOUR
+    return marked
+
+
+def panel(axes: Any, image: NDArray[Any], title: str = "", **options: Any) -> Any:
+    """Draw an image in a thin frame without ticks; by default grey from 0 to 1."""
+    options = {"cmap": "gray", "vmin": 0, "vmax": 1, "interpolation": "nearest", **options}
+    artist = axes.imshow(image, **options)
+    axes.set_title(title)
+    axes.set_xticks([])
+    axes.set_yticks([])
+    for spine in axes.spines.values():
+        spine.set(visible=True, color="0.6", linewidth=0.5)
+    return artist

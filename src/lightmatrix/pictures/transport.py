@@ -1,0 +1,194 @@
+"""Pictures of a light transport matrix and of its diagnostics; `lm.show` draws them by name."""
+
+from __future__ import annotations
+
+import io
+from pathlib import Path
+from typing import Any
+
+import matplotlib as mpl
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.colors import PowerNorm
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+
+from lightmatrix.files.kinds import PICTURE
+from lightmatrix.files.writing import atomic_file
+from lightmatrix.patterns.pattern_set import to_grey
+from lightmatrix.pictures.maps import Map, correspondence_maps
+from lightmatrix.pictures.style import CLIPPED_COLOUR, COLOURS, STYLE, display, panel, white_level
+from lightmatrix.ranges import check_number
+from lightmatrix.transport.correspondence import correspondence
+from lightmatrix.transport.matrix import LightTransport
+from lightmatrix.transport.operator import singular_values
+
+# The colours of a row or column follow this power of the values, which makes faint light beside a
+# bright spot visible. Chosen by eye.
+FAINT = 0.35
+
+
+class Picture(Figure):
+    """A Matplotlib figure that a notebook shows without pyplot."""
+
+    def _repr_png_(self) -> bytes:
+        stream = io.BytesIO()
+        self.savefig(stream, format="png", facecolor="white", dpi=self.dpi)
+        return stream.getvalue()
+
+    def write(self, path: str | Path, *, overwrite: bool = False) -> None:
+        """Write the figure as a .png file."""
+        with atomic_file(path, PICTURE, overwrite=overwrite) as part:
+            self.draw_file(part)
+
+    def draw_file(self, file: Path) -> None:
+        """Write the figure to a new file, 150 dots an inch."""
+        self.savefig(file, facecolor="white", dpi=150)
+
+
+def show_relit(
+    transport: LightTransport, pattern: NDArray[Any], *, exposure: float | None = None
+) -> Picture:
+    """Picture of the scene under a pattern, beside the pattern.
+
+    Parameters
+    ----------
+    transport : LightTransport
+        T.
+    pattern : (rows, cols) array
+        Pattern of the projector's shape, in [0, 1].
+    exposure : float, optional
+        Exposure of the image; clipped pixels are red. None: one at which hardly any pixel clips.
+
+    Returns
+    -------
+    Picture
+        A Matplotlib figure; the image has a display gamma of 2.2.
+
+    Raises
+    ------
+    InputError
+        On a pattern of another shape, or an exposure that is not above 0.
+
+    Examples
+    --------
+    >>> import lightmatrix as lm
+    >>> stripes = np.zeros((64, 64))
+    >>> stripes[:, ::8] = 1
+    >>> lm.show_relit(lm.truth("metal").transport(), stripes).savefig("relit.png")
+    """
+    image = transport.relight(pattern)
+    title = "The scene under this pattern"
+    if exposure is None:
+        shown = display(image, white_level(image))
+    else:
+        hint = "use a number above 0, such as 1"
+        check_number("an exposure", exposure, most=1e9, above=True, hint=hint)
+        light = exposure * image
+        clipped = light >= 1
+        shown = display(light, 1.0)
+        if clipped.any():
+            if shown.ndim == 2:
+                shown = np.repeat(shown[..., None], 3, axis=2)
+            shown[clipped if clipped.ndim == 2 else clipped.any(axis=2)] = CLIPPED_COLOUR
+            title += f": {100 * clipped.mean():.1f} % clip (red)"
+    with mpl.rc_context(STYLE):
+        drawing = Picture(figsize=(6.4, 3.4), layout="constrained")
+        axes = drawing.subplots(1, 2)
+        panel(axes[0], to_grey(np.asarray(pattern)) / 255, "Pattern")
+        panel(axes[1], shown, title)
+    return drawing
+
+
+def draw_row(transport: LightTransport, *camera_index: int) -> Picture:
+    """How much light each projector pixel sends to one camera sample."""
+    transport.row_number(camera_index)  # Refuses a pixel that the camera does not have.
+    place = ", ".join(map(str, camera_index))
+    if (region := transport.region) is not None:
+        down, right = transport.provenance["capture_description"].get("bin_camera", (1, 1))
+        row, col = np.add(region.corner, np.multiply(camera_index[:2], (down, right))).tolist()
+        place += f"\n(pixel {row}, {col} of the photographs)"
+    return _faint(transport.row(*camera_index), f"Row of T: the light of camera pixel {place}")
+
+
+def draw_column(transport: LightTransport, row: int, col: int) -> Picture:
+    """What the camera sees when one projector pixel is lit: the mean of its channels."""
+    image = transport.column(row, col)
+    grey = image if image.ndim == 2 else image.mean(axis=2)
+    return _faint(grey, f"Column of T: projector pixel {row}, {col} alone")
+
+
+def _faint(image: NDArray[Any], title: str) -> Picture:
+    """Draw one bright spot and the faint light around it, with a colour scale."""
+    # Negative light, which some estimates allow, is drawn black.
+    brightest = max(float(image.max()), 1e-12)
+    norm = PowerNorm(FAINT, 0, brightest, clip=True)
+    with mpl.rc_context(STYLE):
+        drawing = Picture(figsize=(4.6, 3.6), layout="constrained")
+        axes = drawing.subplots()
+        drawn = panel(axes, image, title, cmap="inferno", norm=norm, vmin=None, vmax=None)
+        ticks = [share * brightest for share in (0, 0.01, 0.05, 0.2, 0.5, 1)]
+        label = "camera full scale per projector pixel"
+        drawing.colorbar(drawn, ax=axes, label=label, ticks=ticks, format="%.2g")
+    return drawing
+
+
+def draw_dual(transport: LightTransport) -> Picture:
+    """The scene as the projector would photograph it, lit evenly from the camera."""
+    image = transport.dual_image()
+    with mpl.rc_context(STYLE):
+        drawing = Picture(figsize=(3.6, 3.6), layout="constrained")
+        title = "Dual image: seen from the projector"
+        panel(drawing.subplots(), display(image, white_level(image)), title)
+    return drawing
+
+
+def spectrum(transport: LightTransport) -> dict[str, NDArray[Any]]:
+    """The 50 largest singular values of T, ``values``."""
+    return {"values": singular_values(transport, min(50, *transport.shape))}
+
+
+def draw_spectrum(transport: LightTransport) -> Picture:
+    """The largest singular values of T, as shares of the largest."""
+    values = spectrum(transport)["values"]
+    shares = values / max(float(values[0]), np.finfo(float).tiny)
+    with mpl.rc_context(STYLE):
+        drawing = Picture(figsize=(4.2, 2.8), layout="constrained")
+        axes = drawing.subplots()
+        axes.plot(np.arange(1, len(shares) + 1), shares, "o-", color=COLOURS[0], markersize=3)
+        axes.set_ylim(0, 1.05)
+        axes.set_title(f"Singular values of T: the {len(shares)} largest")
+        axes.set_xlabel("number")
+        axes.set_ylabel("share of the largest")
+        axes.grid(axis="y", color="0.92", linewidth=0.6)
+    return drawing
+
+
+def draw_correspondence(transport: LightTransport) -> Picture:
+    """The projector pixel that each camera pixel sees most, and how much light comes from it."""
+    maps = correspondence_maps(correspondence(transport))
+    with mpl.rc_context(STYLE):
+        drawing = Picture(figsize=(10.2, 3.4), layout="constrained")
+        for number, (axes, shown) in enumerate(zip(drawing.subplots(1, 3), maps, strict=True)):
+            _draw_into(drawing, axes, shown)
+            # Lines of equal row or column, in eight bands, can be read without colour.
+            known = min(shown.values.shape) >= 2 and np.isfinite(shown.values).any()
+            if number < 2 and known:
+                levels = np.linspace(shown.low, shown.high, 9)[1:-1]
+                axes.contour(shown.shown, levels, colors="white", linewidths=0.5)
+    return drawing
+
+
+def draw_map(shown: Map) -> Picture:
+    """A map with its title and the scale of its colours."""
+    with mpl.rc_context(STYLE):
+        drawing = Picture(figsize=(4.4, 3.6), layout="constrained")
+        _draw_into(drawing, drawing.subplots(), shown)
+    return drawing
+
+
+def _draw_into(drawing: Figure, axes: Axes, shown: Map) -> None:
+    options = {"cmap": shown.colour_map, "norm": shown.norm, "vmin": None, "vmax": None}
+    drawn = panel(axes, shown.shown, shown.title, **options)
+    # The colour bar is as high as the map, whatever the frame's shape.
+    drawing.colorbar(drawn, cax=axes.inset_axes((1.03, 0, 0.05, 1)), label=shown.label)
