@@ -130,6 +130,8 @@ def run(words: str, folder: Path, limits: Limits | None = None) -> Ran:
 def _child(argv: list[str], folder: str, out: Connection, err: Connection, limits: Limits) -> None:
     code = _ESCAPED
     try:
+        # As in a program of its own; with the server's method, locks would be left to be tidied up.
+        multiprocessing.set_start_method("fork", force=True)
         os.chdir(folder)
         null = os.open(os.devnull, os.O_RDONLY)
         for source, target in ((null, 0), (out.fileno(), 1), (err.fileno(), 2)):
