@@ -9,8 +9,6 @@ from lightmatrix.capture.capture import Capture
 
 # `window_of_levels` takes 64 x 64 camera pixels, enough for the 2,000 rows that tell a response.
 _SIDE = 64
-# Its frames tell how bright the camera's pixels are. Chosen by hand: a few light everything.
-_FRAMES = 8
 # Its window has the most even distribution of light over ten levels of brightness, of pixels above
 # 15 % of the brightest, and at least half the light of the brightest window. Chosen on `gripper` at
 # 128 x 128: of its brightest window an S-curve was taken for a gamma, at 17 times the error.
@@ -56,7 +54,8 @@ def window_of_levels(capture: Capture, side: int = _SIDE) -> Capture:
     high, wide = min(rows, side), min(cols, side)
     if (high, wide) == (rows, cols):
         return capture
-    frames = np.linspace(0, capture.count - 1, min(_FRAMES, capture.count)).astype(int)
+    # Its frames tell how bright the camera's pixels are. Chosen by hand: a few light everything.
+    frames = np.linspace(0, capture.count - 1, min(8, capture.count)).astype(int)
     some = capture.select(frames)
     spread = np.concatenate([tile.values.std(axis=1) for _, tile in some.tiles()])
     image = spread.reshape(rows, cols, -1).mean(axis=2)
