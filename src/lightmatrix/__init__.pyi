@@ -81,8 +81,8 @@ from .shape.calibrate import (
     BoardPose as BoardPose,
     RigCalibration as RigCalibration,
     calibrate_rig as calibrate_rig,
+    self_calibrate as self_calibrate,
 )
-from .shape.self_calibration import self_calibrate as self_calibrate
 from .geometry.rig_geometry import RigGeometry as RigGeometry
 
 # What is wrong with a capture.
@@ -170,16 +170,14 @@ from .judgement.evaluate import ColourErrors as ColourErrors
 from .judgement.evaluate import Errors as Errors
 from .transport.matrix import LightTransport as LightTransport
 from .transport.operator import singular_values as singular_values
-from .uses.compensated_video import (
-    CompensatedVideo as CompensatedVideo,
-    compensate_video as compensate_video,
-)
 from .uses.compensation import (
+    CompensatedVideo as CompensatedVideo,
     Compensation as Compensation,
     Reach as Reach,
+    cancel_global as cancel_global,
     compensate as compensate,
+    compensate_video as compensate_video,
 )
-from .uses.inverse_light import cancel_global as cancel_global
 from .rig.closed_loop import (
     RefinedCompensation as RefinedCompensation,
     refine_compensation as refine_compensation,

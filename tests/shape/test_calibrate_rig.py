@@ -10,8 +10,15 @@ import pytest
 
 import lightmatrix as lm
 from lightmatrix.cli import main
-from lightmatrix.shape.board import BoardCorners, find_corners, fit_homography, light_corners, moved
-from lightmatrix.shape.calibrate import board_points, fit_stereo, pose_images
+from lightmatrix.geometry.matches import fit_homography, moved
+from lightmatrix.shape.calibrate import (
+    BoardCorners,
+    board_points,
+    find_corners,
+    fit_stereo,
+    light_corners,
+    pose_images,
+)
 
 from ..helpers.board import BOARD, POSES, SQUARE, board_capture, board_rig
 
@@ -52,17 +59,7 @@ def test_a_pose_left_out_measures_the_squares(left_out: int) -> None:
     poses = real_corners()
     others = [pose for k, pose in enumerate(poses) if k != left_out]
     fit = fit_stereo(others, board_points((9, 7), SIDE), CAMERA, PROJECTOR)
-    rig = lm.RigGeometry.from_intrinsics(
-        fit.camera_intrinsics,
-        fit.projector_intrinsics,
-        fit.rotation,
-        fit.translation,
-        CAMERA,
-        PROJECTOR,
-        camera_distortion=fit.camera_distortion,
-        projector_distortion=fit.projector_distortion,
-    )
-    points = rig.triangulate(poses[left_out].camera, poses[left_out].projector)
+    points = fit.geometry.triangulate(poses[left_out].camera, poses[left_out].projector)
     sides = squares(points, np.ones(63, bool))
     assert abs(sides.mean() - SIDE) < 0.15
     assert sides.std() < 0.15

@@ -16,8 +16,7 @@ from scipy.sparse import csr_array
 
 import lightmatrix as lm
 from lightmatrix.uses import loading
-from lightmatrix.uses.compensation import TOLERANCE, BoundedFit, compensator
-from lightmatrix.uses.joint_light import JointLight, joint_light
+from lightmatrix.uses.compensation import BoundedFit, JointLight, compensator, joint_light
 
 
 def _scene(
@@ -53,7 +52,7 @@ def test_the_operator_has_its_adjoint(camera: tuple[int, ...], projectors: int) 
     sizes = [(5, 8), (3, 2), (4, 4)][:projectors]
     light = joint_light([_scene(camera, size, seed) for seed, size in enumerate(sizes)])
     random = np.random.default_rng(0)
-    p = random.random(light.pixels, np.float32)
+    p = random.random(sum(rows * cols for rows, cols in sizes), np.float32)
     c = random.random(int(np.prod(camera)), np.float32)
     assert light.forward(p) @ c == pytest.approx(p @ light.adjoint(c), rel=1e-5)
     dense = np.hstack([_dense(matrix) for matrix in light.matrices])
@@ -192,7 +191,7 @@ def test_the_map_says_what_is_not_reached() -> None:
 
 def test_reached_is_within_a_twentieth_of_wanted_white(known: lm.LightTransport) -> None:
     found = lm.compensate(known, _ramp(), brightness=1.2)
-    near = np.abs(found.predicted - found.target) <= TOLERANCE * found.scale * (1 + 1e-5)
+    near = np.abs(found.predicted - found.target) <= 0.05 * found.scale * (1 + 1e-5)
     lit = compensator(known).lit.reshape(64, 64)
     np.testing.assert_array_equal(found.reachable, near & lit)
     assert 0.2 < found.reachable.mean() < 1
@@ -381,7 +380,7 @@ def test_pictures_are_read_resized_and_made_linear(
     found = lm.compensate(known, tmp_path / "wanted.png", resize=True, gamma=2.2, brightness=0.5)
     expected = found.scale * (np.rint(255 * _ramp()) / 255) ** 2.2
     np.testing.assert_allclose(found.target, expected, rtol=1e-4)
-    with pytest.raises(lm.InputError, match="--resize"):
+    with pytest.raises(lm.InputError, match="resize=True"):
         lm.compensate(known, tmp_path / "wanted.png")
 
 

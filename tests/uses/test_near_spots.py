@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from lightmatrix.uses.spots import by_pixel, near_spots
+from lightmatrix.uses.separation import by_pixel, near_spots
 
 SHAPE = (7, 9)
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from lightmatrix.uses.direct_light import crossing_spots, outshone_spots
+from lightmatrix.uses.separation import crossing_spots, outshone_spots
 
 SHAPE = (7, 9)
 
