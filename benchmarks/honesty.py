@@ -29,7 +29,7 @@ from experiments.harness import Row, show, write_json
 from experiments.harness import options as options_of
 from lightmatrix.check.finding import NOTES
 from lightmatrix.judgement.metrics import relative_error
-from lightmatrix.show.style import COLOURS, figure, fix_ticks, save
+from lightmatrix.pictures.style import COLOURS, figure, fix_ticks, save
 from lightmatrix.simulation import library
 
 INTACT = "intact"

@@ -26,7 +26,7 @@ from lightmatrix.estimators.plain import PlainEstimator
 from lightmatrix.patterns.bits import BernoulliPatterns
 from lightmatrix.patterns.mix import MixedPatterns, default_mix
 from lightmatrix.patterns.pattern_set import PatternSet
-from lightmatrix.show.style import COLOURS, figure, fix_ticks, save
+from lightmatrix.pictures.style import COLOURS, figure, fix_ticks, save
 from lightmatrix.simulation import library
 from lightmatrix.solvers import ActiveSet, Problem
 from lightmatrix.solvers.active_set import Candidates, Cells, solve_weighted

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from experiments.harness import Experiment, Measured, all_rows
 from lightmatrix.capture.samples import Samples
 from lightmatrix.patterns.pattern_set import ImagePatterns, PatternSet
-from lightmatrix.show.style import COLOURS, figure, save
+from lightmatrix.pictures.style import COLOURS, figure, save
 from lightmatrix.solvers import ADMM, ROMP, Fidelity, Problem, SaturationADMM, Solver, solve
 
 UNKNOWNS = 100

@@ -16,7 +16,7 @@ from lightmatrix.capture.sensor import Sensor
 from lightmatrix.errors import MissingExtraError
 from lightmatrix.judgement.metrics import diffuse_rows
 from lightmatrix.patterns.bits import BernoulliPatterns
-from lightmatrix.show.style import display, figure, mark_clipped, panel, save
+from lightmatrix.pictures.style import display, figure, mark_clipped, panel, save
 from lightmatrix.simulation import library
 from lightmatrix.simulation.irradiance import irradiance
 from lightmatrix.simulation.scene_statistics import clipped_share, direct_share, entries_for_energy

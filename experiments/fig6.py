@@ -46,7 +46,7 @@ from lightmatrix.capture.capture import Capture
 from lightmatrix.capture.exposures import USUAL_NOISE
 from lightmatrix.estimators.coherent.estimator import WORTH_IT_UP_TO
 from lightmatrix.patterns.blocks import sampled_pixels
-from lightmatrix.show.style import figure, save
+from lightmatrix.pictures.style import figure, save
 
 # Numbers of patterns in the order of measurement, so that a run in progress spans the whole range.
 OBSERVATIONS = (16, 64, 256, 1024, 32, 128, 512)

@@ -10,7 +10,7 @@ from lightmatrix.capture.capture import Capture
 from lightmatrix.estimators.coherent.estimator import CoherentEstimator
 from lightmatrix.estimators.multiscale import MultiScaleEstimator
 from lightmatrix.estimators.plain import PlainEstimator
-from lightmatrix.show.style import COLOURS
+from lightmatrix.pictures.style import COLOURS
 from lightmatrix.solvers import ADMM, ROMP, ActiveSet, Fidelity, SaturationADMM, Solver
 from lightmatrix.transport.matrix import LightTransport
 

@@ -21,8 +21,8 @@ from lightmatrix.judgement.metrics import relative_error
 from lightmatrix.patterns.bits import BernoulliPatterns
 from lightmatrix.patterns.pattern_set import ImagePatterns, PatternSet
 from lightmatrix.patterns.projector_curve import ProjectorResponse
+from lightmatrix.pictures.style import COLOURS, figure, fix_ticks, save
 from lightmatrix.planning.plan import plan
-from lightmatrix.show.style import COLOURS, figure, fix_ticks, save
 from lightmatrix.simulation import library
 from lightmatrix.simulation.realism import defocus
 from lightmatrix.simulation.simulate import simulate

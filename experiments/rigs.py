@@ -29,8 +29,8 @@ from lightmatrix.judgement.judgement import OwnError
 from lightmatrix.judgement.metrics import squared_errors
 from lightmatrix.patterns.bits import BernoulliPatterns
 from lightmatrix.patterns.colour import ColourPatterns, colour_bernoulli
+from lightmatrix.pictures.style import COLOURS, figure, fix_ticks, save
 from lightmatrix.planning.plan import plan
-from lightmatrix.show.style import COLOURS, figure, fix_ticks, save
 from lightmatrix.simulation import library
 from lightmatrix.simulation.binning import binned
 from lightmatrix.simulation.colour import in_all_primaries, of_primary

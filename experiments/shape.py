@@ -23,11 +23,11 @@ from lightmatrix.patterns.stripes import (
     PhasePatterns,
     StripePatterns,
 )
+from lightmatrix.pictures.style import COLOURS, figure, save
 from lightmatrix.planning.plan import plan
 from lightmatrix.shape.decode import decode
 from lightmatrix.shape.shape import Shape
 from lightmatrix.shape.triangulation import triangulate
-from lightmatrix.show.style import COLOURS, figure, save
 from lightmatrix.simulation import library
 from lightmatrix.simulation.simulate import simulate
 from lightmatrix.simulation.truth import Truth

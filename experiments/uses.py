@@ -15,8 +15,8 @@ from experiments.harness import Experiment, Measured, Row, all_rows, means
 from lightmatrix.estimators.estimate import estimate
 from lightmatrix.patterns.bits import BernoulliPatterns
 from lightmatrix.patterns.pattern_set import ImagePatterns
+from lightmatrix.pictures.style import COLOURS, figure, save
 from lightmatrix.planning.plan import plan
-from lightmatrix.show.style import COLOURS, figure, save
 from lightmatrix.simulation import library
 from lightmatrix.simulation.realism import defocus
 from lightmatrix.simulation.simulate import simulate

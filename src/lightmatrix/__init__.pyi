@@ -134,15 +134,15 @@ from .transport.npz import (
 )
 
 # What is done with them.
-from .show.relight import relight as relight
-from .show.diagnostics import (
+from .pictures.relight import relight as relight
+from .pictures.diagnostics import (
     show_clipping as show_clipping,
     show_correspondence as show_correspondence,
     show_footprints as show_footprints,
     show_gaps as show_gaps,
     show_estimated_errors as show_estimated_errors,
 )
-from .show.transport import (
+from .pictures.transport import (
     show_column as show_column,
     show_dual as show_dual,
     show_relit as show_relit,

@@ -33,11 +33,11 @@ from lightmatrix.judgement.metrics import (
     unseen_patterns,
 )
 from lightmatrix.patterns.bits import BernoulliPatterns
+from lightmatrix.pictures.maps import WHITE_TO_RED
+from lightmatrix.pictures.style import display, figure, mark_clipped, panel, save
 from lightmatrix.report.elements import Gallery, Section, Table, image_of_file
 from lightmatrix.report.facts import Estimator
 from lightmatrix.report.make import write_page
-from lightmatrix.show.maps import WHITE_TO_RED
-from lightmatrix.show.style import display, figure, mark_clipped, panel, save
 from lightmatrix.simulation import library
 from lightmatrix.simulation.binning import coarse
 from lightmatrix.simulation.irradiance import irradiance

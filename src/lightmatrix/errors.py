@@ -74,7 +74,7 @@ class LightMatrixWarning(UserWarning):
 def warn(message: str) -> None:
     """Warn by a `LightMatrixWarning` that points to the user's line, not to one of this package."""
     frame, level = sys._getframe(1), 2
-    while frame.f_back is not None and frame.f_globals["__name__"].startswith(_PACKAGE):
+    while frame.f_back is not None and frame.f_globals.get("__name__", "").startswith(_PACKAGE):
         frame, level = frame.f_back, level + 1
     warnings.warn(message, LightMatrixWarning, stacklevel=level)
 

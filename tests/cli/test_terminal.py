@@ -17,8 +17,8 @@ from lightmatrix import cli
 from lightmatrix.cli import main
 from lightmatrix.errors import InputError
 from lightmatrix.judgement.evaluate import Errors
+from lightmatrix.reprs import labelled
 from lightmatrix.solvers import solve
-from lightmatrix.transport.matrix import labelled
 from tests.helpers.systems import SHELL, SIGNALS
 
 COMMAND = str(Path(sys.executable).with_name("lightmatrix"))

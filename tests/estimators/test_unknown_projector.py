@@ -42,6 +42,7 @@ def test_both_gammas_are_found_at_once(camera: float, projector: float) -> None:
     assert found.projector.gamma == pytest.approx(projector, rel=0.02)
 
 
+@pytest.mark.filterwarnings("ignore::lightmatrix.errors.LightMatrixWarning")
 def test_an_estimate_is_as_good_as_with_the_known_curves() -> None:
     taken = capture(2.2, 2.2)
     curve = lm.ProjectorResponse.of_gamma(2.2)
@@ -56,6 +57,7 @@ def test_an_estimate_is_as_good_as_with_the_known_curves() -> None:
     assert off(found) < 0.1 * off(wrong)
 
 
+@pytest.mark.filterwarnings("ignore::lightmatrix.errors.LightMatrixWarning")
 def test_a_curve_that_was_found_does_not_spoil_the_verdict() -> None:
     taken = capture(1.0, 2.2)
     kinds = [each.kind for each in lm.check(taken)]

@@ -108,6 +108,7 @@ def test_the_window_shows_many_levels_and_not_only_bright_ones() -> None:
     assert window_of_levels(small) is small
 
 
+@pytest.mark.filterwarnings("ignore::lightmatrix.errors.LightMatrixWarning")
 def test_an_estimate_uses_the_curve_when_asked() -> None:
     capture = coded("gamma:2.2")
     known = lm.estimate(capture, response="gamma:2.2", check=False)
@@ -169,6 +170,7 @@ def test_jpeg_is_a_gamma_with_a_warning(tmp_path: Path) -> None:
     assert found.gamma == pytest.approx(2.2, rel=0.1)
 
 
+@pytest.mark.filterwarnings("ignore::lightmatrix.errors.LightMatrixWarning")
 def test_the_command_finds_the_response_of_a_capture_folder(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -103,7 +103,7 @@ def _judged(patterns: lm.PatternSet) -> tuple[lm.LightTransport, lm.Verdicts]:
     return estimate, lm.verdicts(estimate)
 
 
-@pytest.mark.filterwarnings("ignore:all patterns are stripes")
+@pytest.mark.filterwarnings("ignore::lightmatrix.errors.LightMatrixWarning")
 def test_stripes_have_a_correspondence_and_nothing_else() -> None:
     estimate, judged = _judged(_gray())
     assert judged.transport.level == judged.relighting.level == "not tested"
@@ -111,6 +111,7 @@ def test_stripes_have_a_correspondence_and_nothing_else() -> None:
     assert set(estimate.diagnostics["certain"]) <= {0, 1}
 
 
+@pytest.mark.filterwarnings("ignore::lightmatrix.errors.LightMatrixWarning")
 def test_an_ambiguous_code_relights_and_has_no_correspondence(tmp_path: Path) -> None:
     estimate, judged = _judged(_random(48, tiled=True))
     assert judged.relighting.level == "good"

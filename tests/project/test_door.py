@@ -85,6 +85,7 @@ def test_tab_shows_the_names_and_nothing_else() -> None:
         lm.nothing_of_that_name  # type: ignore[attr-defined]  # noqa: B018
 
 
+@pytest.mark.filterwarnings("ignore::lightmatrix.errors.LightMatrixWarning")
 @pytest.mark.parametrize("name", NAMES)
 def test_every_name_has_an_example_that_runs(name: str) -> None:
     thing = getattr(lm, name)
@@ -199,6 +200,7 @@ def test_a_chosen_estimator_is_the_one_that_was_asked_for() -> None:
     assert isinstance(choose_estimator(many), lm.PlainEstimator)
 
 
+@pytest.mark.filterwarnings("ignore::lightmatrix.errors.LightMatrixWarning")
 def test_pictures_are_drawn(tmp_path: Path) -> None:
     capture = lm.simulate("metal", lm.BernoulliPatterns((64, 64), 8), exposure=2)
     transport = lm.estimate(capture, coherent=False, iterations=2)

@@ -22,7 +22,7 @@ FLOORS = [
     {"files"},
     {"geometry", "patterns"},
     {"capture", "transport"},
-    {"check", "show", "simulation", "solvers"},
+    {"check", "pictures", "simulation", "solvers"},
     {"estimators", "judgement", "responses"},
     {"planning", "uses"},
     {"rig", "shape"},

@@ -17,12 +17,12 @@ from playwright.sync_api import Browser
 
 import lightmatrix as lm
 from lightmatrix.cli import main
+from lightmatrix.pictures import maps
 from lightmatrix.report import elements
 from lightmatrix.report import facts as report_facts
 from lightmatrix.report import sections as uses
 from lightmatrix.report.facts import Facts
 from lightmatrix.report.make import recommendations
-from lightmatrix.show import maps
 from lightmatrix.simulation.binning import coarse
 from lightmatrix.simulation.procedural import ProceduralScene
 

@@ -13,11 +13,14 @@ from PIL import Image
 from lightmatrix.files.images import read_image
 from lightmatrix.patterns.projector_curve import ProjectorResponse
 from lightmatrix.rig.devices.folders import SHOWN
-from lightmatrix.rig.flicker import Flicker
-from lightmatrix.rig.light_levels import CameraLinearity, ExposureAdvice
 from lightmatrix.rig.rig import Rig
-from lightmatrix.rig.rig_measurements import RigMeasurements
-from lightmatrix.rig.settle import SettleTime
+from lightmatrix.rig.rig_measurements import (
+    CameraLinearity,
+    ExposureAdvice,
+    Flicker,
+    RigMeasurements,
+    SettleTime,
+)
 
 _BLACK, _NOISE = 8.0, 1.2
 # Size of a JPEG file: virtual cameras look at it once.

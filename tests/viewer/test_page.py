@@ -16,7 +16,7 @@ from playwright.sync_api import Browser, Page
 from scipy.sparse import csr_array
 
 import lightmatrix as lm
-from lightmatrix.show import maps
+from lightmatrix.pictures import maps
 from tests.viewer import running
 from tests.viewer.running import (
     VIEWER,

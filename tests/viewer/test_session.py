@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
 import lightmatrix as lm
-from lightmatrix.show import maps
+from lightmatrix.pictures import maps
 from lightmatrix.transport import store as stores
 from lightmatrix.viewer import lights, packed, session
 from lightmatrix.viewer.layers import LAYERS, LayerSource

@@ -26,7 +26,7 @@ from lightmatrix.cli.terminal import as_options, progress, say, show_json, show_
 from lightmatrix.errors import InputError
 from lightmatrix.files.colours import COLOURS
 from lightmatrix.files.kinds import COLOUR_STORES, REPORT, STORE
-from lightmatrix.transport.matrix import labelled
+from lightmatrix.reprs import labelled
 
 if TYPE_CHECKING:
     from lightmatrix import (

@@ -11,7 +11,7 @@ import lightmatrix as lm
 from lightmatrix.cli.options import Blue, Green, Json, Store, primaries
 from lightmatrix.cli.terminal import progress, show_json, show_table
 from lightmatrix.files.colours import COLOURS, holds_colour
-from lightmatrix.transport.matrix import labelled
+from lightmatrix.reprs import labelled
 
 
 def evaluate(

@@ -12,7 +12,7 @@ import lightmatrix as lm
 from lightmatrix.cli.options import Json, Overwrite, Verbose
 from lightmatrix.cli.terminal import say, show_json, show_table
 from lightmatrix.errors import InputError
-from lightmatrix.transport.matrix import labelled
+from lightmatrix.reprs import labelled
 
 
 def info(

@@ -23,13 +23,13 @@ from lightmatrix.judgement.metrics import (
     unseen_patterns,
 )
 from lightmatrix.ranges import check_number
-from lightmatrix.reprs import html_table, text_table
+from lightmatrix.reprs import html_table, labelled, text_table
 from lightmatrix.simulation import library
 from lightmatrix.simulation.colour import is_of_all_primaries, of_primary
 from lightmatrix.simulation.scenes import scene as find_scene
 from lightmatrix.simulation.truth import Truth
 from lightmatrix.transport import store as store
-from lightmatrix.transport.matrix import ColourTransport, LightTransport, labelled
+from lightmatrix.transport.matrix import ColourTransport, LightTransport
 
 
 @dataclass(frozen=True)

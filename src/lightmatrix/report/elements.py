@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 
 from lightmatrix.files.images import encode_image, read_image
 from lightmatrix.patterns.pattern_set import block_mean
-from lightmatrix.show.maps import Map
-from lightmatrix.show.style import display
-from lightmatrix.show.transport import FAINT
+from lightmatrix.pictures.maps import Map
+from lightmatrix.pictures.style import display
+from lightmatrix.pictures.transport import FAINT
 
 
 @dataclass(frozen=True)

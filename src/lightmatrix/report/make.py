@@ -31,6 +31,7 @@ from lightmatrix.judgement.judgement import (
     percent,
     stored_findings,
 )
+from lightmatrix.pictures.maps import has_diagnostic
 from lightmatrix.report.elements import Points, Section, Strip
 from lightmatrix.report.facts import Estimator, Facts, Validation, validate
 from lightmatrix.report.sections import (
@@ -43,7 +44,6 @@ from lightmatrix.report.sections import (
     uses,
 )
 from lightmatrix.shape.triangulation import geometry_of
-from lightmatrix.show.maps import has_diagnostic
 from lightmatrix.simulation.truth import Truth
 from lightmatrix.solvers.loop import Progress
 from lightmatrix.transport.matrix import LightTransport

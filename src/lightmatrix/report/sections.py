@@ -12,6 +12,16 @@ from lightmatrix.errors import InputError
 from lightmatrix.geometry.rig_geometry import RigGeometry
 from lightmatrix.judgement.judgement import percent
 from lightmatrix.judgement.metrics import relighting_error, unseen_patterns
+from lightmatrix.pictures.maps import (
+    Map,
+    clipping_map,
+    correspondence_maps,
+    error_map,
+    estimated_error_map,
+    footprint_map,
+    gap_map,
+    has_diagnostic,
+)
 from lightmatrix.report.elements import (
     THUMB_PIXELS,
     Bars,
@@ -32,20 +42,10 @@ from lightmatrix.report.elements import (
     photograph,
 )
 from lightmatrix.report.facts import Facts, Validation
-from lightmatrix.reprs import shown_value
+from lightmatrix.reprs import labelled, shown_value
 from lightmatrix.shape.shape import depth_map, normal_colours
 from lightmatrix.shape.triangulation import triangulate
-from lightmatrix.show.maps import (
-    Map,
-    clipping_map,
-    correspondence_maps,
-    error_map,
-    estimated_error_map,
-    footprint_map,
-    gap_map,
-    has_diagnostic,
-)
-from lightmatrix.transport.matrix import LightTransport, labelled
+from lightmatrix.transport.matrix import LightTransport
 from lightmatrix.uses.compensation import Compensation, compensator
 from lightmatrix.uses.separation import separate
 

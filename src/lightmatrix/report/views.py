@@ -19,10 +19,8 @@ from lightmatrix.files.images import fill_image
 from lightmatrix.files.kinds import IMAGE, NUMBERS, NUMBERS_MARK, PICTURES, FileKind
 from lightmatrix.files.writing import atomic_file, atomic_folder, check_output
 from lightmatrix.geometry.rig_geometry import RigGeometry
-from lightmatrix.shape.shape import Shape, depth_map, normals_picture
-from lightmatrix.shape.triangulation import triangulate
-from lightmatrix.show import diagnostics, maps
-from lightmatrix.show.transport import (
+from lightmatrix.pictures import diagnostics, maps
+from lightmatrix.pictures.transport import (
     DPI,
     Picture,
     show_column,
@@ -31,6 +29,8 @@ from lightmatrix.show.transport import (
     show_spectrum,
     spectrum,
 )
+from lightmatrix.shape.shape import Shape, depth_map, normals_picture
+from lightmatrix.shape.triangulation import triangulate
 from lightmatrix.transport import store as store
 from lightmatrix.transport.correspondence import correspondence
 from lightmatrix.transport.matrix import ColourTransport, LightTransport

@@ -16,9 +16,9 @@ from lightmatrix.files.extras import exposure_time
 from lightmatrix.files.images import read_image
 from lightmatrix.files.stacks import ImageStack
 from lightmatrix.patterns.projector_curve import ProjectorResponse
+from lightmatrix.pictures.style import COLOURS, STYLE
+from lightmatrix.pictures.transport import Picture
 from lightmatrix.responses.curve_fit import Residuals
-from lightmatrix.show.style import COLOURS, STYLE
-from lightmatrix.show.transport import Picture
 
 # Pictures of measured responses: light over level, and how far to trust it.
 

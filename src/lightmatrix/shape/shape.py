@@ -19,10 +19,10 @@ from lightmatrix.files.kinds import CLOUD, DEPTH, PLY_MARK
 from lightmatrix.files.writing import atomic_file
 from lightmatrix.geometry.projection import decomposed
 from lightmatrix.geometry.rig_geometry import RigGeometry
+from lightmatrix.pictures.maps import UNKNOWN, Map
+from lightmatrix.pictures.style import COLOURS, STYLE, panel
+from lightmatrix.pictures.transport import Picture
 from lightmatrix.reprs import short_repr
-from lightmatrix.show.maps import UNKNOWN, Map
-from lightmatrix.show.style import COLOURS, STYLE, panel
-from lightmatrix.show.transport import Picture
 from lightmatrix.uses.separation import shifted
 
 # Normals and triangles of a surface of which the depth of each camera pixel is known.

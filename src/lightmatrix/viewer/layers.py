@@ -15,9 +15,9 @@ from scipy.sparse import csc_array
 
 from lightmatrix.errors import InputError
 from lightmatrix.geometry.rig_geometry import RigGeometry
+from lightmatrix.pictures import maps
 from lightmatrix.shape.shape import depth_map
 from lightmatrix.shape.triangulation import triangulate
-from lightmatrix.show import maps
 from lightmatrix.transport.correspondence import Correspondence, correspondence
 from lightmatrix.transport.matrix import LightTransport
 from lightmatrix.uses.separation import Separation, separate
@@ -30,7 +30,7 @@ from lightmatrix.viewer.packed import halves, packed
 # Row indices below this number take two bytes.
 _SHORT_ROWS = 1 << 16
 # The page begins with an exposure that shows this share of the pixels of the white image as white.
-# Chosen by eye, as in `lightmatrix.show.transport`.
+# Chosen by eye, as in `lightmatrix.pictures.transport`.
 _GLINTS = 0.005
 
 

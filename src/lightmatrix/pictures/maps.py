@@ -13,7 +13,7 @@ from matplotlib.colors import Colormap, LinearSegmentedColormap, LogNorm, Normal
 from numpy.typing import NDArray
 
 from lightmatrix.errors import InputError
-from lightmatrix.show.style import CLIPPED_COLOUR
+from lightmatrix.pictures.style import CLIPPED_COLOUR
 from lightmatrix.transport.correspondence import Correspondence
 from lightmatrix.transport.matrix import LightTransport
 

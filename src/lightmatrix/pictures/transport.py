@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 from lightmatrix.files.kinds import PICTURE
 from lightmatrix.files.writing import atomic_file
 from lightmatrix.patterns.pattern_set import to_grey
+from lightmatrix.pictures.style import CLIPPED_COLOUR, COLOURS, STYLE, display, mark_clipped, panel
 from lightmatrix.ranges import check_number
-from lightmatrix.show.style import CLIPPED_COLOUR, COLOURS, STYLE, display, mark_clipped, panel
 from lightmatrix.transport.matrix import LightTransport
 from lightmatrix.transport.operator import singular_values
 

@@ -8,7 +8,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from lightmatrix.show.maps import (
+from lightmatrix.pictures.maps import (
     Map,
     clipping_map,
     correspondence_maps,
@@ -16,8 +16,8 @@ from lightmatrix.show.maps import (
     footprint_map,
     gap_map,
 )
-from lightmatrix.show.style import STYLE, panel
-from lightmatrix.show.transport import Picture
+from lightmatrix.pictures.style import STYLE, panel
+from lightmatrix.pictures.transport import Picture
 from lightmatrix.transport.correspondence import correspondence
 from lightmatrix.transport.matrix import LightTransport
 

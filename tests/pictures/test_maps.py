@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import lightmatrix as lm
-from lightmatrix.show import maps
+from lightmatrix.pictures import maps
 from tests.helpers.transports import random_transport
 
 
