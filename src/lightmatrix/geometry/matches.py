@@ -29,19 +29,18 @@ class _Tuning:
     support: float = 0.5
     # Rounds of reweighting. Weights change by less than a per cent after five on real boards.
     rounds: int = 20
-    # The least standard deviation of distances in pixels, so that exact matches divide by no 0.
-    least_spread: float = 0.05
+    # The least standard deviation of distances in pixels, so that exact matches divide by no 0; and
+    # that of parallel lines, whose matches are spots of light.
+    least_spread: float = 0.005
+    least_spread_of_spots: float = 0.05
 
 
 ROBUST = _Tuning()
 
 
-def spread_of(distance: Array, per_median: float = 1.48) -> float:
-    """The standard deviation of distances (n,) in pixels, from the median of their magnitudes.
-
-    A median of 1 belongs to a standard deviation of 1.48 in one dimension, and of 0.85 in two.
-    """
-    return max(per_median * float(np.median(np.abs(distance))), ROBUST.least_spread)
+def spread_of_spots(distance: Array) -> float:
+    """The standard deviation of distances (n,) in pixels, from the median of their magnitudes."""
+    return max(1.48 * float(np.median(np.abs(distance))), ROBUST.least_spread_of_spots)
 
 
 def _reweighted(
@@ -49,11 +48,15 @@ def _reweighted(
     distances: Callable[[Array], Array],
     model: Array,
     per_median: float = 1.48,
+    least: float = ROBUST.least_spread,
 ) -> Array:
-    """The model by iterated least squares: `solve` leads from weights (n,) to the next one."""
+    """The model by iterated least squares: `solve` leads from weights (n,) to the next one.
+
+    A median of 1 belongs to a standard deviation of 1.48 in one dimension, and of 0.85 in two.
+    """
     for _ in range(ROBUST.rounds):
         distance = distances(model)
-        spread = spread_of(distance, per_median)
+        spread = max(per_median * float(np.median(np.abs(distance))), least)
         model = solve(1 / (1 + (distance / (2 * spread)) ** 2) ** 2)
     return model
 
@@ -88,7 +91,8 @@ def fit_parallel_lines(camera: Array, projector: Array) -> Array:
         return np.append(normal, -float(normal @ mean))
 
     start = np.append(normals[best], -offsets[best])
-    plane = _reweighted(solve, lambda plane: points @ plane[:4] + plane[4], start)
+    least = ROBUST.least_spread_of_spots
+    plane = _reweighted(solve, lambda plane: points @ plane[:4] + plane[4], start, least=least)
     matrix = np.zeros((3, 3))
     matrix[:2, 2], matrix[2] = plane[2:4], plane[[0, 1, 4]]
     return matrix

@@ -7,7 +7,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from lightmatrix.geometry.matches import ROBUST, fit_fundamental, fit_parallel_lines, spread_of
+from lightmatrix.geometry.matches import (
+    ROBUST,
+    fit_fundamental,
+    fit_parallel_lines,
+    spread_of_spots,
+)
 from lightmatrix.reprs import short_repr
 
 
@@ -108,7 +113,7 @@ def mean_surface(
         root = np.sqrt(weight)[:, None]
         surface = np.asarray(np.linalg.lstsq(design * root, projector * root, rcond=None)[0])
         error = ((projector - design @ surface) ** 2).sum(axis=1)
-        weight = 1 / (1 + error / max(float(np.median(error)), ROBUST.least_spread**2))
+        weight = 1 / (1 + error / max(float(np.median(error)), ROBUST.least_spread_of_spots**2))
     # The polynomial of (pixel - middle) / size as one of the pixel.
     one, row, col, row2, rowcol, col2 = surface
     row, col = row / size, col / size
@@ -144,7 +149,7 @@ def fit_epipolar(
         made = EpipolarGeometry(fundamental, 0.0, surface, (0.0, 0.0), (float(row), float(col)))
         distance = made.distance(camera, projector)
         share = float((np.abs(distance) < ROBUST.support).mean())
-        return replace(made, spread=spread_of(distance)), share
+        return replace(made, spread=spread_of_spots(distance)), share
 
     geometry, share = fitted(fit_parallel_lines(camera, projector))
     # A fundamental matrix has 7 unknowns, so that fewer matches hardly support it.
