@@ -92,11 +92,11 @@ from .check.curves import FoundResponse as FoundResponse
 
 # Responses, measured from photographs.
 from .patterns.projector_curve import ProjectorResponse as ProjectorResponse
-from .responses.camera import (
+from .responses.curves import (
     CameraResponse as CameraResponse,
     camera_response as camera_response,
+    projector_response as projector_response,
 )
-from .responses.projector import projector_response as projector_response
 
 # Estimates.
 from .estimators.estimate import estimate as estimate

@@ -17,8 +17,7 @@ from scipy.ndimage import uniform_filter
 from lightmatrix.errors import MissingExtraError
 from lightmatrix.files.kinds import CLOUD, DEPTH, PLY_MARK
 from lightmatrix.files.writing import atomic_file
-from lightmatrix.geometry.projection import decomposed
-from lightmatrix.geometry.rig_geometry import RigGeometry
+from lightmatrix.geometry.rig_geometry import RigGeometry, decomposed
 from lightmatrix.pictures.maps import UNKNOWN, Map
 from lightmatrix.pictures.style import COLOURS, STYLE, panel
 from lightmatrix.pictures.transport import Picture
