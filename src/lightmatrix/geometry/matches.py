@@ -52,7 +52,7 @@ def _reweighted(
 ) -> Array:
     """The model by iterated least squares: `solve` leads from weights (n,) to the next one.
 
-    A median of 1 belongs to a standard deviation of 1.48 in one dimension, and of 0.85 in two.
+    A median of 1 belongs to a standard deviation of 1.48 in one dimension, and of 0.848 in two.
     """
     for _ in range(ROBUST.rounds):
         distance = distances(model)
@@ -160,7 +160,7 @@ def fit_homography(source: Array, target: Array, weight: Array) -> Array:
     def distances(matrix: Array) -> Array:
         return np.asarray(np.linalg.norm(moved(matrix, source) - target, axis=1))
 
-    return _reweighted(solve, distances, solve(np.ones(len(source))), per_median=0.85)
+    return _reweighted(solve, distances, solve(np.ones(len(source))), per_median=0.848)
 
 
 def moved(matrix: Array, points: Array) -> Array:

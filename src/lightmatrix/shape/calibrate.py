@@ -49,18 +49,11 @@ Progress = Callable[[int, int], None]
 
 @dataclass(frozen=True, eq=False)
 class BoardCorners:
-    """The inner corners of a board, in the order of its rows.
+    """The inner corners (n, 2) of a board, in the order of its rows, as (col, row)."""
 
-    Parameters
-    ----------
-    camera : (n, 2) float64
-        Their places in the camera's image as (col, row).
-    projector : (n, 2) float64
-        The projector pixels that light them as (col, row); NaN where too few pixels around a corner
-        see the projector.
-    """
-
+    # In the camera's image.
     camera: NDArray[np.float64]
+    # The projector pixels that light them; NaN where too few pixels around a corner see them.
     projector: NDArray[np.float64]
 
     @property
@@ -159,24 +152,15 @@ def pose_images(capture: Capture) -> tuple[NDArray[np.float64], Correspondence]:
 
 @dataclass(frozen=True, eq=False)
 class StereoFit:
-    """What OpenCV finds; residuals belong to all corners, those that were left out too.
-
-    Parameters
-    ----------
-    geometry : RigGeometry
-        In the camera's frame.
-    normals : (poses, 3) float64
-        Normal of each board in the camera's frame.
-    camera_errors, projector_errors : list of (n, 2) float64
-        Residuals of each pose, in pixels; NaN where a corner has no projector pixel.
-    used : list of (n,) bool
-        The corners that count, by pose.
-    """
+    """What OpenCV finds; residuals belong to all corners, those that were left out too."""
 
     geometry: RigGeometry
+    # (poses, 3): the normal of each board in the camera's frame.
     normals: NDArray[np.float64]
+    # (n, 2) of each pose, in pixels; NaN where a corner has no projector pixel.
     camera_errors: list[NDArray[np.float64]]
     projector_errors: list[NDArray[np.float64]]
+    # (n,) of each pose: the corners that count.
     used: list[NDArray[np.bool_]]
 
 

@@ -29,30 +29,16 @@ _LEVEL = 1 / 255
 
 @dataclass(frozen=True, eq=False)
 class Code:
-    """The values that number the projector's pixels along one axis.
-
-    Parameters
-    ----------
-    axis : COLUMNS or ROWS
-        What the code numbers.
-    frames : (k,) int
-        The patterns of the code; of a code without inverses, white and black too.
-    values : (length, k) float32
-        The value of each projector pixel in each of these patterns.
-    bits : tuple of (int, int)
-        The patterns of each bit and of its inverse, as indices into `frames`; -1 where there is no
-        inverse. Empty if some value is grey.
-    """
+    """The values that number the projector's pixels along one axis, COLUMNS or ROWS."""
 
     axis: int
+    # (k,): the patterns of the code; of a code without inverses, white and black too.
     frames: NDArray[np.int64]
+    # (length, k): the value of each projector pixel in each of these patterns.
     values: NDArray[np.float32]
+    # The patterns of each bit and of its inverse, as indices into `frames`; -1 where there is no
+    # inverse. Empty if some value is grey.
     bits: tuple[tuple[int, int], ...]
-
-    @property
-    def length(self) -> int:
-        """Number of projector pixels along the axis."""
-        return len(self.values)
 
     @cached_property
     def centred(self) -> NDArray[np.float32]:
@@ -156,27 +142,17 @@ def _bits(values: NDArray[np.float32]) -> tuple[tuple[int, int], ...]:
 
 @dataclass(frozen=True, eq=False)
 class Reading:
-    """What m camera pixels see along one axis.
+    """What m camera pixels see along one axis."""
 
-    Parameters
-    ----------
-    pixel : (m,) int64
-        The projector pixel; -1 where the samples are no word of the code.
-    place : (m,) float64
-        The same to fractions of a pixel.
-    light : (m,) float64
-        The direct light: how much brighter a lit projector pixel makes the camera pixel than a dark
-        one, in units of the clip level.
-    explained : (m,) float64
-        Share of the samples' variance that the code explains, in [0, 1].
-    uncertainty : (m,) float64
-        Standard deviation of the place, in projector pixels.
-    """
-
+    # The projector pixel; -1 where the samples are no word of the code. Then to fractions of it.
     pixel: NDArray[np.int64]
     place: NDArray[np.float64]
+    # How much brighter a lit projector pixel makes the camera pixel than a dark one, in units of
+    # the clip level.
     light: NDArray[np.float64]
+    # Share of the samples' variance that the code explains, in [0, 1].
     explained: NDArray[np.float64]
+    # Standard deviation of the place, in projector pixels.
     uncertainty: NDArray[np.float64]
 
 
@@ -204,7 +180,7 @@ def correlate(code: Code, samples: NDArray[np.float32]) -> NDArray[np.int64]:
     constant light (Mirdehghan et al. 2018). Places half way between two pixels are tried too: few
     patterns of short periods resemble them elsewhere better than in their neighbours.
     """
-    centred = np.empty((2 * code.length - 1, samples.shape[1]), np.float32)
+    centred = np.empty((2 * len(code.values) - 1, samples.shape[1]), np.float32)
     centred[::2] = code.centred
     centred[1::2] = (code.centred[1:] + code.centred[:-1]) / 2
     length = np.sqrt((centred**2).sum(axis=1, keepdims=True))
@@ -239,7 +215,7 @@ def refine(code: Code, samples: NDArray[np.float32], pixel: NDArray[np.int64]) -
     fit = light * here
     offset = np.zeros(len(pixel))
     for side in (-1, 1):
-        other = np.clip(known + side, 0, code.length - 1)
+        other = np.clip(known + side, 0, len(code.values) - 1)
         there = np.einsum("ij,ij->i", own, centred[other]).astype(np.float64)
         cross = product[np.minimum(np.minimum(known, other), len(product) - 1)]
         determinant = square[known] * square[other] - cross**2
