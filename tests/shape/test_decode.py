@@ -126,7 +126,7 @@ def test_what_is_no_code_is_refused(tmp_path: Path) -> None:
     random = lm.BernoulliPatterns(PROJECTOR, 12)
     with pytest.raises(InputError, match="are no stripes") as refused:
         lm.decode(capture(random, photographs(random)))
-    assert "lightmatrix estimate" in (refused.value.hint or "")
+    assert "`estimate`" in (refused.value.hint or "")
     with pytest.raises(InputError, match="no pattern varies"):
         lm.decode(whole.select([patterns.count - 1, patterns.count - 2]))
     lm.truth("metal").save(tmp_path / "T.npz")
