@@ -244,16 +244,6 @@ _NAMES = {
     "rms": "rms stereoerror stereorms rmsstereo",
 }
 _NEEDED = ("camera_intrinsics", "projector_intrinsics", "rotation", "translation")
-_FIELDS = {
-    "camera_matrix",
-    "projector_matrix",
-    "camera_shape",
-    "projector_shape",
-    "camera_distortion",
-    "projector_distortion",
-    "units",
-    "rms",
-}
 
 
 def read_geometry(
@@ -283,8 +273,9 @@ def checked_fields(content: Any, file: str) -> dict[str, Any]:
     """The fields of a geometry in an object of JSON, in which others are ignored."""
     if not isinstance(content, dict):
         raise InputError(f"{file}: holds no geometry of a rig", hint="write it again")
-    fields = {name: value for name, value in content.items() if name in _FIELDS}
-    missing = sorted(_FIELDS - {"units", "rms"} - set(fields))
+    names = set(RigGeometry.__dataclass_fields__)
+    fields = {name: value for name, value in content.items() if name in names}
+    missing = sorted(names - {"units", "rms"} - set(fields))
     if missing:
         raise InputError(
             f"{file}: lacks {', '.join(missing)}",
