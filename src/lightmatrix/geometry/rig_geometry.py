@@ -14,9 +14,8 @@ from scipy.linalg import rq
 
 from lightmatrix.errors import InputError
 from lightmatrix.files.extras import load_opencv
-from lightmatrix.files.json_files import parse_json, read_json
 from lightmatrix.files.kinds import GEOMETRY, GEOMETRY_FORMAT
-from lightmatrix.files.reading import read_text
+from lightmatrix.files.reading import parse_json, read_json, read_text
 from lightmatrix.files.writing import atomic_file
 from lightmatrix.reprs import jsonable, short_repr
 
