@@ -38,26 +38,13 @@ from lightmatrix.resources.threads import core_threads
 from lightmatrix.solvers.fidelity import Fidelity
 from lightmatrix.solvers.problem import Result
 
-# One frame of eight is held out, but at least two; none of fewer than eight frames. Chosen by hand:
-# the row should lose few frames, and one frame alone has no variance.
-EVERY = 8
-FEWEST = 8
-# Sides of the squares of camera pixels that errors are averaged over, as they are smooth over the
-# camera: where every pixel or every second one is known, and in proportion where fewer are. A wider
-# square stands in where a narrower one knows nothing.
-SQUARES = (3, 9, 27)
-# The noise of the camera is at most this quantile of the misfits under the frames that rows were
-# solved with: most rows explain these but for noise. At least the second share of a misfit under
-# the frames held out counts as error. Chosen on 100 small captures (benchmarks/honesty.py).
-QUIET = 0.25
-LEAST_SHARE = 0.1
-
 
 def held_out_frames(count: int) -> NDArray[np.int64]:
-    """The frames that are held out, evenly spread; none of fewer than `FEWEST` frames."""
-    if count < FEWEST:
+    """One frame of eight, evenly spread, but at least two; none of fewer than eight frames."""
+    # Chosen by hand: the row should lose few frames, and one frame alone has no variance.
+    if count < 8:
         return np.zeros(0, np.int64)
-    held = max(2, count // EVERY)
+    held = max(2, count // 8)
     return ((np.arange(held) + 0.5) * count / held).astype(np.int64)
 
 
@@ -91,7 +78,9 @@ def squared_misfit(
 def noise_of(residuals: NDArray[np.float32]) -> float:
     """The variance of the camera's noise by the residuals of some rows; those not known are NaN."""
     known = residuals[np.isfinite(residuals)]
-    return float(np.quantile(known, QUIET)) if len(known) else 0.0
+    # It is at most this quantile of the misfits under the frames that rows were solved with: most
+    # rows explain these but for noise. Chosen on 100 small captures (benchmarks/honesty.py).
+    return float(np.quantile(known, 0.25)) if len(known) else 0.0
 
 
 def held_out_energy(
@@ -119,19 +108,21 @@ def smooth_misfit(
     means = np.full(camera, np.nan)
     if not known.any():
         return np.asarray(means.ravel(), np.float32)
-    for width in SQUARES:
+    # Errors are smooth over the camera. Squares of three pixels a side suffice where every pixel or
+    # every second one is known, and in proportion where fewer are. A wider square stands in where a
+    # narrower one knows nothing.
+    for width in (3, 9, 27):
         missing = ~np.isfinite(means)
         if missing.any():
             side = 1 + (width - 1) * max(1, spacing // 2)
             means[missing] = mean_around(image, known, side)[missing]
-    return np.asarray(np.maximum(means - noise, LEAST_SHARE * means).ravel(), np.float32)
+    # At least a tenth of a misfit counts as error. Chosen on 100 small captures.
+    return np.asarray(np.maximum(means - noise, 0.1 * means).ravel(), np.float32)
 
 
 # Frames are compared with all others. If there are more than this, only about so many are compared
 # that are most like those to hold out, which bounds the time to a few seconds.
 _COMPARED = 1024
-# The contrast is computed from this many projector pixels, or from four for each frame.
-_SAMPLED_PIXELS, _PIXELS_PER_FRAME = 4096, 4
 # Contrasts below this share of the largest one are rounding.
 _ROUNDING = 1e-6
 
@@ -266,7 +257,7 @@ def _show_only_their_own(
 
 def _values(patterns: PatternSet) -> NDArray[np.float64]:
     """The patterns, each less its mean, at some pixels, (K, n)."""
-    most = max(_SAMPLED_PIXELS, _PIXELS_PER_FRAME * patterns.count)
+    most = max(4096, 4 * patterns.count)
     pixels = np.sort(np.random.default_rng(0).permutation(patterns.pixels)[:most])
     values = patterns.columns(pixels).astype(np.float64)
     return np.asarray(values - values.mean(axis=1, keepdims=True))
@@ -275,10 +266,6 @@ def _values(patterns: PatternSet) -> NDArray[np.float64]:
 # The most rows, evenly spread, whose residuals are looked at. Chosen by hand: what is wrong in all
 # rows shows in these as well, and they cost little.
 MOST_ROWS = 4096
-# Rows that are only bounded and clip in more than this share of K photographs, and 1.5 / K more,
-# see a glint: several projector pixels clip them alone. Rows of intact captures reach 0.69, glints
-# 30 to 100 times as bright as the rest clip in 0.77 to 1. Chosen on 180 small captures.
-_MOSTLY, _FEW = 0.72, 1.5
 # Fewer samples of a row that do not clip show no curve.
 _FEWEST = 8
 
@@ -341,9 +328,13 @@ def residual_diagnostics(
     constant[chosen], bent[chosen] = constant_light(few, shown), bend(few, shown)
     bounded = only_bounded(samples, pixels, solver.capture.patterns)
     clipped = samples.clipped.mean(axis=1)
+    # Rows that are only bounded and clip in more than this share of K photographs see a glint:
+    # several projector pixels clip them alone. Rows of intact captures reach 0.69, glints 30 to 100
+    # times as bright as the rest clip in 0.77 to 1. Chosen on 180 small captures.
+    many = 0.72 + 1.5 / samples.clipped.shape[1]
     return {
         "only_bounded": bounded,
-        "glint": bounded & (clipped > _MOSTLY + _FEW / samples.clipped.shape[1]),
+        "glint": bounded & (clipped > many),
         "constant_light": constant,
         "bend": bent,
     }

@@ -176,14 +176,9 @@ def _halos(shape: tuple[int, int], grid: tuple[int, int]) -> NDArray[np.float32]
 # lambda relative to the clip level. Errors are flat around it: three times as much or as little
 # changes them by about a tenth (docs/few-patterns.md).
 DEFAULT_REGULARIZATION = 0.1
-# lambda relative to the clip level, and the relative gap, of the first round. They are rougher, as
-# this round only has to show where light may be. Chosen by hand.
+# lambda relative to the clip level in the first round, which only has to show where light may be.
+# Chosen by hand.
 FIRST_REGULARIZATION = 0.32
-FIRST_TOLERANCE = 1e-2
-# Passes over all atoms of the first round of a small frame, in which every row has neighbours that
-# have searched, too. Until the gap is reached there would be 3.5, with the same errors
-# (docs/measurements.md).
-FIRST_PASSES = 2
 
 
 @dataclass(frozen=True)
@@ -252,13 +247,15 @@ class RowSolver:
     def everywhere(
         self, samples: Samples, progress: Progress | None = None, *, brief: bool = False
     ) -> Result:
-        """Solve each row by itself on all atoms; in `FIRST_PASSES` passes if it may be `brief`."""
+        """Solve each row by itself on all atoms; in two passes if it may be `brief`."""
         problem = self._problem(samples, FIRST_REGULARIZATION * self.level)
         passes = self.solver.max_passes
+        # A gap of 1 % suffices to show where light may be. Until it is reached there would be 3.5
+        # passes; but where every row has neighbours that have searched, two give the same errors.
         solver = replace(
             self.solver,
-            tolerance=max(FIRST_TOLERANCE, self.solver.tolerance),
-            max_passes=min(FIRST_PASSES, passes) if brief else passes,
+            tolerance=max(1e-2, self.solver.tolerance),
+            max_passes=min(2, passes) if brief else passes,
         )
         return solver.solve(problem, progress)
 
