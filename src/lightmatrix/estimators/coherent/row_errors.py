@@ -39,10 +39,14 @@ from lightmatrix.solvers.fidelity import Fidelity
 from lightmatrix.solvers.problem import Result
 
 
+# No frame is held out of fewer.
+FEWEST = 8
+
+
 def held_out_frames(count: int) -> NDArray[np.int64]:
-    """One frame of eight, evenly spread, but at least two; none of fewer than eight frames."""
+    """One frame of eight, evenly spread, but at least two; none of fewer than `FEWEST` frames."""
     # Chosen by hand: the row should lose few frames, and one frame alone has no variance.
-    if count < 8:
+    if count < FEWEST:
         return np.zeros(0, np.int64)
     held = max(2, count // 8)
     return ((np.arange(held) + 0.5) * count / held).astype(np.int64)
