@@ -15,7 +15,7 @@ import pytest
 from numpy.typing import NDArray
 
 import lightmatrix as lm
-from lightmatrix.check.finding import KINDS
+from lightmatrix.check.finding import KINDS, Finding
 from lightmatrix.check.frame_order import missing_places
 from lightmatrix.check.inverse_pairs import Pairs
 from lightmatrix.check.survey import Survey
@@ -43,7 +43,7 @@ def exchanged(frames: Images, a: int, b: int) -> Images:
     return frames[order]
 
 
-def told(found: list[lm.Finding]) -> list[tuple[str, tuple[int, ...]]]:
+def told(found: list[Finding]) -> list[tuple[str, tuple[int, ...]]]:
     assert {each.kind for each in found} <= set(KINDS)
     assert all(each.message and each.advice for each in found)
     return [(each.kind, each.frames) for each in found]

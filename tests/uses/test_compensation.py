@@ -16,7 +16,7 @@ from scipy.sparse import csr_array
 
 import lightmatrix as lm
 from lightmatrix.uses import loading
-from lightmatrix.uses.compensation import TOLERANCE, BoundedFit, compensator
+from lightmatrix.uses.compensation import TOLERANCE, BoundedFit, Reach, compensator
 from lightmatrix.uses.joint_light import JointLight, joint_light
 
 
@@ -172,7 +172,7 @@ def test_the_map_says_what_is_not_reached() -> None:
     ambient = np.array([[0, 0, 0], [0, 0, 0.9]])
     mask = np.array([[1, 0, 1], [1, 1, 1]])
     found = lm.compensate(transport, wanted, mask=mask, ambient=ambient, brightness=1.5)
-    reach = lm.Reach
+    reach = Reach
     expected = [
         [reach.SHADOW, reach.MASKED, reach.TOO_DARK],
         [reach.REACHED, reach.REACHED, reach.TOO_BRIGHT],

@@ -13,6 +13,7 @@ from scipy.sparse import csr_array
 import lightmatrix as lm
 from lightmatrix.simulation.realism import defocus
 from lightmatrix.uses import loading
+from lightmatrix.uses.separation import Separation
 
 SIDE = 40
 
@@ -70,7 +71,7 @@ def _relative(found: NDArray[np.float32], expected: NDArray[np.float32]) -> floa
     return float(np.linalg.norm(found - expected) / np.linalg.norm(expected))
 
 
-def _assert_sums(parts: lm.Separation, transport: lm.LightTransport) -> None:
+def _assert_sums(parts: Separation, transport: lm.LightTransport) -> None:
     for part in (parts.direct, parts.global_):
         assert (part.sparse.data > 0).all()
         assert (part.background >= 0).all()

@@ -16,7 +16,7 @@ from lightmatrix.errors import InputError
 from lightmatrix.files.kinds import GEOMETRY
 
 if TYPE_CHECKING:
-    from lightmatrix import RigCalibration
+    from lightmatrix.shape.calibrate import RigCalibration
 
 
 def calibrate(

@@ -11,7 +11,7 @@ from lightmatrix.cli.source import Source, with_source
 from lightmatrix.cli.terminal import as_options, say, show_json
 
 if TYPE_CHECKING:
-    from lightmatrix import Finding
+    from lightmatrix.check.finding import Finding
 
 # The exit code if something is wrong.
 FOUND = 1

@@ -20,7 +20,7 @@ from lightmatrix.cli.source import level_or_file
 from lightmatrix.cli.terminal import progress, say, show_columns, show_json
 
 if TYPE_CHECKING:
-    from lightmatrix import Advice
+    from lightmatrix.planning.plan import Advice
 
 _NAMES = {"plain": "row by row"}
 

@@ -14,7 +14,8 @@ from lightmatrix.cli.terminal import say, show_json
 from lightmatrix.errors import InputError
 
 if TYPE_CHECKING:
-    from lightmatrix import CameraResponse, ProjectorResponse
+    from lightmatrix import ProjectorResponse
+    from lightmatrix.responses.camera import CameraResponse
 
 Method = Literal["debevec", "robertson"]
 # Warnings name a misfit, or a difference between channels, above these shares of full light.

@@ -86,7 +86,8 @@ class Verdict:
     Examples
     --------
     >>> import lightmatrix as lm
-    >>> print(lm.Verdict("good", 0.012, ("100 % of the rows converged.",)))
+    >>> from lightmatrix.judgement.judgement import Verdict
+    >>> print(Verdict("good", 0.012, ("100 % of the rows converged.",)))
     Good. Estimated error of T: 1.2 %. 100 % of the rows converged.
     """
 
@@ -203,7 +204,8 @@ def verdict(transport: LightTransport, why_untested: str = _UNTESTED) -> Verdict
     Examples
     --------
     >>> import lightmatrix as lm
-    >>> print(lm.verdict(lm.truth("metal").transport()))
+    >>> from lightmatrix.judgement.judgement import verdict
+    >>> print(verdict(lm.truth("metal").transport()))
     Not tested. The matrix has no diagnostics.
     """
     judged = verdict_by_rows(transport, why_untested)
