@@ -26,7 +26,7 @@ def main(out: Path) -> float:
     truth = lm.truth("metal")
     patterns = lm.BernoulliPatterns(truth.projector_shape, 32)
     estimate = lm.estimate(lm.simulate(truth, patterns, exposure=0.3))
-    lm.show_correspondence(estimate).savefig(out / "map.png")
+    lm.show(estimate, "correspondence").savefig(out / "map.png")
 
     matches = lm.correspondence(estimate)
     known = lm.correspondence(truth.transport())

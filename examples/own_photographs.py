@@ -35,7 +35,7 @@ def main(out: Path) -> dict[str, object]:
     report = lm.report(out / "report", estimate, capture)
     print(lm.Verdicts.from_dict(report["verdicts"]).transport)
 
-    lm.show_clipping(estimate).savefig(out / "clipping.png")
+    lm.show(estimate, "clipping").savefig(out / "clipping.png")
     white = np.ones(estimate.projector_shape)
     lm.show_relit(estimate, white).savefig(out / "white.png")
     return report

@@ -31,8 +31,8 @@ def main(out: Path) -> None:
     lm.show_relit(transport, stripes).savefig(out / "relit.png")
 
     # In the dual image, every camera pixel is a light.
-    lm.show_dual(transport).savefig(out / "dual.png")
-    lm.show_row(transport, 40, 30).savefig(out / "row.png")
+    lm.show(transport, "dual").savefig(out / "dual.png")
+    lm.show(transport, "row", 40, 30).savefig(out / "row.png")
 
 
 if __name__ == "__main__":

@@ -21,8 +21,8 @@ from rich.console import Console
 from rich.table import Table
 
 from lightmatrix.errors import InputError, OutputError
-from lightmatrix.files.json_files import parse_json
 from lightmatrix.files.numpy_files import read_npz
+from lightmatrix.files.reading import parse_json
 
 Row = dict[str, Any]
 C = TypeVar("C", bound="Case")

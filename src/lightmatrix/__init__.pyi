@@ -101,19 +101,7 @@ from .transport.npz import read_correspondence as read_correspondence
 
 # What is done with them.
 from .pictures.relight import relight as relight
-from .pictures.diagnostics import (
-    show_clipping as show_clipping,
-    show_correspondence as show_correspondence,
-    show_footprints as show_footprints,
-    show_gaps as show_gaps,
-    show_estimated_errors as show_estimated_errors,
-)
-from .pictures.transport import (
-    show_column as show_column,
-    show_dual as show_dual,
-    show_relit as show_relit,
-    show_row as show_row,
-)
+from .pictures.transport import show_relit as show_relit
 from .report.make import report as report
 from .viewer.export import export_viewer as export_viewer
 from .viewer.notebook import view as view

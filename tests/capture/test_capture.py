@@ -356,7 +356,7 @@ def test_files_with_unused_bits_are_refused(tmp_path: Path, bits: int) -> None:
         refuse_unusable(Capture.from_folders(SETS[0], photos, settings, bin_camera=block))
 
     for block in (1, 2):
-        with pytest.raises(InputError, match=f"no level above {2**bits - 1}.*\n.*--clip"):
+        with pytest.raises(InputError, match=f"no level above {2**bits - 1}.*\n.*clip="):
             judge(ReadSettings(), block)
     judge(ReadSettings(clip=2**bits - 1))
     # A user who insists that they are just dark is warned that many cameras clip there.

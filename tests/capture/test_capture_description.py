@@ -16,8 +16,7 @@ from hypothesis import strategies as st
 from lightmatrix.capture.camera_curve import Response
 from lightmatrix.capture.capture import Capture
 from lightmatrix.capture.decoder import Decoder
-from lightmatrix.capture.decoding import read_white_frame
-from lightmatrix.capture.folder import write_capture
+from lightmatrix.capture.folder import read_white_frame, write_capture
 from lightmatrix.capture.sensor import Sensor
 from lightmatrix.capture.settings import ReadSettings
 from lightmatrix.errors import InputError, LightMatrixWarning

@@ -106,7 +106,7 @@ def test_commands_know_the_place_of_a_crop(
         assert json.loads(capsys.readouterr().out)["relative_error"] == pytest.approx(expected)
     assert main(["info", str(tmp_path / "0.zarr")]) == 0
     assert "24 x 20 from 11, 21, of 64 x 64" in capsys.readouterr().out
-    title = lm.show_row(stores[0], 2, 3).axes[0].get_title()
+    title = lm.show(stores[0], "row", 2, 3).axes[0].get_title()
     assert "13, 24 of the photographs" in title
 
 

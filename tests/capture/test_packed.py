@@ -240,7 +240,7 @@ def test_the_command_packs_plain_folders(folder: Path, capsys: pytest.CaptureFix
 def test_messages_name_the_wrong_kind_of_output(folder: Path, tmp_path: Path) -> None:
     scene = lm.truth(folder / "capture" / "truth.npz").transport()
     lm.save(tmp_path / "scene.zarr", scene)
-    with pytest.raises(InputError, match="is a light transport matrix, not a capture"):
+    with pytest.raises(InputError, match="is a light transport matrix, not a packed capture"):
         Capture.open(tmp_path / "scene.zarr")
     with pytest.raises(InputError, match="is a packed capture, not a light transport matrix"):
         lm.open(folder / "packed.zarr")

@@ -35,6 +35,9 @@ def relation(capture: lm.Capture) -> list[Finding]:
         ("by name", "order", "photographs are in the order of their names"),
         ("patterns inverted", "order", "negative"),
         ("negative", "order", "negative"),
+        ("half turned", "motion", "turned or moved"),
+        ("half turned by 90", "motion", "turned or moved"),
+        ("rows late", "order", "every other row of each photograph comes a frame late"),
     ],
 )
 def test_names_what_the_photographs_follow(scene: str, damage: str, kind: str, words: str) -> None:
@@ -111,6 +114,7 @@ def test_little_evidence_accuses_nobody() -> None:
     [
         (np.roll(np.arange(64), -1), "each photograph shows the pattern after its own"),
         (np.roll(np.arange(64), 1), "each photograph shows the pattern before its own"),
+        (np.arange(64)[::-1], "the photographs are in the opposite order"),
         (np.argsort(sorted(range(64), key=str)), "the patterns are in the order of their names"),
     ],
 )

@@ -45,6 +45,6 @@ def test_maps_are_read_without_colour(transport: lm.LightTransport) -> None:
 
 
 def test_maps_of_missing_diagnostics_are_refused(transport: lm.LightTransport) -> None:
-    for show in (lm.show_clipping, lm.show_gaps, lm.show_footprints, lm.show_estimated_errors):
+    for view in ("clipping", "gap", "footprint", "estimated-error"):
         with pytest.raises(lm.InputError, match="this matrix has no"):
-            show(transport)
+            lm.show(transport, view)

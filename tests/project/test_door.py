@@ -85,7 +85,7 @@ def test_help_is_shown_in_no_time() -> None:
 
 def test_tab_shows_the_names_and_nothing_else() -> None:
     assert {"Capture", "LightTransport", "estimate", "open", "save", "simulate"} <= set(NAMES)
-    assert {"plan", "evaluate", "relight", "export", "scenes", "show_row"} <= set(NAMES)
+    assert {"plan", "evaluate", "relight", "export", "scenes", "show"} <= set(NAMES)
     assert not any(isinstance(getattr(lm, name), ModuleType) for name in NAMES)
     with pytest.raises(AttributeError):
         lm.nothing_of_that_name  # type: ignore[attr-defined]  # noqa: B018
@@ -227,22 +227,20 @@ def test_pictures_are_drawn(tmp_path: Path) -> None:
     capture = lm.simulate("metal", lm.BernoulliPatterns((64, 64), 8), exposure=2)
     transport = lm.estimate(capture, coherent=False, iterations=2)
     pictures = [
-        lm.show_row(transport, 3, 4),
-        lm.show_column(transport, 3, 4),
         lm.show_relit(transport, np.ones((64, 64)), exposure=2),
-        lm.show_dual(transport),
-        lm.show_clipping(transport),
-        lm.show_gaps(transport),
+        lm.show(transport, "row", 3, 4),
+        lm.show(transport, "column", 3, 4),
+        *(lm.show(transport, name) for name in ("dual", "clipping", "gap", "correspondence")),
     ]
     for picture in pictures:
         assert picture._repr_png_().startswith(b"\x89PNG")
         assert picture.axes[0].get_title()
     with pytest.raises(lm.InputError, match="no camera sample"):
-        lm.show_row(transport, 3)
+        lm.show(transport, "row", 64, 3)
     with pytest.raises(lm.InputError, match="no projector pixel"):
-        lm.show_column(transport, 3, 64)
+        lm.show(transport, "column", 3, 64)
     with pytest.raises(lm.InputError, match="this matrix has no gap"):
-        lm.show_gaps(capture.truth.transport())
+        lm.show(capture.truth.transport(), "gap")
 
 
 def test_kinds_of_patterns_by_name() -> None:

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from lightmatrix.errors import DeviceError, FrameTimeoutError, InputError
-from lightmatrix.rig.devices.base import Address, BaseCamera, Frame, FrameStamps
+from lightmatrix.rig.devices.base import Address, Camera, Frame, FrameStamps
 from lightmatrix.rig.devices.genicam import FORMATS, PixelFormat, choose_format
 
 
-class Still(BaseCamera):
+class Still(Camera):
     """A camera that takes no pictures."""
 
     kind = "still"

@@ -19,7 +19,7 @@ import pytest
 import lightmatrix as lm
 from lightmatrix.cli import main
 from lightmatrix.rig.devices.virtual import VirtualCamera
-from lightmatrix.rig.references import Drift
+from lightmatrix.rig.photograph import Drift
 from lightmatrix.rig.rig import ProjectedPatterns
 from lightmatrix.rig.session import Step
 from tests.helpers.systems import SIGNALS

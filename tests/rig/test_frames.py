@@ -10,8 +10,7 @@ import pytest
 import lightmatrix as lm
 from lightmatrix.rig.devices.base import Frame
 from lightmatrix.rig.pattern_match import choose_samples
-from lightmatrix.rig.photograph import AveragedFrame, Shot, copied_rows
-from lightmatrix.rig.references import References, measure_drift
+from lightmatrix.rig.photograph import AveragedFrame, References, Shot, copied_rows, measure_drift
 from lightmatrix.rig.rig_measurements import _possible
 
 SHAPE, TOP, NOISE = (20, 30), 4095.0, 12.0

@@ -9,8 +9,7 @@ import pytest
 
 from lightmatrix.rig.devices.base import Frame
 from lightmatrix.rig.pattern_match import fit_mixture
-from lightmatrix.rig.photograph import AveragedFrame, Shot
-from lightmatrix.rig.references import References
+from lightmatrix.rig.photograph import AveragedFrame, References, Shot
 
 from .rig_mixtures import run
 

@@ -226,7 +226,7 @@ NPZ_WRONG: dict[str, tuple[dict[str, Any], str]] = {
     "objects": ({"data": np.array([{}], object)}, "Python objects"),
     "other version": ({"lightmatrix_transport": np.array(2)}, "format version 2"),
     "version of text": ({"lightmatrix_transport": np.array("x")}, "format version x"),
-    "version of many": ({"lightmatrix_transport": np.arange(3)}, "format version nothing"),
+    "version of many": ({"lightmatrix_transport": np.arange(3)}, "format version None"),
     "NaN": ({"data": np.full(168, np.nan, np.float32)}, "not finite"),
     "background": ({"background": np.zeros((3, 6))}, "a background of"),
     "NaN background": ({"background": np.full((20, 6), np.nan)}, "not finite"),

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any, Protocol, runtime_checkable
 
@@ -15,6 +15,7 @@ from lightmatrix.capture.decoder import Decoder
 from lightmatrix.capture.exposures import frame_weights
 from lightmatrix.capture.samples import Samples, bin_samples
 from lightmatrix.errors import InputError
+from lightmatrix.patterns.pattern_set import PatternSet
 from lightmatrix.ranges import check_finite, real_array
 from lightmatrix.regions import Region
 from lightmatrix.reprs import short_repr
@@ -375,3 +376,16 @@ class Reader:
             where = slice(top // down * narrow, -(-end // down) * narrow)
             for k in range(frames.count):
                 yield where, top * wide, k, np.ascontiguousarray(levels[:, k : k + 1])
+
+
+@dataclass(frozen=True, eq=False)
+class CaptureParts:
+    """The parts of a capture as read from disk; patterns and frames may still differ in number."""
+
+    patterns: PatternSet
+    frames: Frames
+    decoder: Decoder
+    mask: NDArray[np.bool_] | None = None
+    provenance: Mapping[str, Any] = field(default_factory=dict)
+    # Whether the patterns are grey values whose light is to be found in the frames.
+    projector_unknown: bool = False

@@ -6,6 +6,7 @@ A tile of camera pixels is read without the rest of the frames. docs/scale.md do
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -16,17 +17,16 @@ from numpy.typing import NDArray
 
 from lightmatrix.capture.camera_curve import AUTOMATIC, Response
 from lightmatrix.capture.decoder import Decoder
-from lightmatrix.capture.decoding import CaptureParts
-from lightmatrix.capture.settings import KEYS, Description, ReadSettings, parse_description
-from lightmatrix.errors import InputError
-from lightmatrix.files.kinds import PACKED_CAPTURE, STORE
+from lightmatrix.capture.frames import CaptureParts
+from lightmatrix.capture.settings import ReadSettings, parse_description
+from lightmatrix.files.kinds import PACKED_CAPTURE
 from lightmatrix.files.reading import check_image_size
 from lightmatrix.files.zarr_arrays import (
     CHUNK,
     HEADER,
     StoredArray,
     as_damage_error,
-    read_attributes,
+    read_group,
 )
 from lightmatrix.patterns.bits import BitPatterns
 from lightmatrix.patterns.making import remake_patterns
@@ -46,11 +46,8 @@ FRAMES, BITS, LEVELS, BLACK, MASK, CURVE = (
     "response_curve",
 )
 _REMEDY = "restore it, or pack the capture again"
-# The keys of the group's attributes that capture.json has too, with the same kinds and ranges.
-_SHARED_KEYS = KEYS - {
-    "format", "version", "black", "mask", "response", "projector_response", "mosaic",
-}  # fmt: skip
-_KEYS = _SHARED_KEYS | {
+# The keys of the group's attributes that capture.json does not have, or in another form.
+_OWN_KEYS = {
     "format", "version", "output", "response", "names", "patterns", "black_exposure",
     "clip_assumed",
 }  # fmt: skip
@@ -101,7 +98,9 @@ class PackedFrames:
         return replace(self, index=self.index[list(index)], _last={})
 
     def part(self, rows: slice, cols: slice) -> PackedFrames:
-        return replace(self, rows=_within(self.rows, rows), cols=_within(self.cols, cols), _last={})
+        top, left = self.rows.start, self.cols.start
+        rows = slice(top + rows.start, top + rows.stop)
+        return replace(self, rows=rows, cols=slice(left + cols.start, left + cols.stop), _last={})
 
     def levels(self, start: int, stop: int) -> NDArray[Any]:
         width = int(np.prod(self.shape[1:]))
@@ -141,109 +140,77 @@ def is_packed(place: Path) -> bool:
 
 def read_packed(place: Path) -> CaptureParts:
     """Open a packed capture: reads and checks everything but the frames."""
-    attributes = read_attributes(place)
-    if attributes.get("format") != FORMAT:
-        output = attributes.get("output")
-        kind = output.get("kind") if isinstance(output, dict) else None
-        if kind == STORE.name:
-            raise InputError(
-                f"{place}: is a {STORE.name}, not a capture",
-                hint="give the capture that it was estimated from",
-            )
-        raise InputError(
-            f"{place}: is not a {PACKED_CAPTURE.name}",
-            hint="give a capture folder, or what `lightmatrix pack` made of one",
-        )
-    # True and 1.0 equal 1, but are no versions.
-    if type(attributes.get("version")) is not int or attributes["version"] != VERSION:
-        raise InputError(
-            f"{place}: has format version {str(attributes.get('version'))[:20]}, this lightmatrix "
-            f"reads {VERSION}",
-            hint="update lightmatrix, or pack the capture again",
-        )
+    hint = "give a capture folder, or what `lightmatrix pack` made of one"
+    attributes = read_group(place, PACKED_CAPTURE.name, FORMAT, VERSION, hint)
     with as_damage_error(place, _REMEDY):
-        unknown = sorted(set(attributes) - _KEYS)
-        if unknown:
-            raise ValueError(f"does not know {str(unknown[0])[:60]!r}")
-        description = parse_description(
-            place / HEADER, {k: v for k, v in attributes.items() if k in _SHARED_KEYS}
-        )
-        frames = _frames(place, attributes, description)
+        shared = {key: value for key, value in attributes.items() if key not in _OWN_KEYS}
+        if shared.keys() & {"black", "mask", "projector_response", "mosaic"}:
+            raise ValueError("it names other files")
+        description = parse_description(place / HEADER, shared)
+        names, shape = attributes.get("names"), description.camera_shape
+        if not isinstance(names, list) or not all(isinstance(name, str) for name in names):
+            raise ValueError("its frames have no names")
+        if shape is None or not names:
+            raise ValueError("it has no frames")
+        check_image_size(place, shape)
+        count, channels = len(names), math.prod(shape[2:])
+        # All frames of a pixel lie in one chunk, however many there are.
+        array = StoredArray.open(place / FRAMES, max(CHUNK, count * channels))
+        if array.shape != (count, *shape):
+            raise ValueError(f"its frames have shape {array.shape}")
+        if array.dtype not in (np.uint8, np.uint16, np.float32) or array.chunks[0] != count:
+            raise ValueError(f"its frames are {array.dtype} in chunks of {array.chunks[0]} frames")
+        every, rows, cols = np.arange(count), slice(0, shape[0]), slice(0, shape[1])
+        frames = PackedFrames(array, tuple(names), every, rows, cols)
         decoder = _decoder(place, attributes, description.settings, frames)
-        decoder.check_count(frames.count)
-        patterns = _patterns(place, attributes, frames.count)
+        patterns = _patterns(place, attributes, count)
         if description.projector_shape != patterns.shape:
             raise ValueError(f"its patterns are {patterns.shape}")
         mask = _array(place, MASK, frames.shape, "b")
     return CaptureParts(patterns, frames, decoder, mask, dict(description.provenance))
 
 
-def _frames(place: Path, attributes: Mapping[str, Any], description: Description) -> PackedFrames:
-    names = attributes.get("names")
-    if not isinstance(names, list) or not all(isinstance(name, str) for name in names):
-        raise ValueError("its frames have no names")
-    shape = description.camera_shape
-    if shape is None or not names:
-        raise ValueError("it has no frames")
-    check_image_size(place, shape)
-    channels = shape[2] if len(shape) == 3 else 1
-    # All frames of a pixel lie in one chunk, however many there are.
-    array = StoredArray.open(place / FRAMES, max(CHUNK, len(names) * channels))
-    if array.shape != (len(names), *shape):
-        raise ValueError(f"its frames have shape {array.shape}")
-    if array.dtype not in (np.uint8, np.uint16, np.float32):
-        raise ValueError(f"its frames are {array.dtype}")
-    if array.chunks[0] != len(names):
-        raise ValueError("its chunks do not hold all frames")
-    every = np.arange(len(names))
-    return PackedFrames(array, tuple(names), every, slice(0, shape[0]), slice(0, shape[1]))
-
-
 def _decoder(
     place: Path, attributes: Mapping[str, Any], settings: ReadSettings, frames: PackedFrames
 ) -> Decoder:
-    clip, full_scale = settings.clip, settings.full_scale
+    """The decoder of the frames, with its response and its black frame."""
     top = float(np.iinfo(frames.dtype).max) if frames.dtype.kind == "u" else np.inf
-    if clip is None or full_scale is None or not full_scale <= top:
+    if settings.clip is None or settings.full_scale is None or not settings.full_scale <= top:
         raise ValueError("it does not say its clip level, or a full scale that no image has")
-    black_exposure = attributes.get("black_exposure")
+    name, black_exposure = attributes.get("response"), attributes.get("black_exposure")
+    if not isinstance(name, str):
+        raise ValueError("its response has no name")
     if black_exposure is not None and type(black_exposure) not in (int, float):
         raise ValueError("the exposure of its black frame is no number")
+    response = Response(name=name)
+    curve = _array(place, CURVE, None, "f")
+    if curve is not None:
+        if curve.ndim != 2 or len(curve) != 2 or curve.shape[1] < 2:
+            raise ValueError("the curve of its response has no points")
+        levels, light = curve.astype(np.float64)
+        inside = curve.min() >= 0 and curve.max() <= 1
+        if not (inside and (np.diff(levels) > 0).all() and (np.diff(light) >= 0).all()):
+            raise ValueError("the curve of its response does not rise from 0 to 1")
+        response = Response(levels, light, name)
+    elif name not in ("linear", AUTOMATIC):
+        raise ValueError(f"the curve of its response {name[:60]!r} is missing")
     black = _array(place, BLACK, frames.shape, "uf")
-    return Decoder(
-        clip,
-        full_scale,
+    decoder = Decoder(
+        settings.clip,
+        settings.full_scale,
         0.0 if settings.black_level is None else settings.black_level,
-        _response(place, attributes),
+        response,
         settings.exposure,
         None if black is None else black.ravel(),
         black_exposure,
         attributes.get("clip_assumed") is True,
     )
-
-
-def _response(place: Path, attributes: Mapping[str, Any]) -> Response:
-    name = attributes.get("response")
-    if not isinstance(name, str):
-        raise ValueError("its response has no name")
-    if not (place / CURVE).exists():
-        if name not in (Response().name, AUTOMATIC):
-            raise ValueError(f"the curve of its response {name[:60]!r} is missing")
-        return Response(name=name)
-    curve = StoredArray.open(place / CURVE)
-    if len(curve.shape) != 2 or curve.shape[0] != 2 or curve.shape[1] < 2:
-        raise ValueError("the curve of its response has no points")
-    check_memory(place, curve.bytes)
-    levels, light = curve.read().astype(np.float64)
-    rising = (np.diff(levels) > 0).all() and (np.diff(light) >= 0).all()
-    ends = (levels[0] >= 0, levels[-1] <= 1, light[0] >= 0, light[-1] <= 1)
-    # The comparisons are false for NaN.
-    if not (rising and all(ends)):
-        raise ValueError("the curve of its response does not rise from 0 to 1")
-    return Response(levels, light, name)
+    decoder.check_count(frames.count)
+    return decoder
 
 
 def _patterns(place: Path, attributes: Mapping[str, Any], count: int) -> PatternSet:
+    """The set that made the patterns, if it still makes the same; else the patterns as stored."""
     entry = attributes.get("patterns")
     description = entry.get("description") if isinstance(entry, dict) else None
     if not isinstance(description, dict):
@@ -265,7 +232,6 @@ def _patterns(place: Path, attributes: Mapping[str, Any], count: int) -> Pattern
     stored = BitPatterns((rows, cols), bits)
     if description.get("count", count) != count or description.get("shape") != shape:
         raise ValueError("the description of its patterns is of others")
-    # The fast operator that made them is used if it still makes the same bits.
     made = remake_patterns(description)
     if made is None or made.count != count or made.shape != (rows, cols):
         return stored
@@ -273,19 +239,17 @@ def _patterns(place: Path, attributes: Mapping[str, Any], count: int) -> Pattern
     return made if remade is not None and np.array_equal(remade, bits) else stored
 
 
-def _array(place: Path, name: str, shape: tuple[int, ...], kinds: str) -> NDArray[Any] | None:
-    """One of the small arrays, read whole; None if there is none."""
+def _array(
+    place: Path, name: str, shape: tuple[int, ...] | None, kinds: str
+) -> NDArray[Any] | None:
+    """One of the small arrays, read whole, of a given shape or any; None if there is none."""
     if not (place / name).exists():
         return None
     array = StoredArray.open(place / name)
-    if array.shape != shape or array.dtype.kind not in kinds:
+    if shape not in (None, array.shape) or array.dtype.kind not in kinds:
         raise ValueError(f"its {name} is {array.dtype} of shape {array.shape}")
     check_memory(place, array.bytes)
     values = array.read()
     if array.dtype.kind == "f" and not np.isfinite(values).all():
         raise ValueError(f"its {name} is not finite")
     return values
-
-
-def _within(outer: slice, inner: slice) -> slice:
-    return slice(outer.start + inner.start, outer.start + inner.stop)

@@ -5,10 +5,9 @@ from __future__ import annotations
 import json
 import math
 import shutil
-import tempfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import IO, Any
+from typing import Any
 
 import numpy as np
 import zarr
@@ -34,7 +33,7 @@ from lightmatrix.files.writing import atomic_folder, check_output
 from lightmatrix.files.zarr_arrays import create_array, write_parts
 from lightmatrix.patterns.pattern_set import PatternSet
 from lightmatrix.reprs import jsonable
-from lightmatrix.resources.disk import check_disk_space
+from lightmatrix.resources.disk import check_disk_space, scratch_array
 
 Progress = Callable[[int, int], None]
 # Called with a number of camera rows, iterates over strips of that height: the levels of all
@@ -44,16 +43,13 @@ Strips = Callable[[int], Iterator[NDArray[Any]]]
 # Bytes of one chunk. Chosen by hand: small enough that a tile of camera pixels reads little more
 # than its own samples, and large enough to compress well.
 _CHUNK_BYTES = 1 << 20
-# Bytes of memory to work in. Frames of up to half of it are transposed in memory, larger ones
-# through a file.
-MEMORY = 1 << 30
 
 
 def pack(
     capture: Capture | str | Path,
     output: str | Path,
     *,
-    memory: int = MEMORY,
+    memory: int = 1 << 30,
     overwrite: bool = False,
     progress: Progress | None = None,
 ) -> None:
@@ -118,7 +114,7 @@ def pack_capture(
     output: str | Path,
     *,
     write_extras: Callable[[Path], None],
-    memory: int = MEMORY,
+    memory: int = 1 << 30,
     overwrite: bool = False,
     progress: Progress | None = None,
 ) -> None:
@@ -132,17 +128,14 @@ def pack_capture(
             "in capture.json; or, in Python, pack "
             "lm.find_projector_response(capture).applied_to(capture)",
         )
-    frames = capture.frames
-    spooled = not isinstance(frames, PixelFrames) and _bytes(frames) > memory // 2
-    folder = Path(output).absolute().parent
+    frames, output = capture.frames, Path(output)
     # The place of cropped photographs is part of their description.
     crop = capture.description.get("crop")
-    report = progress or (lambda done, total: None)
     provenance = capture.provenance if crop is None else {**capture.provenance, "crop": crop}
     write_packed(
         output,
         capture.patterns,
-        _strips(frames, folder if spooled else None, memory, report),
+        _strips(frames, output.absolute().parent, memory, progress or (lambda done, total: None)),
         decoder=capture.decoder,
         shape=frames.shape,
         dtype=frames.dtype,
@@ -150,7 +143,8 @@ def pack_capture(
         mask=capture.mask,
         provenance=provenance,
         write_extras=write_extras,
-        temporary=_bytes(frames) if spooled else 0,
+        # Frames that do not fit into memory lie beside the output until it is whole.
+        copies=1 if _fit(frames, memory) else 2,
         overwrite=overwrite,
     )
 
@@ -167,126 +161,93 @@ def write_packed(
     mask: NDArray[np.bool_] | None = None,
     provenance: Mapping[str, Any] | None = None,
     write_extras: Callable[[Path], None] | None = None,
-    temporary: int = 0,
+    copies: int = 1,
     overwrite: bool = False,
 ) -> None:
     """Write a packed capture of K frames strip by strip, whole or not at all.
 
-    `shape` and `dtype` are those of a frame. `write_extras` writes further files into the folder,
-    and `temporary` bytes are needed beside the output meanwhile.
+    `shape` and `dtype` are those of a frame. `write_extras` writes further files into the folder.
+    The disk must have room for as many `copies` of the levels.
     """
     count, dtype = len(names), np.dtype(dtype)
-    rows, cols = _chunk_shape(count, shape, dtype)
-    levels = count * math.prod(shape) * dtype.itemsize
+    # A chunk holds all frames of some whole camera rows, or of a part of one.
+    pixels = max(1, _CHUNK_BYTES // (count * math.prod(shape[2:]) * dtype.itemsize))
+    rows, cols = min(shape[0], max(1, pixels // shape[1])), min(shape[1], pixels)
+    small: dict[str, NDArray[Any]] = {}
+    bits = patterns.as_bits()
+    if bits is None:
+        small[LEVELS] = patterns.images()
+    else:
+        small[BITS] = bits
+    if decoder.black_frame is not None:
+        small[BLACK] = np.asarray(decoder.black_frame).reshape(shape)
+    if mask is not None:
+        small[MASK] = mask
+    if decoder.response.levels is not None and decoder.response.light is not None:
+        small[CURVE] = np.stack([decoder.response.levels, decoder.response.light])
+    content = {
+        "format": FORMAT,
+        "version": VERSION,
+        "projector_shape": list(patterns.shape),
+        "camera_shape": list(shape),
+        "names": list(names),
+        "patterns": {"description": patterns.description, "digest": patterns.digest},
+        "exposure": decoder.exposure,
+        "clip": decoder.clip,
+        "clip_assumed": decoder.clip_assumed,
+        "black_level": decoder.black_level,
+        "full_scale": decoder.full_scale,
+        "response": decoder.response.name,
+        "provenance": dict(provenance or {}),
+    }
+    if decoder.black_exposure is not None:
+        content["black_exposure"] = decoder.black_exposure
     with atomic_folder(output, PACKED_CAPTURE, overwrite=overwrite) as part:
         # Noise hardly compresses, so the output may be as large as the levels.
-        check_disk_space(part, levels + temporary, output)
+        levels = count * math.prod(shape) * dtype.itemsize
+        check_disk_space(part, copies * levels, output)
         group = zarr.open_group(part, mode="w", zarr_format=3)
-        frames = create_array(
-            group, FRAMES, (count, *shape), dtype, (count, rows, cols, *shape[2:])
-        )
+        chunks = (count, rows, cols, *shape[2:])
+        frames = create_array(group, FRAMES, (count, *shape), dtype, chunks)
         top = 0
         for strip in strips(rows):
             frames[:, top : top + strip.shape[1]] = strip
             top += strip.shape[1]
-        write_parts(group, [_small_arrays(patterns, decoder, shape, mask)])
-        content = {
-            "format": FORMAT,
-            "version": VERSION,
-            "projector_shape": list(patterns.shape),
-            "camera_shape": list(shape),
-            "names": list(names),
-            "patterns": {"description": patterns.description, "digest": patterns.digest},
-            "exposure": decoder.exposure,
-            "clip": decoder.clip,
-            "clip_assumed": decoder.clip_assumed,
-            "black_level": decoder.black_level,
-            "full_scale": decoder.full_scale,
-            "response": decoder.response.name,
-            "provenance": dict(provenance or {}),
-        }
-        if decoder.black_exposure is not None:
-            content["black_exposure"] = decoder.black_exposure
+        write_parts(group, [small])
         # The attributes come last: a group without them is not whole.
         group.attrs.update(json.loads(json.dumps(content, default=jsonable)))
         if write_extras is not None:
             write_extras(part)
 
 
-def _chunk_shape(count: int, shape: tuple[int, ...], dtype: np.dtype[Any]) -> tuple[int, int]:
-    """Camera rows and columns of a chunk: whole camera rows, or a part of one."""
-    pixel = count * math.prod(shape[2:]) * dtype.itemsize
-    fitting = max(1, _CHUNK_BYTES // pixel)
-    return min(shape[0], max(1, fitting // shape[1])), min(shape[1], fitting)
+def _fit(frames: Frames, memory: int) -> bool:
+    """Whether frames are transposed in memory, or lie in the order of tiles already."""
+    size = frames.count * math.prod(frames.shape) * frames.dtype.itemsize
+    return isinstance(frames, PixelFrames) or size <= memory // 2
 
 
-def _small_arrays(
-    patterns: PatternSet,
-    decoder: Decoder,
-    shape: tuple[int, ...],
-    mask: NDArray[np.bool_] | None,
-) -> dict[str, NDArray[Any]]:
-    arrays: dict[str, NDArray[Any]] = {}
-    bits = patterns.as_bits()
-    if bits is None:
-        arrays[LEVELS] = patterns.images()
-    else:
-        arrays[BITS] = bits
-    if decoder.black_frame is not None:
-        arrays[BLACK] = np.asarray(decoder.black_frame).reshape(shape)
-    if mask is not None:
-        arrays[MASK] = mask
-    response = decoder.response
-    if response.levels is not None and response.light is not None:
-        arrays[CURVE] = np.stack([response.levels, response.light])
-    return arrays
+def _strips(frames: Frames, folder: Path, memory: int, progress: Progress) -> Strips:
+    """Strips of frames: read as stored, or transposed in memory or through a file in `folder`."""
+    count, height, line = frames.count, frames.shape[0], frames.shape[1:]
+    wide = math.prod(line)
 
-
-def _bytes(frames: Frames) -> int:
-    return frames.count * math.prod(frames.shape) * frames.dtype.itemsize
-
-
-def _strips(frames: Frames, spool: Path | None, memory: int, progress: Progress) -> Strips:
-    """Strips of frames: read as stored, or transposed in memory or through a file in `spool`."""
-
-    def by_pixel(rows: int) -> Iterator[NDArray[Any]]:
-        assert isinstance(frames, PixelFrames)
-        wide = math.prod(frames.shape[1:])
-        for top in range(0, frames.shape[0], rows):
-            end = min(top + rows, frames.shape[0])
-            levels = frames.levels(top * wide, end * wide)
-            yield levels.T.reshape(frames.count, end - top, *frames.shape[1:])
-            progress(frames.count * end // frames.shape[0], frames.count)
-
-    def in_memory(rows: int) -> Iterator[NDArray[Any]]:
-        stack = np.empty((frames.count, *frames.shape), frames.dtype)
+    def strips(rows: int) -> Iterator[NDArray[Any]]:
+        if isinstance(frames, PixelFrames):
+            for top in range(0, height, rows):
+                end = min(top + rows, height)
+                levels = frames.levels(top * wide, end * wide)
+                yield levels.T.reshape(count, end - top, *line)
+                progress(count * end // height, count)
+            return
+        stack = scratch_array((count, *frames.shape), frames.dtype, memory // 2, folder)
         for k, frame in enumerate(in_order(frames)):
             stack[k] = frame
-            progress(k + 1, frames.count)
-        for top in range(0, frames.shape[0], rows):
-            yield stack[:, top : top + rows]
+            progress(k + 1, count)
+        # The frames lie one after the other, so many strips of each are copied at a time.
+        many = rows * max(1, memory // 4 // (rows * wide * count * frames.dtype.itemsize))
+        for top in range(0, height, many):
+            block = np.ascontiguousarray(stack[:, top : top + many])
+            for inner in range(0, block.shape[1], rows):
+                yield block[:, inner : inner + rows]
 
-    def through_file(rows: int) -> Iterator[NDArray[Any]]:
-        with tempfile.TemporaryFile(dir=spool) as file:
-            for k, frame in enumerate(in_order(frames)):
-                file.write(np.ascontiguousarray(frame).data)
-                progress(k + 1, frames.count)
-            yield from _from_file(file, frames, rows, memory)
-
-    if isinstance(frames, PixelFrames):
-        return by_pixel
-    return in_memory if spool is None else through_file
-
-
-def _from_file(file: IO[bytes], frames: Frames, rows: int, memory: int) -> Iterator[NDArray[Any]]:
-    """Strips of frames that lie one after the other in a file, read many strips at a time."""
-    line = math.prod(frames.shape[1:]) * frames.dtype.itemsize
-    group = rows * max(1, memory // 4 // (rows * line * frames.count))
-    for top in range(0, frames.shape[0], group):
-        height = min(group, frames.shape[0] - top)
-        block = np.empty((frames.count, height, *frames.shape[1:]), frames.dtype)
-        for k in range(frames.count):
-            file.seek((k * frames.shape[0] + top) * line)
-            file.readinto(block[k].data)  # type: ignore[attr-defined]
-        for inner in range(0, height, rows):
-            yield block[:, inner : inner + rows]
+    return strips

@@ -20,8 +20,7 @@ from lightmatrix.capture.camera_curve import (
     curve_file,
 )
 from lightmatrix.errors import InputError
-from lightmatrix.files.json_files import errors_naming, read_json
-from lightmatrix.files.reading import within
+from lightmatrix.files.reading import errors_naming, read_json, within
 from lightmatrix.patterns.projector_curve import ProjectorResponse
 from lightmatrix.ranges import check_number
 from lightmatrix.reprs import short_repr

@@ -143,11 +143,6 @@ class Hypothesis:
     order: Order
     exposed_as: Order
 
-    @classmethod
-    def in_order(cls, count: int) -> Hypothesis:
-        """Each of K frames shows its own pattern."""
-        return cls(np.arange(count), np.arange(count))
-
 
 @dataclass(frozen=True, eq=False)
 class Misses:
@@ -182,25 +177,111 @@ class _Judge:
         self.scale = column_scale(patterns)
         self.frames = np.arange(patterns.count)
         self.alike = _alike(patterns, rows, self.scale)
-        in_order = self.misses(Hypothesis.in_order(patterns.count))
+        in_order = self.misses(Hypothesis(self.frames, self.frames))
         # A pattern that is one grey says nothing of which pixels were lit, while its photograph may
         # well vary: with stripes finer than a bin, or where white clips.
         spread = np.concatenate([np.ptp(block, axis=1) for _, block in patterns.chunks()])
         self.in_order = replace(in_order, informative=in_order.informative & (spread > 1e-3))
 
-    def misses(self, hypothesis: Hypothesis) -> Misses:
-        return find_misses(self.patterns, self.rows, hypothesis, self.scale)
-
     def findings(self, name: Name) -> list[Finding]:
         """A run of displaced frames, or single ones."""
-        likeliest = likeliest_hypothesis(self.patterns, self.rows)
-        for first in (likeliest, Hypothesis.in_order(self.patterns.count)):
+        for first in (self.likeliest(), Hypothesis(self.frames, self.frames)):
             run = first and self.displaced_run(first)
-            if run:
-                start, stop, _ = run
-                message = _describe_run(*run, self.patterns.count, name)
-                return [Finding("order", tuple(range(start, stop + 1)), message, WRONG_ORDER)]
+            if not run:
+                continue
+            start, stop, step = run
+            which = f"each image shows the pattern {'after' if step > 0 else 'before'} its own"
+            message = (
+                f"from {name(start)} to {name(stop)}, {which}: is one "
+                f"{'missing' if step > 0 else 'extra'}?"
+            )
+            # The frame without a neighbour on that side cannot be displaced with the others.
+            if start <= (step < 0) and stop >= len(self.frames) - 1 - (step > 0):
+                message = f"the images do not follow the patterns: {which}"
+            return [Finding("order", tuple(range(start, stop + 1)), message, WRONG_ORDER)]
         return order_findings(self.displaced_singly(), name)
+
+    def misses(self, hypothesis: Hypothesis) -> Misses:
+        """Compare each frame with what is predicted for each pattern."""
+        rows, count = self.rows, len(self.frames)
+        light = rows.light(hypothesis.exposed_as)
+        # What all rows do together is the brightness of the frame (flicker, the mean of the
+        # pattern): no evidence of which pixels were lit, and a prediction of it would err in all
+        # rows alike.
+        common = light.mean(axis=0)
+        known = np.flatnonzero(hypothesis.order >= 0)
+        shown = hypothesis.order[known]
+        values = np.full(light.shape, np.nan, np.float32)
+        values[:, shown] = (light - common)[:, known]
+        fold = np.random.default_rng(0).permutation(count) % fold_count(count)
+        # For some tens of rows a search of all pixels is quicker than making shortlists.
+        predicted = predict_by_pursuit(self.patterns, self.scale, values, fold, shortlist=False)
+        brightness = np.full(count, common.mean(), np.float32)
+        brightness[shown] = common[known]
+        predicted = np.minimum(predicted + brightness, rows.lowest)
+        mean = light.mean(axis=1, keepdims=True)
+        spread = np.maximum(light.std(axis=1, keepdims=True), 1e-12)
+
+        def variation(samples: Floats) -> NDArray[np.float64]:
+            relative = ((samples - mean) / spread).astype(np.float64)
+            return np.asarray(relative - relative.mean(axis=0))
+
+        def logarithms(
+            observed: NDArray[np.float64], expected: NDArray[np.float64]
+        ) -> NDArray[np.float64]:
+            power = (observed**2).sum(axis=0)[:, None]
+            squares = power + (expected**2).sum(axis=0)[None, :]
+            miss = squares - 2 * observed.T @ expected
+            return np.asarray(np.log(np.maximum(miss, 1e-9) / np.maximum(power, 1e-9)))
+
+        # `here` reads each frame at its own exposure, `there` at that of the frame whose pattern it
+        # may show.
+        expected = variation(predicted)
+        here = logarithms(variation(rows.light(self.frames)), expected)
+        there = here.copy()
+        for columns in rows.exposure_groups():
+            if len(columns) < count:
+                moved = variation(rows.light(np.full(count, columns[0])))
+                there[:, columns] = logarithms(moved, expected[:, columns])
+        np.fill_diagonal(there, np.diag(here))
+        # The prediction decides, since a frame read at the wrong exposure may seem uniform.
+        power = (expected**2).mean(axis=0)
+        return Misses(np.minimum(here, there), there < here, power > 0.25 * np.median(power))
+
+    def likeliest(self) -> Hypothesis | None:
+        """The hypothesis that single projector pixels follow best; None: in order.
+
+        It tries frames in order, and displaced by one up to or from one of 16 places on; the runs
+        find the exact frame. All frames count for all hypotheses, so chance raises the correlation
+        of the best pixel alike in all, and nothing needs to be predicted.
+        """
+        frames, scanned = self.frames, _scanned_rows(self.patterns)
+        rows = RawRows(self.rows.shares[:scanned], self.rows.levels[:scanned])
+        cuts = np.unique(np.linspace(0, len(frames), 17).astype(int)).tolist()
+        centre = rows.light(frames).mean(axis=1, keepdims=True)
+
+        def read(order: Order, exposed_as: Order) -> tuple[Floats, Order]:
+            light = rows.light(exposed_as) - centre
+            return np.where(order >= 0, light - light.mean(axis=0), 0), order
+
+        best, likeliest = -np.inf, None
+        for order in (np.append(frames[1:], -1), np.append(-1, frames[:-1])):
+            exposures = [frames]
+            if len(rows.exposure_groups()) > 1:
+                exposures.append(np.where(order >= 0, order, frames))
+            for exposed_as in exposures:
+                displaced = read(order, exposed_as)
+                scores = scores_by_place(self.patterns, read(frames, frames), displaced, cuts)
+                # From the last place on, which is the end, no frame is displaced.
+                least = scores[0, -1]
+                until, place = np.unravel_index(scores.argmax(), scores.shape)
+                if scores.max() > max(best, least):
+                    best = scores.max()
+                    changed = (frames < cuts[place]) == bool(until)
+                    likeliest = Hypothesis(
+                        np.where(changed, order, frames), np.where(changed, exposed_as, frames)
+                    )
+        return likeliest
 
     def gain(self, misses: Misses, shown: Order) -> NDArray[np.float64]:
         """How much better each frame meets the pattern `shown` than its own, (K,)."""
@@ -220,7 +301,10 @@ class _Judge:
             for step in (1, -1):
                 shown = np.clip(self.frames + step, 0, self.patterns.count - 1)
                 gain = self.gain(misses, shown)
-                start, stop = _richest_run(gain - _LIMITS.least_gain)
+                # The run of the largest sum.
+                total = np.append(0, np.cumsum(gain - _LIMITS.least_gain))
+                stop = int((total - np.minimum.accumulate(total)).argmax())
+                start = int(total[: stop + 1].argmin())
                 run = gain[start:stop]
                 supported = run.sum() > max(_LIMITS.run_sum, _LIMITS.run_mean * len(run))
                 if not confirm or (predictive and supported):
@@ -274,28 +358,6 @@ class _Judge:
         return np.where(self.alike | own, np.inf, misses.logarithms)
 
 
-def _richest_run(gain: NDArray[np.float64]) -> tuple[int, int]:
-    """The frames start..stop of the largest sum."""
-    total = np.append(0, np.cumsum(gain))
-    lowest = np.minimum.accumulate(total)
-    stop = int((total - lowest).argmax())
-    return int(total[: stop + 1].argmin()), stop
-
-
-def _describe_run(start: int, stop: int, step: int, count: int, name: Name) -> str:
-    which = "after" if step > 0 else "before"
-    # The frame without a neighbour on that side cannot be displaced with the others.
-    if start <= (step < 0) and stop >= count - 1 - (step > 0):
-        return (
-            f"the images do not follow the patterns: each image shows the pattern {which} its own"
-        )
-    question = "is one missing" if step > 0 else "is one extra"
-    return (
-        f"from {name(start)} to {name(stop)}, each image shows the pattern {which} its own: "
-        f"{question}?"
-    )
-
-
 def _alike(patterns: PatternSet, rows: RawRows, scale: Floats) -> NDArray[np.bool_]:
     """Which pairs of different frames show (nearly) the same pattern and may change places, (K, K).
 
@@ -319,97 +381,6 @@ def _alike(patterns: PatternSet, rows: RawRows, scale: Floats) -> NDArray[np.boo
     return np.asarray(alike & ~np.eye(len(alike), dtype=bool))
 
 
-def find_misses(
-    patterns: PatternSet, rows: RawRows, hypothesis: Hypothesis, scale: Floats
-) -> Misses:
-    """Compare each frame with what is predicted for each pattern; `column_scale` gives `scale`."""
-    count = patterns.count
-    light = rows.light(hypothesis.exposed_as)
-    # What all rows do together is the brightness of the frame (flicker, the mean of the pattern):
-    # no evidence of which pixels were lit, and a prediction of it would err in all rows alike.
-    common = light.mean(axis=0)
-    known = np.flatnonzero(hypothesis.order >= 0)
-    shown = hypothesis.order[known]
-    values = np.full(light.shape, np.nan, np.float32)
-    values[:, shown] = (light - common)[:, known]
-    fold = np.random.default_rng(0).permutation(count) % fold_count(count)
-    # For some tens of rows a search of all pixels is quicker than making shortlists.
-    predicted = predict_by_pursuit(patterns, scale, values, fold, shortlist=False)
-    brightness = np.full(count, common.mean(), np.float32)
-    brightness[shown] = common[known]
-    predicted = np.minimum(predicted + brightness, rows.lowest)
-    mean = light.mean(axis=1, keepdims=True)
-    spread = np.maximum(light.std(axis=1, keepdims=True), 1e-12)
-
-    def variation(samples: Floats) -> NDArray[np.float64]:
-        relative = ((samples - mean) / spread).astype(np.float64)
-        return np.asarray(relative - relative.mean(axis=0))
-
-    # `here` reads each frame at its own exposure, `there` at that of the frame whose pattern it may
-    # show.
-    observed, expected = variation(rows.light(np.arange(count))), variation(predicted)
-    here = _log_misses(observed, expected)
-    there = here.copy()
-    for columns in rows.exposure_groups():
-        if len(columns) < count:
-            moved = variation(rows.light(np.full(count, columns[0])))
-            there[:, columns] = _log_misses(moved, expected[:, columns])
-    np.fill_diagonal(there, np.diag(here))
-    # The prediction decides, since a frame read at the wrong exposure may seem uniform.
-    power = (expected**2).mean(axis=0)
-    return Misses(np.minimum(here, there), there < here, power > 0.25 * np.median(power))
-
-
-def _log_misses(
-    observed: NDArray[np.float64], expected: NDArray[np.float64]
-) -> NDArray[np.float64]:
-    """Log of the square difference of each observed and expected column, relative, (K, k)."""
-    power = (observed**2).sum(axis=0)[:, None]
-    squares = power + (expected**2).sum(axis=0)[None, :]
-    miss = squares - 2 * observed.T @ expected
-    return np.asarray(np.log(np.maximum(miss, 1e-9) / np.maximum(power, 1e-9)))
-
-
-def likeliest_hypothesis(patterns: PatternSet, rows: RawRows) -> Hypothesis | None:
-    """The hypothesis under which single projector pixels follow the samples best; None: in order.
-
-    It tries frames in order, and displaced by one up to or from one of 16 places on; the runs find
-    the exact frame. All frames count for all hypotheses, so chance raises the correlation of the
-    best pixel alike in all, and nothing needs to be predicted.
-    """
-    count = patterns.count
-    frames = np.arange(count)
-    scanned = _scanned_rows(patterns)
-    rows = RawRows(rows.shares[:scanned], rows.levels[:scanned])
-    cuts = np.unique(np.linspace(0, count, 17).astype(int)).tolist()
-    centre = rows.light(frames).mean(axis=1, keepdims=True)
-
-    def read(hypothesis: Hypothesis) -> tuple[Floats, Order]:
-        light = rows.light(hypothesis.exposed_as) - centre
-        known = hypothesis.order >= 0
-        return np.where(known, light - light.mean(axis=0), 0), hypothesis.order
-
-    in_order = Hypothesis(frames, frames)
-    best, likeliest = -np.inf, None
-    for order in (np.append(frames[1:], -1), np.append(-1, frames[:-1])):
-        exposures = [frames]
-        if len(rows.exposure_groups()) > 1:
-            exposures.append(np.where(order >= 0, order, frames))
-        for exposed_as in exposures:
-            displaced = read(Hypothesis(order, exposed_as))
-            scores = scores_by_place(patterns, read(in_order), displaced, cuts)
-            # From the last place on, which is the end, no frame is displaced.
-            least = scores[0, -1]
-            until, place = np.unravel_index(scores.argmax(), scores.shape)
-            if scores.max() > max(best, least):
-                best = scores.max()
-                changed = (frames < cuts[place]) == bool(until)
-                likeliest = Hypothesis(
-                    np.where(changed, order, frames), np.where(changed, exposed_as, frames)
-                )
-    return likeliest
-
-
 def _scanned_rows(patterns: PatternSet) -> int:
     return int(np.clip(_LIMITS.scan_work / (patterns.count * patterns.pixels), 24, 96))
 
@@ -431,7 +402,11 @@ def scores_by_place(
 
     def followed(start: int) -> Floats:
         """The largest sums over 1024 pixels, as many as caches hold, (places, 2, m)."""
-        lit = normalized_columns(patterns, start, min(start + 1024, patterns.pixels))
+        columns = patterns.span(start, min(start + 1024, patterns.pixels))
+        columns = columns - columns.mean(axis=0)
+        norm = np.sqrt((columns**2).sum(axis=0))
+        # Pixels that are constant over the patterns count nothing.
+        lit = columns / np.where(norm < 1e-3 * np.sqrt(patterns.count), np.inf, norm)
         total = moved @ lit[shown]
         both = light @ lit[order] + total
         largest = np.empty((len(cuts), 2, len(light)), np.float32)
@@ -455,26 +430,23 @@ def scores_by_place(
     return np.asarray(-np.log1p(-np.minimum(share, 0.999)).mean(axis=-1).T, np.float64)
 
 
-def normalized_columns(patterns: PatternSet, start: int, stop: int) -> Floats:
-    """Projector pixels start..stop, mean 0 and norm 1 over the patterns, (K, n); 0 if constant."""
-    columns = patterns.span(start, stop)
-    columns = columns - columns.mean(axis=0)
-    norm = np.sqrt((columns**2).sum(axis=0))
-    return columns / np.where(norm < 1e-3 * np.sqrt(patterns.count), np.inf, norm)
-
-
 def check_counts(survey: Survey | None, patterns: int, images: Sequence[Path]) -> Finding:
     """State that the numbers differ, and, with a survey of all, which photograph is missing."""
     count = len(images)
     message = f"{patterns} patterns, but {count} photographs"
     frames = missing_places(survey) if survey is not None and count == patterns - 1 else ()
     if frames:
-        which = " or ".join(f"{place} (the {_ordinal(place + 1)})" for place in frames)
-        message += f": the one of pattern {which} is missing"
+        which = " or ".join(map(str, frames))
+        message += f": that of pattern {which} (counted from 0) is missing"
         if len(frames) == 1 and frames[0] < count:
             message += f", before {images[frames[0]].name}"
-    elif gaps := _missing_numbers(images):
-        message += f"; their names leave out number {', '.join(gaps[:5])}"
+    digits = ["".join(c for c in path.stem if c.isdecimal() and c.isascii()) for path in images]
+    if digits and all(digits) and not frames:
+        numbers = {int(each) for each in digits}
+        absent = sorted(set(range(min(numbers), max(numbers) + 1)) - numbers)
+        # Names count in steps, and have no gaps, if they leave out more than a quarter.
+        if absent and 4 * len(absent) <= count:
+            message += f"; their names leave out number {', '.join(map(str, absent[:5]))}"
     advice = (
         "take it again, or leave the pattern out too"
         if count < patterns
@@ -509,19 +481,3 @@ def missing_places(survey: Survey) -> tuple[int, ...]:
         misses[place] = float(np.median(predict(shown, samples).miss))
     best = min(misses, key=misses.__getitem__)
     return (best,) if misses[best] < _LIMITS.missed else ()
-
-
-def _missing_numbers(paths: Sequence[Path]) -> list[str]:
-    """Numbers that are missing in the names of files that are numbered one by one."""
-    digits = [("".join(c for c in path.stem if c.isdecimal() and c.isascii())) for path in paths]
-    if not all(digits):
-        return []
-    numbers = [int(each) for each in digits]
-    absent = sorted(set(range(min(numbers), max(numbers) + 1)) - set(numbers))
-    # Names count in steps, and have no gaps, if they leave out more than a quarter of the numbers.
-    return [str(number) for number in absent] if 4 * len(absent) <= len(numbers) else []
-
-
-def _ordinal(number: int) -> str:
-    endings = {1: "st", 2: "nd", 3: "rd"}
-    return f"{number}{'th' if number % 100 in (11, 12, 13) else endings.get(number % 10, 'th')}"

@@ -149,16 +149,15 @@ def check_pairs(
         if doubted[list(pair)].all():
             continue
         doubted[list(pair)] = True
-        findings.append(
-            Finding(
-                "frame",
-                pair,
-                f"{names[pair[0]]} and {names[pair[1]]}, of a pattern and its inverse, do not add "
-                "up to white: one shows something else",
-                "look at them: taken during the change of pattern, moved, covered, in another's "
-                "place? Take them again",
-            )
+        message = (
+            f"{names[pair[0]]} and {names[pair[1]]}, of a pattern and its inverse, do not add up "
+            "to white: one shows something else"
         )
+        advice = (
+            "look at them: taken during the change of pattern, moved, covered, in another's place? "
+            "Take them again"
+        )
+        findings.append(Finding("frame", pair, message, advice))
     return findings, survey, doubted
 
 

@@ -40,37 +40,23 @@ def check_light_level(survey: Survey) -> list[Finding]:
     """Too much light, too little, or nearly everywhere none from the projector."""
     known, valid = survey.statistics, survey.valid
     if not valid.any():
-        return [
-            Finding(
-                "light",
-                (),
-                "no camera pixel counts: all are masked, or clipped in the black frame",
-                "correct the mask, or take a darker black frame",
-            )
-        ]
+        message = "no camera pixel counts: all are masked, or clipped in the black frame"
+        return [Finding("light", (), message, "correct the mask, or take a darker black frame")]
     clipped = float(known.clipped[valid].mean())
     if clipped > 2 / 3:
-        return [
-            Finding(
-                "light",
-                (),
-                f"{100 * clipped:.0f} % of the samples are clipped",
-                "expose shorter, or close the aperture: best is when a white pattern just does not "
-                "clip (`plan` finds its exposure)",
-            )
-        ]
+        advice = (
+            "expose shorter, or close the aperture: best is when a white pattern just does not "
+            "clip (`plan` finds its exposure)"
+        )
+        message = f"{100 * clipped:.0f} % of the samples are clipped"
+        return [Finding("light", (), message, advice)]
     brightest = float(np.quantile(known.highest[valid], 0.999))
     levels = brightest / one_level(survey)
     # Noise of one level would be 4 % of 24.
     if survey.raw.dtype.kind == "u" and levels < 24:
-        return [
-            Finding(
-                "light",
-                (),
-                f"the brightest samples reach {max(levels, 0):.0f} raw levels above black",
-                "expose longer or open the aperture; check the black frame and the black level",
-            )
-        ]
+        message = f"the brightest samples reach {max(levels, 0):.0f} raw levels above black"
+        advice = "expose longer or open the aperture; check the black frame and the black level"
+        return [Finding("light", (), message, advice)]
     # A camera pixel has not seen the projector if it varies by less than 5 % of what the most
     # varied 5 % of the pixels do, or by less than 3 raw levels. A pixel that always clips does not
     # vary either, but sees too much.
@@ -79,14 +65,9 @@ def check_light_level(survey: Survey) -> list[Finding]:
     still = valid & (span < max(0.05 * usual, 3 * one_level(survey))) & (known.clipped < 0.5)
     unseen = float(still.sum() / valid.sum())
     if unseen > 0.9:
-        return [
-            Finding(
-                "unseen",
-                (),
-                f"{100 * unseen:.0f} % of the camera pixels never see light of the projector",
-                "move camera or lens so that the lit part fills the image, or mask the rest",
-            )
-        ]
+        message = f"{100 * unseen:.0f} % of the camera pixels never see light of the projector"
+        advice = "move camera or lens so that the lit part fills the image, or mask the rest"
+        return [Finding("unseen", (), message, advice)]
     return []
 
 
@@ -109,32 +90,24 @@ def check_plain_frames(
     if not (black | white).all():
         bright = np.flatnonzero(black & (level > 0.15))
         dark = np.flatnonzero(white & (level < 0.85) & (~samples.clipped).all(axis=0))
-        for kind, odd, what in (
-            ("black", bright, "black, but the photograph is not the darkest"),
-            ("white", dark, "white, but the photograph is not the brightest"),
-        ):
+        for kind, odd, most in (("black", bright, "darkest"), ("white", dark, "brightest")):
             if len(odd):
-                findings.append(
-                    Finding(
-                        kind,
-                        tuple(int(k) for k in odd),
-                        f"the pattern of {join_names([names[int(k)] for k in odd])} is {what}",
-                        "put the photographs in the order of the patterns, or take it again",
-                    )
-                )
+                which = join_names([names[int(k)] for k in odd])
+                message = f"the pattern of {which} is {kind}, but the photograph is not the {most}"
+                advice = "put the photographs in the order of the patterns, or take it again"
+                findings.append(Finding(kind, tuple(map(int, odd)), message, advice))
     # The lowest tenth, since noise and a single odd frame reach below black too.
     below = float(np.median(-np.quantile(samples.values, 0.1, axis=1) / span[:, 0]))
     if survey.decoder.black_frame is not None and below > 0.08:
-        findings.append(
-            Finding(
-                "black",
-                (),
-                "the black frame is brighter than the photographs where these are dark (by "
-                f"{100 * below:.0f} % of their range)",
-                "take the black frame with the projector showing black, at the exposure of the "
-                "others and in the same room light",
-            )
+        message = (
+            "the black frame is brighter than the photographs where these are dark (by "
+            f"{100 * below:.0f} % of their range)"
         )
+        advice = (
+            "take the black frame with the projector showing black, at the exposure of the others "
+            "and in the same room light"
+        )
+        findings.append(Finding("black", (), message, advice))
     return findings
 
 
@@ -158,17 +131,14 @@ def check_jpeg(survey: Survey, names: Sequence[str]) -> list[Finding]:
     if not quality and step is None:
         return []
     how = f"of quality {quality}" if quality else f"with steps of about {step:.0f} levels"
-    hidden = not names[0].lower().endswith((".jpg", ".jpeg"))
-    return [
-        Finding(
-            "jpeg",
-            (),
-            f"the photographs went through JPEG {how}"
-            + (", whatever their files are now" if hidden else ""),
-            "save raw or lossless files (PNG, TIFF) in the camera's own software; if there is only "
-            "JPEG, take its best quality, and state the response srgb if it is not linear",
-        )
-    ]
+    message = f"the photographs went through JPEG {how}"
+    if not names[0].lower().endswith((".jpg", ".jpeg")):
+        message += ", whatever their files are now"
+    advice = (
+        "save raw or lossless files (PNG, TIFF) in the camera's own software; if there is only "
+        "JPEG, take its best quality, and state the response srgb if it is not linear"
+    )
+    return [Finding("jpeg", (), message, advice)]
 
 
 def likely_quality(blocks: NDArray[np.floating]) -> int | None:

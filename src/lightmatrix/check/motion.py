@@ -54,13 +54,19 @@ def check_motion(
 
 def motion_finding(when: str, start: int, shift: Shift, count: int) -> Finding:
     """The finding that frames from `start` on are shifted."""
-    return Finding(
-        "motion",
-        tuple(range(start, count)),
-        f"{when}, the image lies {describe_shift(shift)}",
+    down, right = shift
+    words = []
+    if down:
+        words.append(f"{abs(down)} {'down' if down > 0 else 'up'}")
+    if right:
+        words.append(f"{abs(right)} {'right' if right > 0 else 'left'}")
+    message = f"{when}, the image lies about {np.hypot(*shift):.2g} camera pixels away"
+    advice = (
         "fix camera, projector and scene, and take the capture again; or use the frames before or "
-        "after it alone",
+        "after it alone"
     )
+    frames = tuple(range(start, count))
+    return Finding("motion", frames, f"{message} ({', '.join(words)})", advice)
 
 
 class _Follower:
@@ -164,17 +170,6 @@ def find_shift(
 def _closest(distances: Mapping[Shift, NDArray[np.float64]], parts: slice) -> Shift:
     """The shift at which some parts of two images are closest."""
     return min(distances, key=lambda shift: float(distances[shift][parts].sum()))
-
-
-def describe_shift(shift: Shift) -> str:
-    """A shift in words."""
-    down, right = shift
-    words = []
-    if down:
-        words.append(f"{abs(down)} {'down' if down > 0 else 'up'}")
-    if right:
-        words.append(f"{abs(right)} {'right' if right > 0 else 'left'}")
-    return f"about {np.hypot(*shift):.2g} camera pixels away ({', '.join(words)})"
 
 
 def _outlines(image: NDArray[np.float32]) -> NDArray[np.float32]:

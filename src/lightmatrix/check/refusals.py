@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from lightmatrix.capture.capture import Capture
 from lightmatrix.capture.decoder import Decoder
-from lightmatrix.capture.decoding import check_depth
+from lightmatrix.capture.folder import check_depth
 from lightmatrix.capture.samples import Samples
 from lightmatrix.check.all_checks import check_capture
 from lightmatrix.check.finding import Finding

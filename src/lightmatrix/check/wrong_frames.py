@@ -89,26 +89,20 @@ def check_frames(
         findings.append(black_frames(np.flatnonzero(black), names))
     others = np.flatnonzero(wrong & ~black)
     if len(others):
-        findings.append(
-            Finding(
-                "frame",
-                tuple(map(int, others)),
-                f"{join_names([names[int(k)] for k in others])}: does not show its pattern",
-                "look at it: taken during the change of pattern, blurred, moved or covered? Take "
-                "it again",
-            )
+        message = f"{join_names([names[int(k)] for k in others])}: does not show its pattern"
+        advice = (
+            "look at it: taken during the change of pattern, blurred, moved or covered? Take it "
+            "again"
         )
+        findings.append(Finding("frame", tuple(map(int, others)), message, advice))
     return findings
 
 
 def black_frames(frames: Iterable[int], names: Sequence[str]) -> Finding:
     """The finding that frames are black although their patterns are not."""
-    return Finding(
-        "frame",
-        tuple(map(int, frames)),
-        f"{join_names([names[int(k)] for k in frames])}: black, although the pattern is not",
-        "take the photograph again; the projector may have been blank or the shutter shut",
-    )
+    message = f"{join_names([names[int(k)] for k in frames])}: black, although the pattern is not"
+    advice = "take the photograph again; the projector may have been blank or the shutter shut"
+    return Finding("frame", tuple(map(int, frames)), message, advice)
 
 
 def brightness_changes(
@@ -152,27 +146,23 @@ def check_flicker(
     if usual > 0.012 and certain.mean() > 0.3:
         worst = int(np.argmax(np.abs(change)))
         spread = float(np.sqrt(np.mean(np.clip(change, -4 * usual, 4 * usual) ** 2)))
-        return [
-            Finding(
-                "flicker",
-                (),
-                f"the light varies from frame to frame by {100 * spread:.1f} % (standard "
-                f"deviation; most in {names[frames[worst]]}, {100 * change[worst]:+.0f} %)",
-                "expose for whole periods of the mains and of the projector (1/50 or 1/60 s and "
-                "multiples), turn automatic exposure and dynamic contrast off, and let lamps warm "
-                "up; if the exposures differed, state them",
-            )
-        ]
+        message = (
+            f"the light varies from frame to frame by {100 * spread:.1f} % (standard deviation; "
+            f"most in {names[frames[worst]]}, {100 * change[worst]:+.0f} %)"
+        )
+        advice = (
+            "expose for whole periods of the mains and of the projector (1/50 or 1/60 s and "
+            "multiples), turn automatic exposure and dynamic contrast off, and let lamps warm up; "
+            "if the exposures differed, state them"
+        )
+        return [Finding("flicker", (), message, advice)]
     odd = np.flatnonzero(certain & (np.abs(change) > max(0.04, 6 * usual)))
     if not len(odd):
         return []
     words = [f"{names[frames[k]]} ({100 * change[k]:+.0f} %)" for k in odd]
-    return [
-        Finding(
-            "flicker",
-            tuple(int(frames[k]) for k in odd),
-            f"the light is not that of the other frames in {join_names(words)}",
-            "take these frames again, with automatic exposure off; if their exposure differed, "
-            "state it in capture.json",
-        )
-    ]
+    message = f"the light is not that of the other frames in {join_names(words)}"
+    advice = (
+        "take these frames again, with automatic exposure off; if their exposure differed, state "
+        "it in capture.json"
+    )
+    return [Finding("flicker", tuple(map(int, frames[odd])), message, advice)]

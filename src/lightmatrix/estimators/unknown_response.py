@@ -9,7 +9,6 @@ import numpy as np
 
 from lightmatrix.capture.camera_curve import Response
 from lightmatrix.capture.capture import Capture, open_capture
-from lightmatrix.capture.decoding import JPEG
 from lightmatrix.check.bends import bends_from_transport
 from lightmatrix.check.curves import (
     FoundResponse,
@@ -26,6 +25,7 @@ from lightmatrix.errors import InputError, warn
 from lightmatrix.estimators.camera_window import window_of_levels
 from lightmatrix.estimators.choice import choose_estimator
 from lightmatrix.estimators.settings import EstimateSettings
+from lightmatrix.files.images import JPEG
 from lightmatrix.transport.matrix import LightTransport, prediction_error
 
 # The search ends after four estimates, or when the curve changes by less than 1 % of full light.

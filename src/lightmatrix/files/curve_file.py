@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lightmatrix.errors import InputError
-from lightmatrix.files.json_files import read_json
 from lightmatrix.files.kinds import RESPONSE, RESPONSE_FORMAT
+from lightmatrix.files.reading import read_json
 from lightmatrix.files.writing import atomic_file
 
 _VERSION = 1

@@ -32,7 +32,8 @@ from lightmatrix.files.writing import atomic_file
 from lightmatrix.ranges import real_array
 
 # The endings of files that are read, and their formats in words.
-READABLE = (".png", ".tif", ".tiff", ".npy", ".jpg", ".jpeg", ".bmp", ".pgm", ".exr", *RAW)
+JPEG = (".jpg", ".jpeg")
+READABLE = (".png", ".tif", ".tiff", ".npy", *JPEG, ".bmp", ".pgm", ".exr", *RAW)
 FORMATS = "PNG, TIFF, npy, EXR, DNG and other raw files, JPEG, BMP or PGM"
 # The gamma by which pictures of light are coded, since displays undo it (IEC 61966-2-1 is close).
 DISPLAY_GAMMA = 2.2

@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from lightmatrix.errors import InputError
 from lightmatrix.files.images import (
     FORMATS,
+    JPEG,
     READABLE,
     as_image_error,
     as_stored,
@@ -272,7 +273,7 @@ def list_entries(source: str | Path) -> list[Path | Page]:
 def nonlinear_tag(path: str | Path | Page) -> str | None:
     """Why a file is probably not linear: "JPEG", "tagged sRGB", ... (not gamma 1), or None."""
     file = path.file if isinstance(path, Page) else Path(path)
-    if file.suffix.lower() in (".jpg", ".jpeg"):
+    if file.suffix.lower() in JPEG:
         return "JPEG"
     if file.suffix.lower() != ".png":
         return None

@@ -25,8 +25,8 @@ from numpy.typing import NDArray
 from zarr.codecs import BloscCodec, Crc32cCodec
 
 from lightmatrix.errors import InputError
-from lightmatrix.files.json_files import parse_json
-from lightmatrix.files.reading import read_text, regular_file
+from lightmatrix.files.kinds import printable
+from lightmatrix.files.reading import check_version, parse_json, read_text, regular_file
 from lightmatrix.resources.threads import side_by_side
 
 HEADER = "zarr.json"
@@ -137,6 +137,20 @@ def read_attributes(place: Path) -> dict[str, Any]:
             raise
         return {}
     return attributes if isinstance(attributes, dict) else {}
+
+
+def read_group(place: Path, kind: str, form: str, version: int, hint: str) -> dict[str, Any]:
+    """The attributes of a group of ours; an InputError if it has another format or version."""
+    attributes = read_attributes(place)
+    if attributes.get("format") != form:
+        output = attributes.get("output")
+        other = output.get("kind") if isinstance(output, dict) else None
+        words = f"not a {kind}"
+        if isinstance(other, str) and other != kind:
+            words = f"a {printable(other)[:40]}, {words}"
+        raise InputError(f"{place}: is {words}", hint=hint)
+    check_version(place, attributes.get("version"), version)
+    return attributes
 
 
 @contextmanager

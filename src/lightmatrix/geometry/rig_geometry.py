@@ -13,9 +13,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from lightmatrix.errors import InputError
 from lightmatrix.files.extras import load_opencv
-from lightmatrix.files.json_files import parse_json, read_json
 from lightmatrix.files.kinds import GEOMETRY, GEOMETRY_FORMAT
-from lightmatrix.files.reading import read_text
+from lightmatrix.files.reading import parse_json, read_json, read_text
 from lightmatrix.files.writing import atomic_file
 from lightmatrix.geometry.projection import (
     Shape,

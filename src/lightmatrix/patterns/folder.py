@@ -24,8 +24,8 @@ from lightmatrix.files.images import (
     is_grey,
     read_image,
 )
-from lightmatrix.files.json_files import errors_naming, read_json
 from lightmatrix.files.kinds import PATTERNS
+from lightmatrix.files.reading import errors_naming, read_json
 from lightmatrix.files.stacks import ImageStack, Page, list_entries
 from lightmatrix.files.writing import atomic_folder
 from lightmatrix.patterns.bits import BitPatterns

@@ -20,18 +20,6 @@ from lightmatrix.transport.matrix import LightTransport
 WHITE_TO_RED = LinearSegmentedColormap.from_list("clipped", [(1.0, 1.0, 1.0), CLIPPED_COLOUR])
 # The grey of camera pixels without a value.
 UNKNOWN = (0.7, 0.7, 0.7)
-# The scale of duality gaps begins here, far below any tolerance of a solver, so that smaller gaps
-# and those of dark rows (0) look alike. It ends at the largest gap, but not below this one.
-_SMALLEST_GAP, _LEAST_TOP_GAP = 1e-7, 1e-3
-# The scale of relative errors ends at 100 %, the error of T = 0, and begins at 0.1 %, which noise
-# hides. Chosen by hand.
-_ERRORS = (1e-3, 1.0)
-# Only the coherent estimate has these diagnostics.
-_COHERENT_ONLY = ("footprint", "estimated_error")
-# The scale of a correspondence leaves out this share of the pixels at either end, since wrong
-# matches may lie anywhere; that of footprints ends at the quantile below. Chosen by eye.
-_STRAYS = 0.005
-_TOP_FOOTPRINT = 0.99
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,37 +81,39 @@ def gap_map(transport: LightTransport) -> Map:
     )
     title = f"Relative duality gap: median {middle}, largest {largest}"
     label = "(P - D) / P of a camera pixel's row"
-    high = max(_LEAST_TOP_GAP, float(known.max()))
-    return Map("gap", title, label, gaps, _SMALLEST_GAP, high, logarithmic=True)
+    # The scale begins far below any tolerance of a solver, so that smaller gaps and those of dark
+    # rows (0) look alike.
+    high = max(1e-3, float(known.max()))
+    return Map("gap", title, label, gaps, 1e-7, high, logarithmic=True)
 
 
 def footprint_map(transport: LightTransport) -> Map:
     """Size of each camera pixel's footprint in projector pixels."""
     sizes = _diagnostic(transport, "footprint")
     known = sizes[np.isfinite(sizes)]
-    middle = float(np.median(known)) if known.size else 0.0
-    high = max(float(np.quantile(known, _TOP_FOOTPRINT)) if known.size else 0.0, 1.0)
+    middle, high = np.quantile(known, (0.5, 0.99)).tolist() if known.size else (0.0, 1.0)
     title = f"Footprint size: median {middle:.2g} projector pixels"
-    return Map("footprint", title, "projector pixels", sizes, 0, high)
+    return Map("footprint", title, "projector pixels", sizes, 0, max(high, 1.0))
 
 
 def estimated_error_map(transport: LightTransport) -> Map:
     """The estimated relative error of each camera pixel's rows."""
     errors = _diagnostic(transport, "estimated_error")
-    known = errors[np.isfinite(errors)]
-    middle = 100 * float(np.median(known)) if known.size else np.nan
-    title = f"Estimated error per camera pixel: median {middle:.2g} %"
-    label = "estimated relative error of a camera pixel's row"
-    return Map("estimated-error", title, label, errors, *_ERRORS, "magma", logarithmic=True)
+    return _of_errors("estimated-error", "Estimated error per camera pixel", "estimated ", errors)
 
 
 def error_map(values: NDArray[np.floating]) -> Map:
     """Relative error of each camera pixel against the truth, (rows, cols); NaN where T is dark."""
-    known = values[np.isfinite(values)]
+    return _of_errors("error", "Error against the truth", "", values.astype(float))
+
+
+def _of_errors(name: str, title: str, kind: str, errors: NDArray[np.float64]) -> Map:
+    known = errors[np.isfinite(errors)]
     middle = 100 * float(np.median(known)) if known.size else np.nan
-    title = f"Error against the truth: median {middle:.2g} %"
-    label = "relative error of a camera pixel's row"
-    return Map("error", title, label, values.astype(float), *_ERRORS, "magma", logarithmic=True)
+    label = f"{kind}relative error of a camera pixel's row"
+    title += f": median {middle:.2g} %"
+    # The scale ends at 100 %, the error of T = 0, and begins at 0.1 %, which noise hides.
+    return Map(name, title, label, errors, 1e-3, 1.0, "magma", logarithmic=True)
 
 
 def correspondence_maps(matches: Correspondence) -> tuple[Map, Map, Map]:
@@ -144,7 +134,8 @@ def _ends(places: NDArray[np.float64]) -> tuple[float, float]:
     known = places[np.isfinite(places)]
     if not known.size:
         return 0, 1
-    low, high = np.quantile(known, (_STRAYS, 1 - _STRAYS))
+    # Wrong matches may lie anywhere, so the scale leaves out 0.5 % at either end.
+    low, high = np.quantile(known, (0.005, 0.995))
     return float(np.floor(low)), float(max(np.ceil(high), np.floor(low) + 1))
 
 
@@ -157,7 +148,8 @@ def has_diagnostic(transport: LightTransport, name: str) -> bool:
 def _diagnostic(transport: LightTransport, name: str) -> NDArray[np.float64]:
     """A diagnostic of each camera pixel, (rows, cols), the largest of its channels."""
     if name not in transport.diagnostics:
-        kind = "a coherent estimate" if name in _COHERENT_ONLY else "an estimate"
+        coherent = name in ("footprint", "estimated_error")
+        kind = "a coherent estimate" if coherent else "an estimate"
         raise InputError(
             f"this matrix has no {name.replace('_', ' ')} of its rows",
             hint=f"give {kind}, or a store (.zarr) of one",

@@ -14,8 +14,8 @@ from PIL import Image
 from lightmatrix.errors import InputError
 from lightmatrix.files.colours import colour_paths, holds_colour
 from lightmatrix.files.images import DISPLAY_GAMMA, read_grey, read_light, write_image
-from lightmatrix.files.json_files import errors_naming
 from lightmatrix.files.kinds import IMAGE
+from lightmatrix.files.reading import errors_naming
 from lightmatrix.files.writing import check_output
 from lightmatrix.patterns.pattern_set import block_mean
 from lightmatrix.ranges import check_number

@@ -58,6 +58,15 @@ def display(image: NDArray[Any], white: float) -> NDArray[np.float64]:
     return np.clip(np.asarray(image, float) / max(white, 1e-12), 0, 1) ** (1 / DISPLAY_GAMMA)
 
 
+def white_level(image: NDArray[Any]) -> float:
+    """The light that a picture shows as white: that of all but the brightest 0.5 % of its pixels.
+
+    Chosen by eye: highlights must not make everything else dark.
+    """
+    level = float(np.quantile(image, 0.995))
+    return level if level > 0 else 1.0
+
+
 def mark_clipped(image: NDArray[Any], clipped: NDArray[np.bool_]) -> NDArray[np.float64]:
     """A grey display image in [0, 1] as RGB, with clipped pixels in red."""
     marked = np.repeat(np.asarray(image, float)[..., None], 3, axis=-1)

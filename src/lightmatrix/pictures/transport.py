@@ -1,14 +1,14 @@
-"""Pictures of a light transport matrix: rows, columns, relit and dual images."""
+"""Pictures of a light transport matrix and of its diagnostics; `lm.show` draws them by name."""
 
 from __future__ import annotations
 
 import io
-from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import matplotlib as mpl
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.colors import PowerNorm
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
@@ -16,20 +16,16 @@ from numpy.typing import NDArray
 from lightmatrix.files.kinds import PICTURE
 from lightmatrix.files.writing import atomic_file
 from lightmatrix.patterns.pattern_set import to_grey
-from lightmatrix.pictures.style import CLIPPED_COLOUR, COLOURS, STYLE, display, mark_clipped, panel
+from lightmatrix.pictures.maps import Map, correspondence_maps
+from lightmatrix.pictures.style import CLIPPED_COLOUR, COLOURS, STYLE, display, panel, white_level
 from lightmatrix.ranges import check_number
+from lightmatrix.transport.correspondence import correspondence
 from lightmatrix.transport.matrix import LightTransport
 from lightmatrix.transport.operator import singular_values
 
-_UNIT = "camera full scale per projector pixel"
 # The colours of a row or column follow this power of the values, which makes faint light beside a
 # bright spot visible. Chosen by eye.
 FAINT = 0.35
-# This share of a picture's pixels, the brightest, is shown as white. Chosen by eye: highlights must
-# not make everything else dark.
-_GLINTS = 0.005
-# Picture files have this many dots per inch.
-DPI = 150
 
 
 class Picture(Figure):
@@ -43,66 +39,11 @@ class Picture(Figure):
     def write(self, path: str | Path, *, overwrite: bool = False) -> None:
         """Write the figure as a .png file."""
         with atomic_file(path, PICTURE, overwrite=overwrite) as part:
-            self.savefig(part, facecolor="white", dpi=DPI)
+            self.draw_file(part)
 
-
-def show_row(transport: LightTransport, *camera_index: int) -> Picture:
-    """Picture of a row of T: how much light each projector pixel sends to one camera sample.
-
-    Parameters
-    ----------
-    transport : LightTransport
-        T.
-    camera_index : int
-        Row, column and, for a colour camera, channel.
-
-    Returns
-    -------
-    Picture
-        A Matplotlib figure; ``savefig`` writes it.
-
-    Raises
-    ------
-    InputError
-        If there is no such camera sample.
-
-    Examples
-    --------
-    >>> import lightmatrix as lm
-    >>> lm.show_row(lm.truth("metal").transport(), 20, 30).savefig("row.png")
-    """
-    transport.row_number(camera_index)  # Refuses a pixel that the camera does not have.
-    place = ", ".join(map(str, camera_index)) + _photograph_pixel(transport, camera_index)
-    return _faint(transport.row(*camera_index), f"Row of T: the light of camera pixel {place}")
-
-
-def show_column(transport: LightTransport, row: int, col: int) -> Picture:
-    """Picture of a column of T: what the camera sees when one projector pixel is lit.
-
-    Parameters
-    ----------
-    transport : LightTransport
-        T.
-    row, col : int
-        The projector pixel.
-
-    Returns
-    -------
-    Picture
-        A Matplotlib figure. A colour camera shows the mean of its channels.
-
-    Raises
-    ------
-    InputError
-        If there is no such projector pixel.
-
-    Examples
-    --------
-    >>> import lightmatrix as lm
-    >>> lm.show_column(lm.truth("metal").transport(), 20, 30).savefig("column.png")
-    """
-    image = _grey(transport.column(row, col))
-    return _faint(image, f"Column of T: projector pixel {row}, {col} alone")
+    def draw_file(self, file: Path) -> None:
+        """Write the figure to a new file, 150 dots an inch."""
+        self.savefig(file, facecolor="white", dpi=150)
 
 
 def show_relit(
@@ -139,7 +80,7 @@ def show_relit(
     image = transport.relight(pattern)
     title = "The scene under this pattern"
     if exposure is None:
-        shown = display(image, _white(image))
+        shown = display(image, white_level(image))
     else:
         hint = "use a number above 0, such as 1"
         check_number("an exposure", exposure, most=1e9, above=True, hint=hint)
@@ -147,7 +88,9 @@ def show_relit(
         clipped = light >= 1
         shown = display(light, 1.0)
         if clipped.any():
-            shown = _marked(shown, clipped)
+            if shown.ndim == 2:
+                shown = np.repeat(shown[..., None], 3, axis=2)
+            shown[clipped if clipped.ndim == 2 else clipped.any(axis=2)] = CLIPPED_COLOUR
             title += f": {100 * clipped.mean():.1f} % clip (red)"
     with mpl.rc_context(STYLE):
         drawing = Picture(figsize=(6.4, 3.4), layout="constrained")
@@ -157,48 +100,22 @@ def show_relit(
     return drawing
 
 
-def show_dual(transport: LightTransport, lights: NDArray[Any] | None = None) -> Picture:
-    """Picture of the scene as the projector would photograph it, lit from the camera.
-
-    Parameters
-    ----------
-    transport : LightTransport
-        T.
-    lights : camera_shape array, optional
-        Strength of each camera sample as a light. None: all equal, with a colour image from a
-        colour camera.
-
-    Returns
-    -------
-    Picture
-        A Matplotlib figure; the image has a display gamma of 2.2.
-
-    Raises
-    ------
-    InputError
-        If the lights do not have the camera's shape.
-
-    Examples
-    --------
-    >>> import lightmatrix as lm
-    >>> lm.show_dual(lm.truth("metal").transport()).savefig("dual.png")
-    """
-    image = transport.dual_image() if lights is None else transport.dual(lights)
-    with mpl.rc_context(STYLE):
-        drawing = Picture(figsize=(3.6, 3.6), layout="constrained")
-        title = "Dual image: seen from the projector"
-        panel(drawing.subplots(), display(image, _white(image)), title)
-    return drawing
+def draw_row(transport: LightTransport, *camera_index: int) -> Picture:
+    """How much light each projector pixel sends to one camera sample."""
+    transport.row_number(camera_index)  # Refuses a pixel that the camera does not have.
+    place = ", ".join(map(str, camera_index))
+    if (region := transport.region) is not None:
+        down, right = transport.provenance["capture_description"].get("bin_camera", (1, 1))
+        row, col = np.add(region.corner, np.multiply(camera_index[:2], (down, right))).tolist()
+        place += f"\n(pixel {row}, {col} of the photographs)"
+    return _faint(transport.row(*camera_index), f"Row of T: the light of camera pixel {place}")
 
 
-def _photograph_pixel(transport: LightTransport, camera_index: tuple[int, ...]) -> str:
-    """The pixel of the whole photographs, in words, if the estimate is from cropped ones."""
-    region = transport.region
-    if region is None:
-        return ""
-    down, right = transport.provenance["capture_description"].get("bin_camera", (1, 1))
-    row, col = region.corner[0] + camera_index[0] * down, region.corner[1] + camera_index[1] * right
-    return f"\n(pixel {row}, {col} of the photographs)"
+def draw_column(transport: LightTransport, row: int, col: int) -> Picture:
+    """What the camera sees when one projector pixel is lit: the mean of its channels."""
+    image = transport.column(row, col)
+    grey = image if image.ndim == 2 else image.mean(axis=2)
+    return _faint(grey, f"Column of T: projector pixel {row}, {col} alone")
 
 
 def _faint(image: NDArray[Any], title: str) -> Picture:
@@ -211,40 +128,28 @@ def _faint(image: NDArray[Any], title: str) -> Picture:
         axes = drawing.subplots()
         drawn = panel(axes, image, title, cmap="inferno", norm=norm, vmin=None, vmax=None)
         ticks = [share * brightest for share in (0, 0.01, 0.05, 0.2, 0.5, 1)]
-        drawing.colorbar(drawn, ax=axes, label=_UNIT, ticks=ticks, format="%.2g")
+        label = "camera full scale per projector pixel"
+        drawing.colorbar(drawn, ax=axes, label=label, ticks=ticks, format="%.2g")
     return drawing
 
 
-def _white(image: NDArray[Any]) -> float:
-    return float(np.quantile(image, 1 - _GLINTS))
+def draw_dual(transport: LightTransport) -> Picture:
+    """The scene as the projector would photograph it, lit evenly from the camera."""
+    image = transport.dual_image()
+    with mpl.rc_context(STYLE):
+        drawing = Picture(figsize=(3.6, 3.6), layout="constrained")
+        title = "Dual image: seen from the projector"
+        panel(drawing.subplots(), display(image, white_level(image)), title)
+    return drawing
 
 
-def _grey(image: NDArray[Any]) -> NDArray[Any]:
-    return image if image.ndim == 2 else image.mean(axis=2)
+def spectrum(transport: LightTransport) -> dict[str, NDArray[Any]]:
+    """The 50 largest singular values of T, ``values``."""
+    return {"values": singular_values(transport, min(50, *transport.shape))}
 
 
-def _marked(shown: NDArray[np.float64], clipped: NDArray[np.bool_]) -> NDArray[np.float64]:
-    if shown.ndim == 2:
-        return mark_clipped(shown, clipped)
-    marked = shown.copy()
-    marked[clipped.any(axis=2)] = CLIPPED_COLOUR
-    return marked
-
-
-# Picture of the singular values of T: how low the rank of the light is.
-
-
-# Singular values that are drawn, if T has so many.
-_VALUES = 50
-
-
-def spectrum(transport: LightTransport) -> Mapping[str, NDArray[Any]]:
-    """The largest singular values of T, ``values``."""
-    return {"values": singular_values(transport, min(_VALUES, *transport.shape))}
-
-
-def show_spectrum(transport: LightTransport) -> Picture:
-    """Picture of the largest singular values of T, as shares of the largest."""
+def draw_spectrum(transport: LightTransport) -> Picture:
+    """The largest singular values of T, as shares of the largest."""
     values = spectrum(transport)["values"]
     shares = values / max(float(values[0]), np.finfo(float).tiny)
     with mpl.rc_context(STYLE):
@@ -257,3 +162,33 @@ def show_spectrum(transport: LightTransport) -> Picture:
         axes.set_ylabel("share of the largest")
         axes.grid(axis="y", color="0.92", linewidth=0.6)
     return drawing
+
+
+def draw_correspondence(transport: LightTransport) -> Picture:
+    """The projector pixel that each camera pixel sees most, and how much light comes from it."""
+    maps = correspondence_maps(correspondence(transport))
+    with mpl.rc_context(STYLE):
+        drawing = Picture(figsize=(10.2, 3.4), layout="constrained")
+        for number, (axes, shown) in enumerate(zip(drawing.subplots(1, 3), maps, strict=True)):
+            _draw_into(drawing, axes, shown)
+            # Lines of equal row or column, in eight bands, can be read without colour.
+            known = min(shown.values.shape) >= 2 and np.isfinite(shown.values).any()
+            if number < 2 and known:
+                levels = np.linspace(shown.low, shown.high, 9)[1:-1]
+                axes.contour(shown.shown, levels, colors="white", linewidths=0.5)
+    return drawing
+
+
+def draw_map(shown: Map) -> Picture:
+    """A map with its title and the scale of its colours."""
+    with mpl.rc_context(STYLE):
+        drawing = Picture(figsize=(4.4, 3.6), layout="constrained")
+        _draw_into(drawing, drawing.subplots(), shown)
+    return drawing
+
+
+def _draw_into(drawing: Figure, axes: Axes, shown: Map) -> None:
+    options = {"cmap": shown.colour_map, "norm": shown.norm, "vmin": None, "vmax": None}
+    drawn = panel(axes, shown.shown, shown.title, **options)
+    # The colour bar is as high as the map, whatever the frame's shape.
+    drawing.colorbar(drawn, cax=axes.inset_axes((1.03, 0, 0.05, 1)), label=shown.label)

@@ -18,8 +18,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lightmatrix.capture.decoding import read_white_frame
 from lightmatrix.capture.exposures import USUAL_NOISE, exposure_sequence
+from lightmatrix.capture.folder import read_white_frame
 from lightmatrix.capture.settings import ReadSettings
 from lightmatrix.errors import InputError
 from lightmatrix.patterns.making import make_patterns

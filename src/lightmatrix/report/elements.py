@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from lightmatrix.files.images import encode_image, read_image
 from lightmatrix.patterns.pattern_set import block_mean
 from lightmatrix.pictures.maps import Map
-from lightmatrix.pictures.style import display
+from lightmatrix.pictures.style import display, white_level
 from lightmatrix.pictures.transport import FAINT
 
 
@@ -141,9 +141,6 @@ THUMB_PIXELS = 72
 # Photographs of up to this many pixels a side are stored without loss: single pixels are visible on
 # the page, and noise does not make the file large.
 MOST_LOSSLESS = 128
-# This share of a picture's pixels, the brightest, is shown as white. Chosen by eye: highlights must
-# not make everything else dark.
-_GLINTS = 0.005
 # The scale of a difference holds this share of its pixels. Chosen by eye.
 _SCALED = 0.99
 # WebP quality of images with and without loss. Chosen by eye and by file size.
@@ -176,7 +173,7 @@ def photograph(
     *, white: float | None = None, most: int = MOST_PIXELS, exact: bool = False,
 ) -> Image:  # fmt: skip
     """A linear image (rows, cols[, 3]) with gamma 2.2 and a longer side of `most` pixels."""
-    level = float(np.quantile(light, 1 - _GLINTS)) if white is None else white
+    level = white_level(light) if white is None else white
     shown = display(_shrink(np.asarray(light, float), most, "mean"), level)
     small = max(shown.shape[:2]) <= MOST_LOSSLESS
     return _image(_bytes(shown), alternative, title, caption, exact=exact and small)

@@ -16,17 +16,18 @@ from numpy.typing import NDArray
 from lightmatrix.errors import InputError
 from lightmatrix.files.colours import holds_colour
 from lightmatrix.files.images import fill_image
-from lightmatrix.files.kinds import IMAGE, NUMBERS, NUMBERS_MARK, PICTURES, FileKind
+from lightmatrix.files.kinds import IMAGE, NUMBERS, NUMBERS_MARK, PICTURES
 from lightmatrix.files.writing import atomic_file, atomic_folder, check_output
 from lightmatrix.geometry.rig_geometry import RigGeometry
-from lightmatrix.pictures import diagnostics, maps
+from lightmatrix.pictures import maps
 from lightmatrix.pictures.transport import (
-    DPI,
     Picture,
-    show_column,
-    show_dual,
-    show_row,
-    show_spectrum,
+    draw_column,
+    draw_correspondence,
+    draw_dual,
+    draw_map,
+    draw_row,
+    draw_spectrum,
     spectrum,
 )
 from lightmatrix.shape.shape import Shape, depth_map, normals_picture
@@ -37,8 +38,6 @@ from lightmatrix.transport.matrix import ColourTransport, LightTransport
 from lightmatrix.transport.store import open_colour
 
 Numbers = Mapping[str, NDArray[Any]]
-# Format version of the .npz files.
-_VERSION = 1
 
 
 @dataclass(frozen=True)
@@ -52,8 +51,14 @@ class _View:
     of_shape: bool = False
 
 
-def _values(make: Callable[[LightTransport], maps.Map]) -> Callable[[LightTransport], Numbers]:
-    return lambda transport: {"values": make(transport).values}
+def _of_map(make: Callable[[Any], maps.Map], needs: str = "", of_shape: bool = False) -> _View:
+    """The view of a map over the camera."""
+    return _View(
+        lambda shown: draw_map(make(shown)),
+        lambda shown: {"values": make(shown).values},
+        needs,
+        of_shape,
+    )
 
 
 def _correspondence(transport: LightTransport) -> Numbers:
@@ -61,29 +66,17 @@ def _correspondence(transport: LightTransport) -> Numbers:
     return {"pixel": matches.pixel, "place": matches.place, "confidence": matches.confidence}
 
 
-def _depth(shape: Shape) -> maps.Map:
-    return depth_map(shape.depth, shape.geometry.units)
-
-
 VIEWS: dict[str, _View] = {
-    "row": _View(show_row, lambda transport, *index: {"values": transport.row(*index)}),
-    "column": _View(show_column, lambda transport, *index: {"values": transport.column(*index)}),
-    "dual": _View(show_dual, lambda transport: {"values": transport.dual_image()}),
-    "correspondence": _View(diagnostics.show_correspondence, _correspondence),
-    "spectrum": _View(show_spectrum, spectrum),
-    "clipping": _View(diagnostics.show_clipping, _values(maps.clipping_map), needs="clipped_share"),
-    "gap": _View(diagnostics.show_gaps, _values(maps.gap_map), needs="gap"),
-    "footprint": _View(diagnostics.show_footprints, _values(maps.footprint_map), needs="footprint"),
-    "estimated-error": _View(
-        diagnostics.show_estimated_errors,
-        _values(maps.estimated_error_map),
-        needs="estimated_error",
-    ),
-    "depth": _View(
-        lambda shape: diagnostics.draw(_depth(shape)),
-        lambda shape: {"values": shape.depth},
-        of_shape=True,
-    ),
+    "row": _View(draw_row, lambda transport, *index: {"values": transport.row(*index)}),
+    "column": _View(draw_column, lambda transport, *index: {"values": transport.column(*index)}),
+    "dual": _View(draw_dual, lambda transport: {"values": transport.dual_image()}),
+    "correspondence": _View(draw_correspondence, _correspondence),
+    "spectrum": _View(draw_spectrum, spectrum),
+    "clipping": _of_map(maps.clipping_map, "clipped_share"),
+    "gap": _of_map(maps.gap_map, "gap"),
+    "footprint": _of_map(maps.footprint_map, "footprint"),
+    "estimated-error": _of_map(maps.estimated_error_map, "estimated_error"),
+    "depth": _of_map(lambda shape: depth_map(shape.depth, shape.geometry.units), of_shape=True),
     "normals": _View(
         lambda shape: normals_picture(shape.camera_normals),
         lambda shape: {"values": shape.normals},
@@ -173,7 +166,8 @@ def show(
         )
     if output is not None:
         _check_format(view, Path(output), raw)
-        check_output(output, _kind(output), overwrite=overwrite)
+        kind = NUMBERS if Path(output).suffix.lower() == ".npz" else IMAGE
+        check_output(output, kind, overwrite=overwrite)
     matrix = _opened(transport, view)
     shown = matrix if geometry is None else triangulate(matrix, geometry)
     drawing = VIEWS[view].picture(shown, *index)
@@ -233,14 +227,9 @@ def write_pictures(
         for name in _OVERVIEW:
             view = VIEWS[name]
             if not view.needs or maps.has_diagnostic(matrix, view.needs):
-                _save(view.picture(matrix), part / f"{name}.png")
+                view.picture(matrix).draw_file(part / f"{name}.png")
                 written.append(Path(folder) / f"{name}.png")
     return written
-
-
-def _kind(output: str | Path) -> FileKind:
-    """The kind of output that a path names by its suffix."""
-    return NUMBERS if Path(output).suffix.lower() == ".npz" else IMAGE
 
 
 def _check_format(view: str, output: Path, raw: bool) -> None:
@@ -271,8 +260,8 @@ def _write(
     if suffix == ".npz":
         numbers = VIEWS[view].numbers(shown, *index)
         with atomic_file(output, NUMBERS, overwrite=overwrite) as part, part.open("wb") as stream:
-            # The mark comes first, so that even a truncated file is recognised.
-            marked: dict[str, Any] = {NUMBERS_MARK: np.array(_VERSION), **numbers}
+            # The mark and format version come first: even a truncated file is recognised.
+            marked: dict[str, Any] = {NUMBERS_MARK: np.array(1), **numbers}
             np.savez_compressed(stream, **marked)
     elif suffix != ".png":
         values = VIEWS[view].numbers(shown, *index)["values"]
@@ -284,8 +273,4 @@ def _write(
             if raw and isinstance(shown, LightTransport):
                 fill_image(part, correspondence(shown).levels())
             else:
-                _save(drawing, part)
-
-
-def _save(drawing: Picture, file: Path) -> None:
-    drawing.savefig(file, facecolor="white", dpi=DPI)
+                drawing.draw_file(part)

@@ -34,17 +34,26 @@ def check_disk_space(folder: Path, needed: int, output: str | Path, words: str =
         )
 
 
-def scratch_array(shape: tuple[int, ...], dtype: np.dtype[Any]) -> NDArray[Any]:
-    """An array without values; above 2 GiB in a temporary file that vanishes with it."""
+def scratch_array(
+    shape: tuple[int, ...],
+    dtype: np.dtype[Any],
+    memory: int | None = None,
+    folder: Path | None = None,
+) -> NDArray[Any]:
+    """An array without values; if large, in a temporary file that vanishes with it.
+
+    `memory` are the bytes from which on it is large (None: 2 GiB). The file is in `folder` (None:
+    the one for temporary files).
+    """
     size = math.prod(shape) * dtype.itemsize
-    if size <= SCRATCH_MEMORY_BYTES:
+    if size <= (SCRATCH_MEMORY_BYTES if memory is None else memory):
         return np.empty(shape, dtype)
-    place = tempfile.gettempdir()
+    place = str(folder or tempfile.gettempdir())
     try:
         free = shutil.disk_usage(place).free
         if free < size:
-            raise _too_small(place, size, f"{_gigabytes(free)} free")
-        with tempfile.TemporaryFile() as file:
+            raise OSError(f"{free / 2**30:.1f} GiB free")
+        with tempfile.TemporaryFile(dir=place) as file:
             # A hole in the file would kill the process when the disk is full at its first use.
             if hasattr(os, "posix_fallocate"):
                 os.posix_fallocate(file.fileno(), 0, size)
@@ -53,15 +62,13 @@ def scratch_array(shape: tuple[int, ...], dtype: np.dtype[Any]) -> NDArray[Any]:
             # The mapping keeps the unnamed file alive.
             return np.memmap(file, dtype, "r+", shape=shape)
     except OSError as error:
-        raise _too_small(place, size, error.strerror or str(error)) from error
-
-
-def _too_small(place: str, size: int, problem: str) -> OutputError:
-    return OutputError(
-        f"{place}: no space for {_gigabytes(size)} of temporary data ({problem})",
-        hint="set TMPDIR to a folder with more space, or bin the camera's pixels",
-    )
-
-
-def _gigabytes(size: int) -> str:
-    return f"{size / 2**30:.1f} GiB"
+        other = (
+            "choose a folder on another disk"
+            if folder
+            else "set TMPDIR to a folder with more space"
+        )
+        raise OutputError(
+            f"{place}: no space for {size / 2**30:.1f} GiB of temporary data "
+            f"({error.strerror or error})",
+            hint=f"{other}, or bin the camera's pixels",
+        ) from error

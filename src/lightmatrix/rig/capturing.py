@@ -17,13 +17,15 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lightmatrix.capture.camera_curve import Response, curve_file
 from lightmatrix.capture.capture import Capture
 from lightmatrix.capture.exposures import exposure_sequence
+from lightmatrix.capture.folder import write_capture
+from lightmatrix.capture.sensor import Sensor
 from lightmatrix.errors import DeviceError, InputError, warn
 from lightmatrix.estimators.estimate import estimate
+from lightmatrix.files.images import is_grey
 from lightmatrix.files.kinds import LIVE_CAPTURE
 from lightmatrix.files.writing import claimed
 from lightmatrix.judgement.judgement import OwnError, percent
@@ -32,12 +34,10 @@ from lightmatrix.patterns.folder import read_patterns
 from lightmatrix.patterns.making import make_patterns
 from lightmatrix.patterns.pattern_set import PatternSet
 from lightmatrix.rig.devices.base import exposure_limits
-from lightmatrix.rig.photograph import Photographer
-from lightmatrix.rig.record import CaptureFacts, CaptureRecord
-from lightmatrix.rig.references import Drift, References, measure_drift, take_references
+from lightmatrix.rig.photograph import Drift, Photographer, measure_drift, take_references
 from lightmatrix.rig.rig import ProjectedPatterns, Rig
 from lightmatrix.rig.rig_measurements import PARTS, RigMeasurements, measure_rig, outdated_parts
-from lightmatrix.rig.session import CaptureSession, Step
+from lightmatrix.rig.session import CaptureRecord, CaptureSession, Step
 from lightmatrix.transport.matrix import LightTransport, prediction_error
 
 USUAL_COUNT = 64
@@ -301,18 +301,20 @@ def take_capture(
         }
         with CaptureRecord.open(target, wanted, overwrite=overwrite) as record:
             session = _begin(rig, record, patterns, known, settings, progress)
-            write_extras = _extras_writer(rig, float(session.exposures.max()), settings)
+
+            def estimate_so_far() -> LightTransport:
+                with TemporaryDirectory(prefix="lightmatrix-") as folder:
+                    so_far = Path(folder) / "capture"
+                    _write(so_far, session, known, settings)
+                    # The session has judged each frame.
+                    return estimate(Capture.open(so_far), check=False)
+
+            outcome = None
             if settings.until is None:
-                outcome = None
                 session.run()
             else:
-
-                def estimated() -> LightTransport:
-                    return _estimate_so_far(session, known, settings, write_extras)
-
-                outcome = photograph_until(session, parse_until(settings.until), estimated)
-            facts = _facts(session, known, settings, outcome)
-            record.write(target, patterns, facts, write_extras, overwrite=overwrite)
+                outcome = photograph_until(session, parse_until(settings.until), estimate_so_far)
+            _write(target, session, known, settings, outcome, overwrite=overwrite)
             record.discard()
     _warn(record, known, settings.response)
     return Capture.open(output)
@@ -350,11 +352,30 @@ def _begin(
     """A session with its references; refuses a rig that has changed since the frames so far."""
     assert known.settle is not None
     projected = ProjectedPatterns(patterns, rig.projector.shape, settings.cell, known.response)
-    seconds = _exposures(record, patterns, settings.exposure, known)
+    if record.state.exposures:
+        seconds = np.array(record.state.exposures)
+    else:
+        if settings.exposure is not None:
+            seconds = np.full(patterns.count, settings.exposure)
+        else:
+            assert known.exposure is not None
+            advised = known.exposure.seconds
+            shares = [(each, 1 / len(advised)) for each in advised]
+            seconds = np.broadcast_to(exposure_sequence(shares, patterns), patterns.count).copy()
+        record.state.exposures = [float(each) for each in seconds]
+        record.save()
     photographer = Photographer(rig, known.settle.seconds)
     references = rig.persistently(lambda: take_references(photographer, seconds))
     photographer.changing = references.black.changing
-    _check_unchanged(record, references)
+    black, white = record.read_image(_BLACK), record.read_image(_WHITE)
+    if black is None or white is None or not record.state.frames:
+        record.keep_image(_BLACK, references.black.without_noise)
+        record.keep_image(_WHITE, references.white.mean)
+    elif (warning := measure_drift(references, white, black).warning()) is not None:
+        raise DeviceError(
+            f"since the first {len(record.state.frames)} frames were taken: {warning}",
+            hint="put the rig back as it was, or begin anew: overwrite=True",
+        )
     return CaptureSession(
         photographer,
         record,
@@ -368,116 +389,78 @@ def _begin(
     )
 
 
-def _exposures(
-    record: CaptureRecord, patterns: PatternSet, exposure: float | None, known: RigMeasurements
-) -> NDArray[np.float64]:
-    """Seconds of each frame: those of the record, the one asked for, or those advised."""
-    if record.state.exposures:
-        return np.array(record.state.exposures)
-    if exposure is not None:
-        seconds = np.full(patterns.count, exposure)
-    else:
-        assert known.exposure is not None
-        advised = known.exposure.seconds
-        shares = [(each, 1 / len(advised)) for each in advised]
-        seconds = np.broadcast_to(exposure_sequence(shares, patterns), patterns.count).copy()
-    record.state.exposures = [float(each) for each in seconds]
-    record.save()
-    return seconds
-
-
-def _check_unchanged(record: CaptureRecord, now: References) -> None:
-    """Refuse to go on with a capture if the rig or the scene has changed."""
-    black, white = record.read_image(_BLACK), record.read_image(_WHITE)
-    if black is None or white is None or not record.state.frames:
-        record.keep_image(_BLACK, now.black.without_noise)
-        record.keep_image(_WHITE, now.white.mean)
-        return
-    warning = measure_drift(now, white, black).warning()
-    if warning is not None:
-        raise DeviceError(
-            f"since the first {len(record.state.frames)} frames were taken: {warning}",
-            hint="put the rig back as it was, or begin anew: overwrite=True",
-        )
-
-
-def _estimate_so_far(
-    session: CaptureSession,
-    known: RigMeasurements,
-    settings: CaptureSettings,
-    write_extras: Callable[[Path], None],
-) -> LightTransport:
-    """The estimate from the frames of a session so far."""
-    with TemporaryDirectory(prefix="lightmatrix-") as folder:
-        capture = Path(folder) / "capture"
-        facts = _facts(session, known, settings)
-        session.record.write(capture, session.patterns, facts, write_extras)
-        # The session has judged each frame.
-        return estimate(Capture.open(capture), check=False)
-
-
-def _facts(
+def _write(
+    folder: Path,
     session: CaptureSession,
     known: RigMeasurements,
     settings: CaptureSettings,
     outcome: Outcome | None = None,
-) -> CaptureFacts:
-    record, references = session.record, session.references
-    state, count = record.state, session.patterns.count
-    if len(state.frames) < 2:
+    *,
+    overwrite: bool = False,
+) -> None:
+    """Make a capture folder of the frames that a session has so far."""
+    record, references, patterns = session.record, session.references, session.patterns
+    state, longest = record.state, float(session.exposures.max())
+    numbers = sorted(state.frames)
+    if len(numbers) < 2:
         raise DeviceError(
-            f"only {len(state.frames)} of {count} patterns could be photographed",
+            f"only {len(numbers)} of {patterns.count} patterns could be photographed",
             hint=f"the last trouble: {next(iter(state.unmended.values()), 'none')}",
         )
-    longest = float(session.exposures.max())
-    black = record.read_image(_BLACK)
+    # Exposures are relative to the longest, without the digits that cameras round differently.
+    exposures = np.round([state.frames[k].exposure / longest for k in numbers], 9)
+    black, frame = record.read_image(_BLACK), record.read(numbers[0])
     assert black is not None
+    assert frame is not None
+    black = black.astype(np.float32)
+    images = (record.read(k) for k in numbers)
+    if frame.ndim == 3 and all(image is not None and is_grey(image) for image in images):
+        # Readers take files with three equal channels for grey images.
+        black = black.mean(axis=2)
     curve = curve_file(settings.response)
     provenance: dict[str, Any] = {
         "rig": {"projector": dict(known.projector), "camera": dict(known.camera)},
         "exposure_1_in_seconds": longest,
         "settle_seconds": None if known.settle is None else known.settle.seconds,
         "cell": settings.cell,
-        "frames": len(state.frames),
-        "patterns": count,
+        "frames": len(numbers),
+        "patterns": patterns.count,
         "checks": dict(Counter(frame.check for frame in state.frames.values())),
         "photographed_again": dict(state.faults),
         "left_out": {str(k): reason for k, reason in state.unmended.items()},
         "drift": state.drift,
         "until": None if outcome is None else asdict(outcome),
     }
-    exposures = np.array([state.frames[k].exposure for k in sorted(state.frames)])
-    return CaptureFacts(
-        _relative(exposures, longest),
-        black.astype(np.float32),
-        float(_relative(np.array(references.black.exposure), longest)),
-        references.white.clip_level,
-        0.0 if known.exposure is None else known.exposure.pedestal,
-        settings.response if curve is None else f"curve:{Path(curve).name}",
-        provenance,
-    )
 
-
-def _relative(seconds: NDArray[np.float64], longest: float) -> NDArray[np.float64]:
-    """Exposures relative to the longest, without digits that cameras round differently."""
-    return np.round(seconds / longest, 9)
-
-
-def _extras_writer(rig: Rig, longest: float, settings: CaptureSettings) -> Callable[[Path], None]:
-    """A function that adds the response curve, and a virtual rig's true T, to a capture folder."""
-    curve = curve_file(settings.response)
-
-    def write(folder: Path) -> None:
+    def write_extras(folder: Path) -> None:
+        """Add the response curve, and a virtual rig's true T."""
         if curve is not None:
             shutil.copyfile(curve, folder / Path(curve).name)
+        rig = session.photographer.rig
         if rig.truth is not None and settings.cell == 1:
-            # The capture's exposure 1 is its longest exposure.
             scale = np.float32(longest / rig.unit)
             matrix = rig.truth.with_data(rig.truth.matrix.data * scale)
             direct = rig.truth.direct_data * scale
             replace(rig.truth, matrix=matrix, direct_data=direct).save_beside(folder)
 
-    return write
+    write_capture(
+        folder,
+        patterns if len(numbers) == patterns.count else patterns.subset(np.array(numbers)),
+        (record.file(k) for k in numbers),
+        sensor=Sensor(
+            float(exposures[0]) if np.ptp(exposures) == 0 else exposures,
+            black_level=0.0 if known.exposure is None else known.exposure.pedestal,
+            bits=8 if frame.dtype == np.uint8 else 16,
+            clip=references.white.clip_level,
+        ),
+        camera_shape=black.shape,
+        black=black,
+        black_exposure=float(np.round(references.black.exposure / longest, 9)),
+        response=settings.response if curve is None else f"curve:{Path(curve).name}",
+        provenance=provenance,
+        write_extras=write_extras,
+        overwrite=overwrite,
+    )
 
 
 def _warn(record: CaptureRecord, known: RigMeasurements, response: str) -> None:

@@ -36,7 +36,7 @@ from lightmatrix.rig.photograph import MEDIAN_TO_DEVIATION
 class _Tolerances:
     """When a frame is doubted, and when it is certain that something is wrong with it.
 
-    Chosen by `python -m tests.live.rig_mixtures`, which measures what passes.
+    Chosen by `python -m tests.rig.rig_mixtures`, which measures what passes.
     """
 
     # Up to so many standard errors of a share it may be none at all; beyond the second number it is

@@ -22,8 +22,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lightmatrix.errors import FrameTimeoutError, InputError
-from lightmatrix.files.json_files import read_json
 from lightmatrix.files.kinds import RIG, RIG_FORMAT
+from lightmatrix.files.reading import read_json
 from lightmatrix.files.writing import atomic_file
 from lightmatrix.patterns.projector_curve import ProjectorResponse
 from lightmatrix.planning.exposure_advice import (

@@ -1,36 +1,190 @@
 """The session loop: shows patterns, photographs them, judges the frames, and repeats bad ones.
 
-A frame is kept only if it can be right (`frames.photograph`). It is trusted only if one of two
-things holds:
+A frame is kept only if it can be right (`photograph`). It is trusted only if one of two things
+holds:
 
-- It meets what the other frames predict for its pattern (`frames.pattern_match`), and nothing of
-  the image shown before is in it. The prediction excludes that, or a photograph straight after it
-  agrees: an image that came within the exposure is complete by then.
+- It meets what the other frames predict for its pattern (`pattern_match`), and nothing of the image
+  shown before is in it. The prediction excludes that, or a photograph straight after it agrees: an
+  image that came within the exposure is complete by then.
 - It agrees with a second photograph before which something else was shown, so that no late image
-  can be in both (`frames.same_light`).
+  can be in both (`References.agree`).
+
+While a capture is taken, `<output>.partial` holds the frames as image files, and `session.json`,
+which describes them. A session that was stopped, however that happened, goes on there.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+import json
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
-from lightmatrix.errors import DeviceError
+from lightmatrix.errors import DeviceError, InputError
+from lightmatrix.files.images import fill_image, read_image
+from lightmatrix.files.kinds import PARTIAL
+from lightmatrix.files.running import RunningResults
 from lightmatrix.patterns.pattern_set import PatternSet
+from lightmatrix.reprs import jsonable
 from lightmatrix.rig.pattern_match import PatternMatcher, choose_samples
 from lightmatrix.rig.photograph import (
     TRIES,
+    Drift,
     Photographer,
+    References,
     Shot,
     UntrustedFrameError,
+    measure_drift,
     plain_images,
     take_average,
 )
-from lightmatrix.rig.record import CaptureRecord, FrameRecord
-from lightmatrix.rig.references import Drift, References, measure_drift
+
+_STATE = "session.json"
+
+
+@dataclass
+class FrameRecord:
+    """What is known of a frame."""
+
+    # Seconds, as the camera reported them.
+    exposure: float
+    # The camera's number of the frame.
+    id: int
+    # Seconds from the pattern being shown to the start of the exposure.
+    delay: float
+    # Number of the pattern shown before it; -1 for black, -2 for white.
+    before: int
+    # Photographs that were taken for it.
+    tries: int
+    # Whether it meets what the other frames predict, agrees with a second photograph, or has not
+    # been checked yet. One of "matched", "confirmed", "unchecked".
+    check: str
+    # Whether a photograph straight after it agrees: no image came within its exposure.
+    still: bool = False
+
+
+@dataclass
+class SessionState:
+    """What is known of all frames, JSON-ready."""
+
+    # Number of a pattern -> its frame's record.
+    frames: dict[int, FrameRecord] = field(default_factory=dict)
+    # Reason for repeating photographs -> how often.
+    faults: dict[str, int] = field(default_factory=dict)
+    # Number of a pattern that was given up -> why.
+    unmended: dict[int, str] = field(default_factory=dict)
+    # For each look at the references: frames taken before, gain, change, room.
+    drift: list[dict[str, float]] = field(default_factory=list)
+    # Seconds that each frame is asked for.
+    exposures: list[float] = field(default_factory=list)
+
+
+class CaptureRecord:
+    """The running results of a capture, which an exception leaves for the next run."""
+
+    def __init__(
+        self, target: Path, results: RunningResults, wanted: Mapping[str, Any], state: SessionState
+    ) -> None:
+        self._target, self._results, self._wanted, self.state = target, results, wanted, state
+
+    @classmethod
+    def open(
+        cls, target: Path, wanted: Mapping[str, Any], *, overwrite: bool = False
+    ) -> CaptureRecord:
+        """Begin, or go on with, the capture of an output that `claimed` yielded.
+
+        `wanted` is everything that frames depend on, JSON-ready. Frames under other settings are an
+        OutputError, or are discarded with `overwrite`.
+        """
+        settings = json.loads(json.dumps(dict(wanted), default=jsonable))
+        results = RunningResults.resume(
+            target,
+            PARTIAL,
+            settings,
+            file=_STATE,
+            key="wanted",
+            contents="frames of another capture",
+            overwrite=overwrite,
+        )
+        content = results.read_object(_STATE)
+        if content is None:
+            return cls(target, results, settings, SessionState())
+        state = SessionState(
+            {int(k): FrameRecord(**frame) for k, frame in content["frames"].items()},
+            dict(content["faults"]),
+            {},
+            list(content["drift"]),
+            [float(each) for each in content["exposures"]],
+        )
+        record = cls(target, results, settings, state)
+        # Frames that were lost or damaged since are taken again.
+        for k in [k for k in state.frames if record.read(k) is None]:
+            del state.frames[k]
+        return record
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
+        if kind is not None and not self.state.frames:
+            self._results.discard()
+
+    def keep(self, frame: int, data: NDArray[Any], record: FrameRecord) -> None:
+        """Write a frame whole or not at all, and its record."""
+        self.state.frames.pop(frame, None)
+        self.keep_image(_name(frame), data)
+        self.state.frames[frame] = record
+        self.state.unmended.pop(frame, None)
+        self.save()
+
+    def give_up(self, frame: int, reason: str) -> None:
+        """Note why there is no frame of a pattern."""
+        self.state.unmended[frame] = reason
+        self.state.frames.pop(frame, None)
+        self.save()
+
+    def read(self, frame: int) -> NDArray[Any] | None:
+        """A frame that was kept; None if there is none that can be read."""
+        return self.read_image(_name(frame))
+
+    def keep_image(self, name: str, data: NDArray[Any]) -> None:
+        """Keep another image, such as a reference, under a name of its own."""
+        with self._results.keep(name) as part:
+            fill_image(part, data)
+
+    def read_image(self, name: str) -> NDArray[Any] | None:
+        """The image that was kept under a name; None if it is missing or damaged."""
+        if not self._results.has(name):
+            return None
+        try:
+            return read_image(self._results.file(name))
+        except InputError:
+            return None
+
+    def save(self) -> None:
+        """Write what is known of the frames."""
+        content = {"format": "lightmatrix-session", "version": 1, "wanted": self._wanted}
+        text = json.dumps({**content, **asdict(self.state)})
+        with self._results.keep(_STATE) as part:
+            part.write_text(text + "\n")
+
+    def discard(self) -> None:
+        """Remove the record, once the capture is complete."""
+        self._results.discard()
+
+    def file(self, frame: int) -> Path:
+        """The file of a frame that was kept."""
+        return self._results.file(_name(frame))
+
+
+def _name(frame: int) -> str:
+    # PNG is not used: compressing the noise of a large frame takes longer than photographing it.
+    return f"image_{frame:04d}.tif"
+
 
 # Numbers for black and white images, which are shown between patterns.
 _BLACK, _WHITE = -1, -2

@@ -18,7 +18,6 @@ from scipy.io import savemat
 from scipy.sparse import coo_array, csr_array
 
 from lightmatrix.errors import InputError, OutputError
-from lightmatrix.files.json_files import parse_json
 from lightmatrix.files.kinds import (
     CORRESPONDENCE,
     CORRESPONDENCE_MARK,
@@ -29,6 +28,7 @@ from lightmatrix.files.kinds import (
     export_kind,
 )
 from lightmatrix.files.numpy_files import NpyHeader, read_npz
+from lightmatrix.files.reading import check_version, parse_json
 from lightmatrix.files.writing import atomic_file, check_output
 from lightmatrix.geometry.rig_geometry import RigGeometry, checked_fields
 from lightmatrix.transport.correspondence import Correspondence
@@ -215,12 +215,8 @@ def read_sparse_npz(path: str | Path) -> SparseFile:
     file = Path(path)
     content = read_npz(file, _check_sizes)
     for name in (TRANSPORT_MARK, TRUTH_MARK):
-        if name in content and _text(content[name]) != str(VERSION):
-            raise InputError(
-                f"{file}: has format version {_text(content[name])[:20]}, this lightmatrix reads "
-                f"{VERSION}",
-                hint="update lightmatrix",
-            )
+        if name in content:
+            _check_version(file, content[name])
     try:
         return _checked(file, content)
     except ValueError as error:
@@ -310,6 +306,10 @@ def _matrix(content: Mapping[str, NDArray[Any]], shape: tuple[int, int]) -> csr_
     return csr_array(coo_array((checked_float32(data, "data"), places), shape=shape))
 
 
+def _check_version(file: Path, stored: NDArray[Any]) -> None:
+    check_version(file, stored.item() if stored.size == 1 else None, VERSION)
+
+
 def _pair(value: NDArray[Any], name: str) -> tuple[int, int]:
     rows, cols = checked_shape(value, (2,), name)
     return rows, cols
@@ -390,12 +390,7 @@ def read_correspondence(path: str | Path) -> Correspondence:
     """
     file = Path(path)
     content = read_npz(file, _check_matches)
-    version = content[CORRESPONDENCE_MARK]
-    if version.shape or int(version) != VERSION:
-        raise InputError(
-            f"{file}: has format version {version}, this lightmatrix reads {VERSION}",
-            hint="update lightmatrix",
-        )
+    _check_version(file, content[CORRESPONDENCE_MARK])
     shape = content.get("projector_shape")
     return Correspondence(
         content["pixel"],

@@ -28,7 +28,6 @@ from lightmatrix.files.colours import COLOURS, colour_paths
 from lightmatrix.files.kinds import (
     COLOUR_STORES,
     CORRESPONDENCE_MARK,
-    PACKED_CAPTURE,
     PARTIAL,
     STORE,
     holds_member,
@@ -40,7 +39,7 @@ from lightmatrix.files.zarr_arrays import (
     HEADER,
     StoredArray,
     as_damage_error,
-    read_attributes,
+    read_group,
     write_parts,
 )
 from lightmatrix.resources.memory import check_memory
@@ -371,24 +370,8 @@ class StoredTransport(TransportOperator):
                     hint="run the same `lightmatrix estimate` again; it continues where it stopped",
                 )
             raise InputError(f"{place}: no such file", hint="check the name")
-        attributes = read_attributes(place)
-        if attributes.get("format") != FORMAT:
-            output = attributes.get("output")
-            if isinstance(output, dict) and output.get("kind") == PACKED_CAPTURE.name:
-                raise InputError(
-                    f"{place}: is a {PACKED_CAPTURE.name}, not a {STORE.name}",
-                    hint="estimate one from it: lightmatrix estimate",
-                )
-            raise InputError(
-                f"{place}: is not a {STORE.name}", hint="give a .zarr folder from `estimate`"
-            )
-        # True and 1.0 equal 1, but are no versions.
-        if type(attributes.get("version")) is not int or attributes["version"] != VERSION:
-            raise InputError(
-                f"{place}: has format version {str(attributes.get('version'))[:20]}, this "
-                f"lightmatrix reads {VERSION}",
-                hint="update lightmatrix",
-            )
+        hint = "give a .zarr folder from `lightmatrix estimate`"
+        attributes = read_group(place, STORE.name, FORMAT, VERSION, hint)
         with as_damage_error(place, _RESTORE):
             camera = checked_shape(attributes["camera_shape"], (2, 3), "camera_shape")
             rows, cols = checked_shape(attributes["projector_shape"], (2,), "projector_shape")

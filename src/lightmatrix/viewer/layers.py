@@ -16,6 +16,7 @@ from scipy.sparse import csc_array
 from lightmatrix.errors import InputError
 from lightmatrix.geometry.rig_geometry import RigGeometry
 from lightmatrix.pictures import maps
+from lightmatrix.pictures.style import white_level
 from lightmatrix.shape.shape import depth_map
 from lightmatrix.shape.triangulation import triangulate
 from lightmatrix.transport.correspondence import Correspondence, correspondence
@@ -29,9 +30,6 @@ from lightmatrix.viewer.packed import halves, packed
 
 # Row indices below this number take two bytes.
 _SHORT_ROWS = 1 << 16
-# The page begins with an exposure that shows this share of the pixels of the white image as white.
-# Chosen by eye, as in `lightmatrix.pictures.transport`.
-_GLINTS = 0.005
 
 
 def matrix_size(samples: int, pixels: int, entries: int, cells: int) -> int:
@@ -63,12 +61,6 @@ def matrix_data(transport: LightTransport) -> bytes:
         "background": background.T,
     }
     return packed(header, arrays)
-
-
-def white_level(image: NDArray[Any]) -> float:
-    """The light that is shown as white: that of all but the brightest pixels."""
-    level = float(np.quantile(image, 1 - _GLINTS))
-    return level if level > 0 else 1.0
 
 
 # Colours of a scale that are sent. A map with fewer would show bands.

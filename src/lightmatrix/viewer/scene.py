@@ -13,6 +13,7 @@ from lightmatrix.capture.capture import Capture
 from lightmatrix.errors import InputError, LightMatrixError
 from lightmatrix.geometry.rig_geometry import RigGeometry
 from lightmatrix.patterns.pattern_set import PatternSet
+from lightmatrix.pictures.style import white_level
 from lightmatrix.transport import store as store
 from lightmatrix.transport.matrix import LightTransport
 from lightmatrix.transport.operator import TransportOperator
@@ -23,7 +24,6 @@ from lightmatrix.viewer.layers import (
     LayerSource,
     matrix_data,
     matrix_size,
-    white_level,
 )
 from lightmatrix.viewer.lights import CoarseLight, Light, MemoryLight, Progress, StoredLight
 from lightmatrix.viewer.messages import HEADER_BYTES

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager, suppress
+from collections.abc import Sequence
+from contextlib import suppress
 from typing import Any
 
 from lightmatrix.errors import DeviceError, FrameTimeoutError
@@ -28,8 +28,8 @@ class AravisCamera(GenICamCamera):
 
     def __init__(self, aravis: Any, error: Any, address: Address) -> None:
         super().__init__(address)
-        self._aravis, self._driver_error = aravis, error
-        self._refusals = (error,)
+        self._aravis = aravis
+        self._errors = self._refusals = (error,)
         self._gone = False
         # Aravis gives the camera back when its last reference ends. No local variable may refer to
         # it: the traceback of an error would keep it alive.
@@ -49,7 +49,7 @@ class AravisCamera(GenICamCamera):
         self._configure()
         if self._camera.is_gv_device():
             # A network that blocks large packets keeps its packet size.
-            with suppress(self._driver_error):
+            with suppress(*self._errors):
                 self._camera.gv_auto_packet_size()
         _, _, width, height = self._camera.get_region()
         self._set_shape(height, width)
@@ -102,7 +102,7 @@ class AravisCamera(GenICamCamera):
             return
         # A camera that is gone delays each command by seconds.
         if not self._gone:
-            with suppress(self._driver_error):
+            with suppress(*self._errors):
                 if self._stream is not None:
                     self._camera.stop_acquisition()
                 # A camera that waits for a trigger would seem dead to the next program.
@@ -194,21 +194,9 @@ class AravisCamera(GenICamCamera):
     def _has_short_ids(self) -> bool:
         if not self._camera.is_gv_device():
             return False
-        with suppress(self._driver_error):
+        with suppress(*self._errors):
             return not self._camera.get_device().get_boolean_feature_value("GevGVSPExtendedIDMode")
         return True
-
-    @contextmanager
-    def _talking(self, doing: str) -> Iterator[None]:
-        """Turn errors of Aravis into a DeviceError."""
-        self._check_open()
-        try:
-            yield
-        except self._driver_error as error:
-            raise self._error(
-                f"the camera cannot {doing} ({error.message})",
-                "check its cable and power, and whether another program has it",
-            ) from error
 
 
 def open_aravis(address: Address) -> AravisCamera:

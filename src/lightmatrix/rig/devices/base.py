@@ -8,7 +8,8 @@ from abc import ABC, abstractmethod
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Any, ClassVar, Protocol
+from importlib import import_module
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -110,6 +111,14 @@ def missing_extra(extra: str, what: str, *, system: str | None = None) -> Missin
     return MissingExtraError(f"{what} cannot be used, a package is not installed", hint=hint)
 
 
+def load(extra: str, what: str, *modules: str) -> list[Any]:
+    """Import the packages of a back end; a MissingExtraError says how to install them."""
+    try:
+        return [import_module(name) for name in modules]
+    except ImportError as error:
+        raise missing_extra(extra, what) from error
+
+
 def size_in_words(shape: tuple[int, ...]) -> str:
     """A shape with the width first, as monitors and cameras write it: "1024 x 768"."""
     return f"{shape[1]} x {shape[0]}"
@@ -150,30 +159,33 @@ class Frame:
     clip_level: float
 
 
-class Projector(Protocol):
-    """Shows one image at a time."""
+class Projector(ABC):
+    """Shows one image at a time; subclasses set the shape."""
+
+    _shape: tuple[int, int]
 
     @property
     def shape(self) -> tuple[int, int]:
         """Rows and columns of its pixels."""
+        return self._shape
 
+    @abstractmethod
     def info(self) -> dict[str, Any]:
         """JSON-ready facts: at least "name", "shape" and, where known, "refresh" in Hz."""
 
+    @abstractmethod
     def show(self, image: NDArray[np.uint8]) -> float:
         """Show an image (rows, cols) or (rows, cols, 3); return when (`time.monotonic`).
 
-        Raises
-        ------
-        InputError
-            If the image is not of the projector's shape.
-        DeviceError
-            If the projector is gone.
+        An InputError says that the image is not of the projector's shape, and a DeviceError that
+        the projector is gone.
         """
 
     def black(self) -> float:
         """Show no light; return when."""
+        return self.show(np.zeros(self.shape, np.uint8))
 
+    @abstractmethod
     def close(self) -> None:
         """Give the device back; may be called twice."""
 
@@ -188,74 +200,8 @@ def check_image(image: NDArray[np.uint8], shape: tuple[int, int]) -> None:
         )
 
 
-class Camera(Protocol):
-    """Takes photographs."""
-
-    @property
-    def exposure(self) -> float:
-        """Exposure time in seconds, read back from the camera."""
-
-    @exposure.setter
-    def exposure(self, seconds: float) -> None: ...
-
-    def info(self) -> dict[str, Any]:
-        """JSON-ready facts: at least "name", "shape" (rows, cols[, channels]) and "bits"."""
-
-    def get_image(self, timeout: float) -> Frame:
-        """The next frame that has not been handed out yet.
-
-        Parameters
-        ----------
-        timeout : float
-            Seconds to wait for it.
-
-        Raises
-        ------
-        FrameTimeoutError
-            If none arrives in time.
-        DeviceError
-            If the camera is gone.
-        """
-
-    def flush(self) -> None:
-        """Discard frames that were taken but not yet handed out."""
-
-    def trigger(self) -> None:
-        """Ask for one frame to be taken now; a free-running camera does nothing."""
-
-    def close(self) -> None:
-        """Give the device back; may be called twice."""
-
-
-def exposure_limits(camera: Camera) -> tuple[float, float]:
-    """The shortest and the longest exposure of a camera in seconds, as its `info()` states them.
-
-    A camera that states none is taken to expose for 0.1 ms to 1 s, which nearly all cameras can do.
-    More than 10 s are never used: measuring a rig would take hours.
-    """
-    info = camera.info()
-    shortest = float(info.get("shortest_exposure") or 1e-4)
-    return shortest, max(shortest, min(float(info.get("longest_exposure") or 1.0), 10.0))
-
-
-def same_exposure(one: float, other: float) -> bool:
-    """Whether two exposures differ by less than 0.1 %.
-
-    Cameras round what they are asked for, mostly to whole microseconds or lines.
-    """
-    return abs(one - other) <= 1e-3 * other
-
-
-def set_exposure(camera: Camera, seconds: float) -> float:
-    """Set the camera's nearest exposure, unless it is set already, and return what it is."""
-    wanted = float(np.clip(seconds, *exposure_limits(camera)))
-    if not same_exposure(camera.exposure, wanted):
-        camera.exposure = wanted
-    return camera.exposure
-
-
-class BaseCamera(ABC):
-    """A camera: subclasses have a kind, open the device and set the attributes below."""
+class Camera(ABC):
+    """Takes photographs. Subclasses have a kind, open the device and set the attributes below."""
 
     kind: ClassVar[str]
 
@@ -293,7 +239,7 @@ class BaseCamera(ABC):
         self._write_exposure(seconds)
 
     def info(self) -> dict[str, Any]:
-        """JSON-ready facts about the camera."""
+        """JSON-ready facts about the camera: its name, its shape (rows, cols[, channels]), ..."""
         stated = self._stated
         shortest, longest = self._exposure_range() if stated is None else (stated, stated)
         return {
@@ -310,7 +256,11 @@ class BaseCamera(ABC):
 
     @abstractmethod
     def get_image(self, timeout: float) -> Frame:
-        """The next frame; see `Camera`."""
+        """The next frame that has not been handed out yet.
+
+        A FrameTimeoutError says that none arrived within the timeout, in seconds, and a DeviceError
+        that the camera is gone.
+        """
 
     @abstractmethod
     def flush(self) -> None:
@@ -347,6 +297,33 @@ class BaseCamera(ABC):
     def _timeout(self, timeout: float, hint: str, reason: str = "") -> FrameTimeoutError:
         text = f"{self._address}: no frame within {timeout:g} s{reason}"
         return FrameTimeoutError(text, hint=hint)
+
+
+def exposure_limits(camera: Camera) -> tuple[float, float]:
+    """The shortest and the longest exposure of a camera in seconds, as its `info()` states them.
+
+    A camera that states none is taken to expose for 0.1 ms to 1 s, which nearly all cameras can do.
+    More than 10 s are never used: measuring a rig would take hours.
+    """
+    info = camera.info()
+    shortest = float(info.get("shortest_exposure") or 1e-4)
+    return shortest, max(shortest, min(float(info.get("longest_exposure") or 1.0), 10.0))
+
+
+def same_exposure(one: float, other: float) -> bool:
+    """Whether two exposures differ by less than 0.1 %.
+
+    Cameras round what they are asked for, mostly to whole microseconds or lines.
+    """
+    return abs(one - other) <= 1e-3 * other
+
+
+def set_exposure(camera: Camera, seconds: float) -> float:
+    """Set the camera's nearest exposure, unless it is set already, and return what it is."""
+    wanted = float(np.clip(seconds, *exposure_limits(camera)))
+    if not same_exposure(camera.exposure, wanted):
+        camera.exposure = wanted
+    return camera.exposure
 
 
 class FrameStamps:

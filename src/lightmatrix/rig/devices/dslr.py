@@ -19,16 +19,16 @@ from lightmatrix.files.images import READABLE, read_image
 from lightmatrix.rig.devices.base import (
     Address,
     AvailableDevice,
-    BaseCamera,
+    Camera,
     Frame,
-    missing_extra,
+    load,
 )
 
 # The setting that chooses where pictures are stored, and its value for the camera's own memory.
 _TARGET, _MEMORY = "capturetarget", "Internal RAM"
 
 
-class DSLRCamera(BaseCamera):
+class DSLRCamera(Camera):
     """A digital camera; made by `open_dslr`. Each frame is asked for by `trigger`."""
 
     kind = "dslr"
@@ -224,11 +224,7 @@ def find_dslr() -> list[AvailableDevice]:
 
 
 def _load() -> Any:
-    try:
-        import gphoto2
-    except ImportError as error:
-        raise missing_extra("dslr", "digital cameras through gphoto2") from error
-    return gphoto2
+    return load("dslr", "digital cameras through gphoto2", "gphoto2")[0]
 
 
 def _detected(gphoto2: Any, address: Address) -> list[tuple[str, str]]:

@@ -12,24 +12,26 @@ from numpy.typing import NDArray
 
 from lightmatrix.errors import DeviceError, InputError
 from lightmatrix.files.images import FORMATS, READABLE, read_image, write_image
-from lightmatrix.rig.devices.base import Address, BaseCamera, Frame, check_image, size_in_words
+from lightmatrix.rig.devices.base import (
+    Address,
+    Camera,
+    Frame,
+    Projector,
+    check_image,
+    size_in_words,
+)
 
 # The file that the other program watches.
 SHOWN = "shown.png"
 
 
-class FolderProjector:
+class FolderProjector(Projector):
     """Writes ``shown.png``, which is a complete image at any moment; made by `open_folder`."""
 
     def __init__(self, address: Address, folder: Path, shape: tuple[int, int]) -> None:
         self._address, self._folder, self._shape = address, folder, shape
         self._closed = False
         self.black()
-
-    @property
-    def shape(self) -> tuple[int, int]:
-        """Rows and columns, as the address states them."""
-        return self._shape
 
     def info(self) -> dict[str, Any]:
         """JSON-ready facts."""
@@ -51,10 +53,6 @@ class FolderProjector:
         write_image(self._folder / SHOWN, image, overwrite=True)
         return time.monotonic()
 
-    def black(self) -> float:
-        """Show no light; return when."""
-        return self.show(np.zeros(self._shape, np.uint8))
-
     def close(self) -> None:
         """Write no more; the last image stays."""
         self._closed = True
@@ -72,7 +70,7 @@ def open_folder(address: Address) -> FolderProjector:
     return FolderProjector(address, Path(address.argument), (int(size[2]), int(size[1])))
 
 
-class WatchedFolder(BaseCamera):
+class WatchedFolder(Camera):
     """Reads the files that appear in a folder; made by `open_watched`."""
 
     kind = "watch"

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from abc import abstractmethod
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any
 
@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lightmatrix.errors import DeviceError, FrameTimeoutError
-from lightmatrix.rig.devices.base import BaseCamera
+from lightmatrix.rig.devices.base import Camera
 
 
 @dataclass(frozen=True)
@@ -99,11 +99,27 @@ def choose_format(camera: str, offered: Sequence[str], wanted: str | None = None
 BUFFERS = 8
 
 
-class GenICamCamera(BaseCamera):
+class GenICamCamera(Camera):
     """A camera whose settings are GenICam features; options with a capital set them."""
 
-    # Exceptions of the driver when it refuses a feature's value.
+    # Exceptions of the driver: all, those for a time that is over, and those for a feature's value
+    # that it refuses.
+    _errors: tuple[type[Exception], ...]
+    _timeouts: tuple[type[Exception], ...] = ()
     _refusals: tuple[type[Exception], ...]
+    # The driver's own words for an error.
+    _reason: Callable[[Exception], str]
+    # Automatic exposure, gain and the like.
+    _switch_off_automatics: Callable[[], None]
+    _has_feature: Callable[[str], bool]
+    # By name and value.
+    _set_feature: Callable[[str, str], None]
+    _offered_formats: Callable[[], Sequence[str]]
+    _use_format: Callable[[PixelFormat], None]
+    _has_software_trigger: Callable[[], bool]
+    _trigger_sources: Callable[[], Sequence[str]]
+    # Trigger by a source of the camera; None lets it run freely.
+    _use_trigger: Callable[[str | None], None]
     # These hints tell the user where the camera lists its features, and their values.
     _features_hint: str
     _values_hint: str
@@ -153,6 +169,20 @@ class GenICamCamera(BaseCamera):
         self._use_trigger(source)
         return wanted
 
+    @contextmanager
+    def _talking(self, doing: str) -> Iterator[None]:
+        """Turn errors of the driver into a DeviceError, except timeouts."""
+        self._check_open()
+        try:
+            yield
+        except self._timeouts:
+            raise
+        except self._errors as error:
+            raise self._error(
+                f"the camera cannot {doing} ({self._reason(error)})",
+                "check its cable and power, and whether another program has it",
+            ) from error
+
     def _details(self) -> dict[str, Any]:
         return {"pixel_format": self._format.name}
 
@@ -161,33 +191,3 @@ class GenICamCamera(BaseCamera):
         if self._trigger in ("free", "software"):
             hint = self._silent_hint
         return self._timeout(timeout, hint)
-
-    @abstractmethod
-    def _switch_off_automatics(self) -> None:
-        """Switch off automatic exposure, gain and the like."""
-
-    @abstractmethod
-    def _has_feature(self, name: str) -> bool: ...
-
-    @abstractmethod
-    def _set_feature(self, name: str, value: str) -> None: ...
-
-    @abstractmethod
-    def _reason(self, error: Exception) -> str:
-        """The driver's own words for an error."""
-
-    @abstractmethod
-    def _offered_formats(self) -> Sequence[str]: ...
-
-    @abstractmethod
-    def _use_format(self, chosen: PixelFormat) -> None: ...
-
-    @abstractmethod
-    def _has_software_trigger(self) -> bool: ...
-
-    @abstractmethod
-    def _trigger_sources(self) -> Sequence[str]: ...
-
-    @abstractmethod
-    def _use_trigger(self, source: str | None) -> None:
-        """Trigger by a source of the camera; None lets it run freely."""

@@ -5,8 +5,8 @@ from __future__ import annotations
 import logging
 import os
 import time
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager, suppress
+from collections.abc import Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +16,7 @@ from lightmatrix.rig.devices.base import (
     AvailableDevice,
     Frame,
     FrameStamps,
-    missing_extra,
+    load,
 )
 from lightmatrix.rig.devices.genicam import BUFFERS, GenICamCamera, PixelFormat
 
@@ -36,7 +36,8 @@ class GenTLCamera(GenICamCamera):
 
     def __init__(self, gentl: Any, harvester: Any, address: Address) -> None:
         super().__init__(address)
-        self._gentl, self._harvester = gentl, harvester
+        self._harvester = harvester
+        self._errors, self._timeouts = (gentl.GenericException,), (gentl.TimeoutException,)
         self._acquirer: Any = None
         self._stamps = FrameStamps()
         try:
@@ -68,7 +69,7 @@ class GenTLCamera(GenICamCamera):
                 self._acquirer.fetch(timeout=max(0.001, timeout)) as buffer,
             ):
                 return self._frame(buffer)
-        except self._gentl.TimeoutException:
+        except self._timeouts:
             raise self._silent(timeout) from None
 
     def flush(self) -> None:
@@ -79,7 +80,7 @@ class GenTLCamera(GenICamCamera):
             try:
                 with self._talking("be flushed"), self._acquirer.fetch(timeout=0.001):
                     pass
-            except self._gentl.TimeoutException:
+            except self._timeouts:
                 return
 
     def trigger(self) -> None:
@@ -93,7 +94,7 @@ class GenTLCamera(GenICamCamera):
         """Stop the camera and give it back."""
         if self._closed:
             return
-        with suppress(self._gentl.GenericException):
+        with suppress(*self._errors):
             if self._acquirer is not None:
                 self._acquirer.destroy()
         self._harvester.reset()
@@ -118,7 +119,7 @@ class GenTLCamera(GenICamCamera):
         arrival = time.monotonic()
         stamp = None
         # Some producers do not date their frames.
-        with suppress(self._gentl.GenericException):
+        with suppress(*self._errors):
             stamp = buffer.module.timestamp_ns * 1e-9
         image = buffer.payload.components[0]
         # The data is copied because the buffer will hold another frame.
@@ -130,7 +131,7 @@ class GenTLCamera(GenICamCamera):
         for name in ("ExposureAuto", "GainAuto", "BlackLevelAuto", "BalanceWhiteAuto"):
             if (node := self._node(name)) is not None:
                 # Some cameras have the feature without the value Off.
-                with suppress(self._gentl.GenericException):
+                with suppress(*self._errors):
                     node.value = "Off"
 
     def _has_feature(self, name: str) -> bool:
@@ -169,22 +170,6 @@ class GenTLCamera(GenICamCamera):
         elif mode is not None:
             mode.value = "Off"
 
-    @contextmanager
-    def _talking(self, doing: str) -> Iterator[None]:
-        """Turn errors of the producer into a DeviceError, except timeouts."""
-        self._check_open()
-        try:
-            yield
-        except self._gentl.TimeoutException:
-            raise
-        except self._gentl.ResourceInUseException as error:
-            raise self._error("another program has the camera", "close it there") from error
-        except self._gentl.GenericException as error:
-            raise self._error(
-                f"the camera cannot {doing} ({_one_line(error)})",
-                "check its cable and power, and whether another program has it",
-            ) from error
-
 
 def open_gentl(address: Address) -> GenTLCamera:
     """Open a camera by its id, serial number or number in the list, or the first one.
@@ -211,15 +196,11 @@ def find_gentl() -> list[AvailableDevice]:
 
 
 def _harvester(address: Address) -> tuple[Any, Any]:
-    try:
-        from genicam import gentl
-        from harvesters.core import Harvester
-    except ImportError as error:
-        raise missing_extra("gentl", "cameras through GenTL") from error
+    gentl, harvesters = load("gentl", "cameras through GenTL", "genicam.gentl", "harvesters.core")
     producers = _producers(address)
     # Harvesters logs every error that it raises as well.
     logging.getLogger("harvesters").setLevel(logging.CRITICAL)
-    harvester = Harvester()
+    harvester = harvesters.Harvester()
     try:
         for producer in producers:
             harvester.add_file(str(producer), check_validity=True)

@@ -67,17 +67,9 @@ class BackEndStatus:
 
 
 def open_projector(address: str) -> Projector:
-    """Open a projector by its address.
+    """Open a projector by its address; close it in the end.
 
-    Parameters
-    ----------
-    address : str
-        KIND, KIND:ARGUMENT or KIND:ARGUMENT,option=value, as in ``window:1``.
-
-    Returns
-    -------
-    Projector
-        Close it in the end.
+    The address is KIND, KIND:ARGUMENT or KIND:ARGUMENT,option=value, as in ``window:1``.
 
     Raises
     ------
@@ -100,23 +92,9 @@ def open_projector(address: str) -> Projector:
 
 
 def open_camera(address: str) -> Camera:
-    """Open a camera by its address.
+    """Open a camera by its address, such as ``aravis:Basler-21,trigger=free,Gain=0``.
 
-    Parameters
-    ----------
-    address : str
-        KIND, KIND:ARGUMENT or KIND:ARGUMENT,option=value, as in
-        ``aravis:Basler-21,trigger=free,Gain=0``.
-
-    Returns
-    -------
-    Camera
-        Close it in the end.
-
-    Raises
-    ------
-    InputError, MissingExtraError, DeviceError
-        As `open_projector`.
+    Addresses and errors are as in `open_projector`.
 
     Examples
     --------

@@ -23,10 +23,10 @@ from lightmatrix.errors import DeviceError, InputError
 from lightmatrix.rig.devices.base import (
     Address,
     AvailableDevice,
-    BaseCamera,
+    Camera,
     Frame,
     FrameStamps,
-    missing_extra,
+    load,
 )
 
 # FFmpeg's input format on each system.
@@ -38,7 +38,7 @@ _FFMPEG_OPTIONS = (
 )  # fmt: skip
 
 
-class VideoCamera(BaseCamera):
+class VideoCamera(Camera):
     """A device that delivers frames by itself; made by `open_video`."""
 
     kind = "video"
@@ -153,7 +153,7 @@ def open_video(address: Address) -> VideoCamera:
             f"{address}: which video device?",
             hint="`lightmatrix rig list` names those that are found: video:/dev/video0",
         )
-    av = _load()
+    av = load("video", "video devices through PyAV", "av")[0]
     kind = address.options.get("format") or _SYSTEMS.get(sys.platform, "v4l2")
     options = {name: address.options[name] for name in _FFMPEG_OPTIONS if name in address.options}
     if "size" in address.options:
@@ -171,7 +171,7 @@ def open_video(address: Address) -> VideoCamera:
 
 def find_video() -> list[AvailableDevice]:
     """The video devices of Linux; other systems do not list theirs."""
-    _load()
+    load("video", "video devices through PyAV", "av")
     devices = []
     for entry in sorted(Path("/sys/class/video4linux").glob("video*")):
         # The device may be unplugged meanwhile.
@@ -181,14 +181,6 @@ def find_video() -> list[AvailableDevice]:
                 name = (entry / "name").read_text().strip()
                 devices.append(AvailableDevice(f"video:/dev/{entry.name}", name))
     return devices
-
-
-def _load() -> Any:
-    try:
-        import av
-    except ImportError as error:
-        raise missing_extra("video", "video devices through PyAV") from error
-    return av
 
 
 def _refusal(address: Address, error: OSError | ValueError) -> DeviceError:

@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lightmatrix.capture.sensor import Sensor
-from lightmatrix.errors import DeviceError, FrameTimeoutError, InputError
-from lightmatrix.rig.devices.base import Clock, Frame, check_image
+from lightmatrix.errors import DeviceError, InputError
+from lightmatrix.rig.devices.base import Address, Camera, Clock, Frame, Projector, check_image
 from lightmatrix.simulation.truth import Truth
 
 PREFIX = "virtual:"
@@ -168,17 +168,14 @@ class VirtualLight:
                 yield first, last, irradiance
 
 
-class VirtualProjector:
+class VirtualProjector(Projector):
     """The projector of a virtual rig; it changes the light that the camera photographs."""
 
     def __init__(self, light: VirtualLight, clock: Clock) -> None:
         self._light, self._clock = light, clock
+        self._shape = light.truth.projector_shape
         # The image that was asked for last; None once the projector is closed.
         self.image: NDArray[np.uint8] | None = np.zeros(self.shape, np.uint8)
-
-    @property
-    def shape(self) -> tuple[int, int]:
-        return self._light.truth.projector_shape
 
     def info(self) -> dict[str, Any]:
         return {
@@ -202,18 +199,21 @@ class VirtualProjector:
         self._light.change(swap + self._light.settings.delay * refresh, image)
         return self._clock.now()
 
-    def black(self) -> float:
-        return self.show(np.zeros(self.shape, np.uint8))
-
     def close(self) -> None:
         self.image = None
 
 
-class VirtualCamera:
+class VirtualCamera(Camera):
     """The camera of a virtual rig: free-running, with buffers that grow stale, or triggered."""
 
+    kind = "virtual"
+
     def __init__(self, light: VirtualLight, clock: Clock) -> None:
+        super().__init__(Address(self.kind, light.settings.scene))
         self._light, self._clock, self._settings = light, clock, light.settings
+        self._name, self._bits = str(self._address), light.settings.bits
+        self._shape = light.truth.camera_shape
+        self._trigger = "free" if light.settings.fps else "software"
         self._sensor = Sensor(
             black_level=self._settings.black,
             read_noise=self._settings.noise,
@@ -225,32 +225,17 @@ class VirtualCamera:
         self._waiting: deque[tuple[float, Frame]] = deque()
         # When a free-running camera begins its next exposure.
         self._next = clock.now()
-        self._closed = False
 
-    @property
-    def exposure(self) -> float:
+    def _exposure_range(self) -> tuple[float, float]:
+        return HARDWARE.shortest, HARDWARE.longest
+
+    def _read_exposure(self) -> float:
         self._check_open()
         return self._exposure
 
-    @exposure.setter
-    def exposure(self, seconds: float) -> None:
-        self._check_open()
-        if not HARDWARE.shortest <= seconds <= HARDWARE.longest:
-            raise InputError(
-                f"the virtual camera has no exposure of {seconds} s",
-                hint=f"use {HARDWARE.shortest:g} to {HARDWARE.longest:g} s",
-            )
+    def _write_exposure(self, seconds: float) -> None:
         self._run_until(self._clock.now())
         self._exposure = round(seconds / 1e-6) * 1e-6
-
-    def info(self) -> dict[str, Any]:
-        return {
-            "name": PREFIX + self._settings.scene,
-            "shape": list(self._light.truth.camera_shape),
-            "bits": self._settings.bits,
-            "shortest_exposure": HARDWARE.shortest,
-            "longest_exposure": HARDWARE.longest,
-        }
 
     def get_image(self, timeout: float) -> Frame:
         deadline = self._clock.now() + timeout
@@ -266,9 +251,7 @@ class VirtualCamera:
                 soon = self._next + self._exposure + HARDWARE.latency
             if soon > deadline:
                 self._clock.sleep(deadline - self._clock.now())
-                raise FrameTimeoutError(
-                    f"no frame within {timeout:g} s", hint="check the camera's cable and trigger"
-                )
+                raise self._timeout(timeout, "check the camera's cable and trigger")
             self._clock.sleep(soon - self._clock.now())
 
     def flush(self) -> None:
@@ -292,10 +275,6 @@ class VirtualCamera:
         self._waiting.clear()
         self._next = max(self._next, self._clock.now())
         return self
-
-    def _check_open(self) -> None:
-        if self._closed:
-            raise DeviceError("the virtual camera is closed", hint="open it again")
 
     def _run_until(self, now: float) -> None:
         """Take the frames of a free-running camera whose exposure has ended."""

@@ -18,8 +18,9 @@ from lightmatrix.errors import DeviceError, InputError
 from lightmatrix.rig.devices.base import (
     Address,
     AvailableDevice,
+    Projector,
     check_image,
-    missing_extra,
+    load,
     size_in_words,
 )
 
@@ -44,7 +45,7 @@ void main() {
 _windows = 0
 
 
-class WindowProjector:
+class WindowProjector(Projector):
     """A full-screen window, used only by the thread that made it (on macOS the main thread)."""
 
     def __init__(self, glfw: Any, moderngl: Any, monitor: Any, number: int, gamma: str) -> None:
@@ -84,11 +85,6 @@ class WindowProjector:
         }
         self.black()
 
-    @property
-    def shape(self) -> tuple[int, int]:
-        """Rows and columns of the monitor's current mode."""
-        return self._shape
-
     def info(self) -> dict[str, Any]:
         """JSON-ready facts."""
         return dict(self._info)
@@ -125,10 +121,6 @@ class WindowProjector:
                 hint="plug it in again, then run the same command again to go on",
             )
         return shown
-
-    def black(self) -> float:
-        """Show no light; return when."""
-        return self.show(np.zeros(self._shape, np.uint8))
 
     def close(self) -> None:
         """Close the window; the screen is as it was before."""
@@ -195,29 +187,22 @@ def find_windows() -> list[AvailableDevice]:
 
 
 def _load() -> tuple[Any, Any]:
-    try:
-        import glfw
-        import moderngl
-    except ImportError as error:
-        raise missing_extra("window", "a projector window") from error
+    glfw, moderngl = load("window", "a projector window", "glfw", "moderngl")
     # Otherwise GLFW only prints its errors.
     glfw.ERROR_REPORTING = "raise"
     return glfw, moderngl
 
 
 def _start(glfw: Any) -> None:
+    reason = "it does not say why"
     try:
-        started = glfw.init()
+        if glfw.init():
+            return
     except glfw.GLFWError as error:
-        raise _no_display(_text(error)) from error
-    if not started:
-        raise _no_display("it does not say why")
-
-
-def _no_display(reason: str) -> DeviceError:
+        reason = _text(error)
     if not os.environ.get("DISPLAY") and not os.environ.get("WAYLAND_DISPLAY"):
         reason += "; neither DISPLAY nor WAYLAND_DISPLAY is set"
-    return DeviceError(
+    raise DeviceError(
         f"no display to open a projector window on ({reason})",
         hint="run it in a desktop session; over ssh, set DISPLAY=:0 first",
     )
