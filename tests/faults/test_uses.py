@@ -5,12 +5,15 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
+import pytest
 from scipy.sparse import csr_array
 
-from ..case import Case, Limits, nothing
-from ..put import array, both
-from ..work import SHAPE, matrix, write_truth
+from .case import Case, bear
+from .put import array, both
+from .run import Limits
+from .work import SHAPE, matrix, write_truth
 
+NEEDS = ("scene.zarr", "T.npz", "shown.png", "capture")
 _NAN = np.full(SHAPE, 0.5, np.float32)
 _NAN[2, 3] = np.nan
 _PICTURES = both(
@@ -19,11 +22,9 @@ _PICTURES = both(
     array("dark.npy", np.zeros(SHAPE, np.float32)),
     array("bright.npy", np.full(SHAPE, 2, np.float32)),
 )
-NEEDS = ("scene.zarr", "T.npz", "shown.png", "capture")
 _SEPARATE = "separate T.npz -o new"
 _COMPENSATE = "compensate scene.zarr shown.png -o new.png"
 _CANCEL = "compensate T.npz --cancel-global -o new.png"
-_MIB = 1 << 20
 
 
 def _without_direct_light(folder: Path) -> None:
@@ -75,19 +76,23 @@ def _pictures() -> list[Case]:
     return [Case(name, line, words, _PICTURES) for name, (line, words) in lines.items()]
 
 
-def _memory() -> list[Case]:
-    return [
+CASES = [
+    *_matrices(),
+    *_pictures(),
+    *(
         Case(
             f"{room} MiB of memory: {line.split()[0]}",
             line,
             (),
-            nothing,
             code=(0, 2, 3),
-            limits=Limits(memory=room * _MIB),
+            limits=Limits(memory=room << 20),
         )
         for room in (8, 32)
         for line in (_SEPARATE, _COMPENSATE)
-    ]
+    ),
+]
 
 
-CASES = [*_matrices(), *_pictures(), *_memory()]
+@pytest.mark.parametrize("case", CASES, ids=str)
+def test_uses(case: Case, work: Path) -> None:
+    bear(case, work)

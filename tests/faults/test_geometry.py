@@ -6,14 +6,16 @@ import json
 from pathlib import Path
 
 import numpy as np
+import pytest
 
 import lightmatrix as lm
 from lightmatrix.capture.folder import write_capture
 
-from ..case import Case
-from ..checks import holds
-from ..put import copy, text
+from .case import Case, bear
+from .checks import holds
+from .put import copy, text
 
+NEEDS = ("capture", "lit", "scene.zarr", "holiday.jpg")
 TRIANGULATE = "triangulate scene.zarr --geometry rig.json -o new.ply"
 CALIBRATE = "calibrate {} --board 9x7 --square 24mm -o new.json"
 _MATRIX = [[10.0, 0.0, 3.5, 0.0], [0.0, 10.0, 3.5, 0.0], [0.0, 0.0, 1.0, 0.0]]
@@ -85,93 +87,55 @@ def _files() -> list[Case]:
 def _views() -> list[Case]:
     """The geometry in other commands; one of larger images is scaled."""
     other = text("rig.json", _geometry(camera_shape=[12, 10]))
+    twice = text("rig.json", _geometry(camera_shape=[16, 16], projector_shape=[16, 16]))
+    report = "estimate capture -o new.zarr --report new --geometry"
+    depth = "show scene.zarr --depth -o new.png"
     return [
-        Case(
-            "a geometry of images that are twice as large",
-            TRIANGULATE,
-            prepare=text("rig.json", _geometry(camera_shape=[16, 16], projector_shape=[16, 16])),
-            code=0,
-            check=holds("new.ply"),
-        ),
-        Case(
-            "depth of a camera of another size",
-            "show scene.zarr --depth --geometry rig.json -o new.png",
-            "12 x 10",
-            other,
-        ),
-        Case("depth without a geometry", "show scene.zarr --depth -o new.png", "geometry"),
-        Case(
-            "a report with a geometry of another camera",
-            "estimate capture -o new.zarr --report new --geometry rig.json",
-            "12 x 10",
-            other,
-        ),
-        Case(
-            "a report with a geometry that is a photograph",
-            "estimate capture -o new.zarr --report new --geometry holiday.jpg",
-            "holiday.jpg",
-        ),
+        Case("images twice as large", TRIANGULATE, (), twice, code=0, check=holds("new.ply")),
+        Case("depth of another camera", f"{depth} --geometry rig.json", "12 x 10", other),
+        Case("depth without a geometry", depth, "geometry"),
+        Case("a report with a geometry of another camera", f"{report} rig.json", "12 x 10", other),
+        Case("a report with a photograph", f"{report} holiday.jpg", "holiday.jpg"),
     ]
 
 
 def _poses() -> list[Case]:
-    several = "capture lit again"
     again = copy("capture", "again")
+    several = CALIBRATE.format("capture lit again")
+    only_camera = CALIBRATE.format("one two three").replace("9x7", "4x3")
+    unlit = "the projector lights only 0 of its 12 corners"
+    values = {
+        "9x7": ("size|board", ("1x7", "0x7", "nine")),
+        "24mm": ("square", ("0mm", "wide", "-3", "nan", "1e999mm", "1.2.3mm")),
+    }
     return [
-        Case("poses without a board", CALIBRATE.format(several), "no board of 9 x 7", again),
-        Case(
-            "a board that only the camera sees",
-            CALIBRATE.format("one two three").replace("9x7", "4x3"),
-            "the projector lights only 0 of its 12 corners",
-            _boards_without_projector,
-        ),
+        Case("poses without a board", several, "no board of 9 x 7", again),
+        Case("a board that only the camera sees", only_camera, unlit, _boards_without_projector),
         Case("too few poses", CALIBRATE.format("capture lit"), "2 usable poses"),
         Case("a pose that is missing", CALIBRATE.format("nowhere capture lit"), "nowhere"),
-        Case(
-            "a pose that is a photograph",
-            CALIBRATE.format("holiday.jpg capture lit"),
-            "holiday.jpg",
-        ),
+        Case("a photograph", CALIBRATE.format("holiday.jpg capture lit"), "holiday.jpg"),
         *(
-            Case(
-                f"a board of {board}",
-                CALIBRATE.format(several).replace("9x7", board),
-                "size|board",
-                again,
-            )
-            for board in ("1x7", "0x7", "nine")
-        ),
-        *(
-            Case(
-                f"a square of {square}",
-                CALIBRATE.format(several).replace("24mm", square),
-                "square",
-                again,
-            )
-            for square in ("0mm", "wide", "-3", "nan", "1e999mm", "1.2.3mm")
+            Case(f"{value} for {usual}", several.replace(usual, value), says, again)
+            for usual, (says, wrong) in values.items()
+            for value in wrong
         ),
     ]
 
 
 def _codes() -> list[Case]:
     """Captures that hold no code, and what is no correspondence."""
+    triangulate = TRIANGULATE.replace("scene.zarr", "c.npz")
+    graycode = "patterns graycode -k 7 --size 8x8 -o new"
     return [
         Case("random patterns to decode", "decode capture -o new.npz", "no stripes"),
-        Case(
-            "a correspondence that is a photograph",
-            "triangulate c.npz --geometry rig.json -o new.ply",
-            "c.npz",
-            copy("holiday.jpg", "c.npz"),
-        ),
-        Case(
-            "a code of a number of patterns that it does not have",
-            "patterns graycode -k 7 --size 8x8 -o new",
-            "leave the number out",
-        ),
+        Case("a photograph for rays", triangulate, "c.npz", copy("holiday.jpg", "c.npz")),
+        Case("a code of a number that it does not have", graycode, "leave the number out"),
     ]
 
 
-# What its cases need of the work folder.
-NEEDS = ("capture", "lit", "scene.zarr", "holiday.jpg")
-
 CASES = [*_files(), *_views(), *_poses(), *_codes()]
+
+
+@pytest.mark.parametrize("case", CASES, ids=str)
+def test_geometry(case: Case, work: Path) -> None:
+    bear(case, work)

@@ -1,4 +1,4 @@
-"""D1 and C: runs that were interrupted, and what lies about of them."""
+"""Runs that were interrupted, and what lies about of them."""
 
 from __future__ import annotations
 
@@ -7,82 +7,66 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pytest
 
-from ..case import Case, Limits, Prepare, Ran, SkipError
-from ..checks import every, holds, if_accepted, same_matrix, says_not
-from ..put import DEEP, both, cut, flip, folder_at, link, pipe, remove, text, with_item
-from ..work import TILED
-from ..zygote import run_command
+from .case import Case, Prepare, bear
+from .checks import holds, if_accepted, same_matrix, says_not
+from .put import (
+    DEEP,
+    both,
+    cut,
+    flip,
+    folder_at,
+    link,
+    move,
+    packed,
+    pipe,
+    remove,
+    text,
+    with_item,
+)
+from .run import Limits, Ran, SkipError, run
+from .work import TILED
 
+NEEDS = ("capture", "dense.zarr")
 AGAIN = f"{TILED} -o new.zarr"
 COHERENT = "estimate capture --tile-rows 16 -o new.zarr"
 PARTIAL = "new.zarr.partial"
+MADE = ("new.zarr", PARTIAL)
 
 
-def interrupted(folder: Path, command: str = AGAIN) -> None:
+def interrupted(folder: Path) -> None:
     """An estimate that fails when it joins its tiles: the disk takes these, but not the whole."""
     for size in (9000, 7000, 8000, 11000, 13000):
-        ran = run_command(command, folder, limits=Limits(file_size=size))
-        if len(tiles(folder)) == 8:
+        ran = run(AGAIN, folder, Limits(file_size=size))
+        if len(list((folder / PARTIAL).glob("rows-*.npz"))) == 8:
             return
         if ran.code == 0:
             remove("new.zarr")(folder)
     raise SkipError("no limit leaves finished tiles behind")
 
 
-def tiles(folder: Path) -> list[Path]:
-    """The files of finished tiles."""
-    return sorted((folder / PARTIAL).glob("rows-*.npz"))
-
-
-def _tile(put: Callable[[str], Prepare], number: int = 1) -> Prepare:
-    """A fault put into a finished tile."""
+def _at(pattern: str, put: Callable[[str], Prepare]) -> Prepare:
+    """A fault in what an interrupted run leaves: in the second file of a pattern, or the only."""
 
     def fault(folder: Path) -> None:
         interrupted(folder)
-        put(str(tiles(folder)[number].relative_to(folder)))(folder)
+        file = sorted((folder / PARTIAL).glob(pattern))[:2][-1]
+        put(str(file.relative_to(folder)))(folder)
 
     return fault
 
 
+def _tile(put: Callable[[str], Prepare]) -> Prepare:
+    return _at("rows-*.npz", put)
+
+
 def _in_tile(**changed: Any) -> Prepare:
-    def put(name: str) -> Prepare:
-        def fault(folder: Path) -> None:
-            with np.load(folder / name) as held:
-                content = {key: held[key] for key in held.files}
-            for key, change in changed.items():
-                if change is None:
-                    content.pop(key)
-                else:
-                    content[key] = change(content[key])
-            np.savez(folder / name, **content)
-
-        return fault
-
-    return _tile(put)
-
-
-def _case(name: str, put: Prepare, **more: Any) -> Case:
-    """A resumed run must give what an undisturbed one gives, bit for bit."""
-    return Case(
-        name,
-        AGAIN,
-        (),
-        put,
-        **{
-            "code": 0,
-            "makes": ("new.zarr", PARTIAL),
-            "check": same_matrix("new.zarr", "dense.zarr"),
-            **more,
-        },
-    )
+    return _tile(lambda name: packed(name, **changed))
 
 
 def _rename(target: str) -> Callable[[str], Prepare]:
-    def put(name: str) -> Prepare:
-        return lambda folder: (folder / name).rename(folder / PARTIAL / target)
-
-    return put
+    return lambda name: move(name, f"{PARTIAL}/{target}")
 
 
 def _tiles() -> list[Case]:
@@ -119,26 +103,26 @@ def _tiles() -> list[Case]:
     }
     # What is no file at all may be left to the user, if it is named.
     refusable = ("a tile that is a folder", "a tile that is a pipe", "a tile that is a link")
+    # A resumed run must give what an undisturbed one gives, bit for bit.
+    same = if_accepted(same_matrix("new.zarr", "dense.zarr"))
     return [
-        _case(name, put)
-        if not name.startswith(refusable)
-        else _case(name, put, code=(0, 2), check=if_accepted(same_matrix("new.zarr", "dense.zarr")))
+        Case(
+            name,
+            AGAIN,
+            (),
+            put,
+            code=(0, 2) if name.startswith(refusable) else 0,
+            makes=MADE,
+            check=same,
+        )
         for name, put in puts.items()
     ]
 
 
 def _headers() -> list[Case]:
-    def fingerprint(put: Callable[[str], Prepare]) -> Prepare:
-        def fault(folder: Path) -> None:
-            interrupted(folder)
-            file = next((folder / PARTIAL).glob("*.json"))
-            put(str(file.relative_to(folder)))(folder)
-
-        return fault
-
     # Without a sound fingerprint nobody knows whose tiles these are: refused, and with
     # --overwrite begun anew. What is kept, either way, is the user's choice.
-    puts = {
+    puts: dict[str, Callable[[str], Prepare]] = {
         "nested 100,000 deep": lambda name: text(name, DEEP),
         "of a list": lambda name: text(name, "[1]"),
         "of null": lambda name: text(name, "null"),
@@ -148,43 +132,38 @@ def _headers() -> list[Case]:
         "that is missing": remove,
         "that is a link to nowhere": lambda name: link(name, "gone.json"),
     }
-    cases = []
-    for words, put in puts.items():
-        cases.append(
+    other = f"{AGAIN} --regularization 0.5"
+    foreign = f"{PARTIAL}/photo.jpg"
+    return [
+        *(
             Case(
                 f"a fingerprint {words}",
                 AGAIN,
                 "",
-                fingerprint(put),
+                _at("*.json", put),
                 code=(0, 2),
                 leaves=(PARTIAL,),
-                makes=("new.zarr", PARTIAL),
+                makes=MADE,
             )
-        )
-    return [
-        *cases,
-        Case(
-            "tiles of other settings",
-            f"{AGAIN} --regularization 0.5",
-            ("new.zarr.partial", "--overwrite"),
-            interrupted,
+            for words, put in puts.items()
         ),
+        Case("tiles of other settings", other, (PARTIAL, "--overwrite"), interrupted),
         Case(
             "tiles of other settings, thrown away",
-            f"{AGAIN} --regularization 0.5 --overwrite",
+            f"{other} --overwrite",
             (),
             interrupted,
             code=0,
-            makes=("new.zarr", PARTIAL),
+            makes=MADE,
         ),
         Case(
             "a foreign file among the tiles",
             AGAIN,
             (),
-            both(interrupted, text(f"{PARTIAL}/photo.jpg")),
+            both(interrupted, text(foreign)),
             code=(0, 2),
-            makes=("new.zarr", PARTIAL),
-            check=holds(f"{PARTIAL}/photo.jpg"),
+            makes=MADE,
+            check=holds(foreign),
         ),
         Case("info of an incomplete estimate", "info new.zarr", "incomplete", interrupted),
         Case(
@@ -193,14 +172,13 @@ def _headers() -> list[Case]:
             (),
             _memory,
             code=0,
-            makes=("new.zarr", PARTIAL),
+            makes=MADE,
             check=same_matrix("new.zarr", "wanted.zarr"),
         ),
         Case(
             "a full disk says what is kept",
             AGAIN,
             "new.zarr",
-            lambda folder: None,
             limits=Limits(file_size=9000),
             leaves=(PARTIAL,),
             check=_honest,
@@ -209,9 +187,9 @@ def _headers() -> list[Case]:
 
 
 def _memory(folder: Path) -> None:
-    run_command(COHERENT.replace("new.zarr", "wanted.zarr"), folder)
+    run(COHERENT.replace("new.zarr", "wanted.zarr"), folder)
     for size in (1500, 2000, 2600, 3400, 4400, 6000, 9000, 14000):
-        ran = run_command(COHERENT, folder, limits=Limits(file_size=size))
+        ran = run(COHERENT, folder, Limits(file_size=size))
         held = list((folder / PARTIAL).glob("*.npz")) if ran.code else []
         if held:
             for file in held:
@@ -221,14 +199,13 @@ def _memory(folder: Path) -> None:
 
 
 def _honest(folder: Path, ran: Ran) -> str | None:
-    if not (folder / PARTIAL).exists():
-        return None
-    return every(says_not("nothing was left behind"), says_not("nothing is left behind"))(
-        folder, ran
-    )
+    denied = says_not("nothing was left behind", "nothing is left behind")
+    return denied(folder, ran) if (folder / PARTIAL).exists() else None
 
-
-# What its cases need of the work folder.
-NEEDS = ("capture", "dense.zarr")
 
 CASES = [*_tiles(), *_headers()]
+
+
+@pytest.mark.parametrize("case", CASES, ids=str)
+def test_partial(case: Case, work: Path) -> None:
+    bear(case, work)
