@@ -22,7 +22,7 @@ from scipy.ndimage import gaussian_filter
 import lightmatrix as lm
 from experiments.harness import markdown
 from experiments.harness import options as options_of
-from lightmatrix.responses.camera import CameraResponse
+from lightmatrix.responses.curves import CameraResponse
 
 Curve = Callable[[NDArray[np.float64]], NDArray[np.float64]]
 TIMES: list[float] = [0.125, 0.25, 0.5, 1, 2, 4, 8]

@@ -65,8 +65,10 @@ from .rig.devices.registry import (
 from .rig.rig import open_rig as open_rig
 
 # Geometry of a rig.
-from .shape.calibrate import calibrate_rig as calibrate_rig
-from .shape.self_calibration import self_calibrate as self_calibrate
+from .shape.calibrate import (
+    calibrate_rig as calibrate_rig,
+    self_calibrate as self_calibrate,
+)
 from .geometry.rig_geometry import RigGeometry as RigGeometry
 
 # What is wrong with a capture.
@@ -74,8 +76,10 @@ from .check.all_checks import check as check
 
 # Responses, measured from photographs.
 from .patterns.projector_curve import ProjectorResponse as ProjectorResponse
-from .responses.camera import camera_response as camera_response
-from .responses.projector import projector_response as projector_response
+from .responses.curves import (
+    camera_response as camera_response,
+    projector_response as projector_response,
+)
 
 # Estimates.
 from .estimators.estimate import estimate as estimate
@@ -122,9 +126,11 @@ from .transport.correspondence import (
 )
 from .transport.matrix import LightTransport as LightTransport
 from .transport.operator import singular_values as singular_values
-from .uses.compensated_video import compensate_video as compensate_video
-from .uses.compensation import compensate as compensate
-from .uses.inverse_light import cancel_global as cancel_global
+from .uses.compensation import (
+    cancel_global as cancel_global,
+    compensate as compensate,
+    compensate_video as compensate_video,
+)
 from .rig.closed_loop import refine_compensation as refine_compensation
 from .uses.probing import (
     max_min as max_min,

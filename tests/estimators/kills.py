@@ -36,7 +36,7 @@ import psutil
 from lightmatrix.capture.capture import Capture
 from lightmatrix.estimators.coherent import schedule
 from lightmatrix.estimators.coherent.estimator import WINDOWS, CoherentEstimator
-from lightmatrix.estimators.workers.pool import dask_pool
+from lightmatrix.estimators.workers import dask_pool
 from lightmatrix.patterns.bits import BernoulliPatterns
 from lightmatrix.simulation.procedural import ProceduralScene, simulate_procedural
 from lightmatrix.transport import store as store
