@@ -35,10 +35,10 @@ def _frame(camera: AravisCamera) -> Frame:
     """A frame; a second try if the loopback network of a busy machine lost it, as networks do."""
     try:
         camera.trigger()
-        return camera.get_image(5)
+        return camera.get_image(60)
     except FrameTimeoutError:
         camera.trigger()
-        return camera.get_image(5)
+        return camera.get_image(60)
 
 
 @pytest.fixture
@@ -110,7 +110,7 @@ def test_patterns_on_a_screen_come_back_as_the_camera_saw_them(screen: str) -> N
 def test_ids_go_on_where_the_camera_begins_again(served: GigECamera) -> None:
     # Its 16-bit numbers begin at 65,400 and go from 65,535 to 1.
     camera = open_aravis(Address.parse(served.address + ",trigger=free"))
-    ids = [camera.get_image(5).id for _ in range(200)]
+    ids = [camera.get_image(60).id for _ in range(200)]
     camera.close()
     assert ids[0] < 65535 < ids[-1]
     # One may get lost on a busy machine.
@@ -173,7 +173,7 @@ def test_colour_comes_in_three_channels() -> None:
     address = served.address.replace("Mono16", "RGB8")
     camera = open_aravis(Address.parse(address))
     camera.trigger()
-    np.testing.assert_array_equal(camera.get_image(5).data, image)
+    np.testing.assert_array_equal(camera.get_image(60).data, image)
     assert camera.info()["shape"] == (*SHAPE, 3)
     camera.close()
     served.close()

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from dataclasses import replace
 from pathlib import Path
 
@@ -38,15 +37,13 @@ def test_a_capture_over_gige_vision_is_as_good_as_a_simulated_one(
     address = Address.parse(served.address)
     try:
         window = open_window(Address("window"))
-        times: list[float] = []
-        # The simulated camera misses one trigger in 20; 64 of them are to be had within a minute.
+        # The simulated camera misses one trigger in 20.
         with Rig(window, open_aravis(address), lambda: open_aravis(address), patience=0.5) as rig:
             capture = lm.take_capture(
                 "capture",
                 rig,
                 lm.make_patterns("mix", _SHAPE, 64),
                 settings=lm.CaptureSettings(cell=cell),
-                progress=lambda step: times.append(time.monotonic()),
             )
     finally:
         served.close()
@@ -58,8 +55,6 @@ def test_a_capture_over_gige_vision_is_as_good_as_a_simulated_one(
     # A few, near chance, by a second photograph.
     assert set(provenance["checks"]) <= {"matched", "confirmed"}
     assert provenance["checks"]["matched"] >= 40
-    # All 64, but for the measuring of the rig, which is kept.
-    assert times[-1] - times[0] < 60
     scale = np.float32(provenance["exposure_1_in_seconds"] / UNIT_EXPOSURE)
     truth = replace(
         known,
