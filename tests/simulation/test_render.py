@@ -146,7 +146,7 @@ def test_memory_is_estimated_from_a_few_rows(monkeypatch: pytest.MonkeyPatch) ->
     room = needed_bytes((16, 16), entries=300)
     with pytest.raises(InputError, match="needs about") as refused:
         render("corner", (16, 16), projector_size=(64, 64), samples=4096)
-    advised = re.search(r"--keep ([0-9.]+)", refused.value.hint or "")
+    advised = re.search(r"keep=([0-9.]+)", refused.value.hint or "")
     assert advised is not None
     keep = float(advised[1])
     thin = render("corner", (16, 16), projector_size=(64, 64), samples=4096, keep=keep)

@@ -58,13 +58,13 @@ def check_memory(
     needed = needed_bytes(size, channels, entries)
     if needed <= available:
         return
-    hint = "use a smaller --size"
+    hint = "use a smaller size"
     if entries_at is not None:
-        hint = "use fewer --spp or a smaller --size"
+        hint = "use fewer samples or a smaller size"
         for share in _SMALLER_KEEPS:
             smaller = needed_bytes(size, channels, entries_at(share))
             if share < keep and smaller <= available:
-                hint = f"use --keep {share:g} (about {smaller / 2**30:.1f} GiB), or fewer --spp"
+                hint = f"use keep={share:g} (about {smaller / 2**30:.1f} GiB), or fewer samples"
                 break
     raise InputError(
         f"rendering {size[0]}x{size[1]} camera by {projector[0]}x{projector[1]} projector "
