@@ -53,7 +53,7 @@ class CurveFile:
             other = str(content.get("device"))[:20]
             raise InputError(
                 f"{file}: is the response of a {other}, not of a {device}",
-                hint="`lightmatrix response` measures cameras, with --projector projectors",
+                hint="`camera_response` measures cameras, `projector_response` projectors",
             )
         levels, light = _numbers(content.get("levels")), _numbers(content.get("light"))
         if levels is None or light is None or not _is_curve(levels, light):

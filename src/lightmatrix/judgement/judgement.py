@@ -1,4 +1,4 @@
-"""How far to trust an estimate: `lm.verdict` judges T, `lm.verdicts` its uses as well.
+"""How far to trust an estimate: `verdict` judges T, `lm.verdicts` its uses as well.
 
 T is judged by the errors that an estimate states of its own rows. Photographs held out of an
 estimate do not show what is wrong with all photographs alike, nor what none of them shows. The
