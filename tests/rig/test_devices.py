@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from lightmatrix.cli import main
-from lightmatrix.errors import DeviceError, InputError
+from lightmatrix.errors import DeviceError, InputError, MissingExtraError
 from lightmatrix.rig.devices.base import Address
 from lightmatrix.rig.devices.registry import (
     CAMERAS,
@@ -62,6 +62,24 @@ def test_a_rig_of_two_devices_is_opened_and_closed(tmp_path: Path) -> None:
         open_rig(projector="beamer", camera=takes)
     with pytest.raises(InputError, match="no rig to photograph with"):
         open_rig(projector=shows)
+
+
+@pytest.mark.parametrize(
+    ("address", "package", "hint"),
+    [
+        ("aravis", "gi", r"gir1\.2-aravis.*\.\[aravis\]"),
+        ("gentl", "harvesters.core", r"\.\[gentl\]"),
+        ("video:/dev/video0,exposure=1", "av", r"\.\[video\]"),
+        ("dslr", "gphoto2", r"\.\[dslr\]"),
+        ("window", "moderngl", r"\.\[window\]"),
+    ],
+)
+def test_a_missing_package(
+    address: str, package: str, hint: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, package, None)
+    with pytest.raises(MissingExtraError, match=hint):
+        (open_projector if address == "window" else open_camera)(address)
 
 
 def test_what_is_there_is_listed(
