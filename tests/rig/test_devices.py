@@ -110,14 +110,6 @@ def test_a_list_without_a_display(monkeypatch: pytest.MonkeyPatch) -> None:
     assert not window.found
 
 
-def test_the_command_line_says_it_in_two_lines(capsys: pytest.CaptureFixture[str]) -> None:
-    words = ["rig", "settle", "--projector", "beamer:1", "--camera", "watch:.,exposure=1"]
-    assert main(words) == 2
-    errors = capsys.readouterr().err
-    assert "beamer:1: no such projector" in errors
-    assert "Traceback" not in errors
-
-
 def test_a_camera_that_gives_no_frames(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
