@@ -71,16 +71,13 @@ py-test:
 test-slow: test-install ## run the tests that are left out of `make test`: experiments, and long ones
 	$(BIN)/python -m pytest -m slow
 
-faults: test-install ## run the table of faults and count the outcomes
-	$(BIN)/python -m tests.faults.table -v
+faults: test-install ## run the cases of faults: what must not be destroyed, and what must not destroy
+	$(BIN)/python -m pytest --numprocesses 2 tests/faults
 
 fuzz: test-install ## try 20,000 damaged inputs, or make fuzz N=500
-	$(BIN)/python -m tests.faults.fuzz --count $(or $(N),20000)
+	FUZZ=$(or $(N),20000) $(BIN)/python -m pytest --numprocesses 2 tests/faults/test_fuzz.py
 
-live-test-slow: test-install ## run the tests that are left out of `make test`: experiments, and long ones
-	$(BIN)/python -m pytest -m slow
-
-faults: test-install ## capture 200 times with a rig that fails, or make live-faults N=20
+live-faults: test-install ## capture 200 times with a rig that fails, or make live-faults N=20
 	$(BIN)/python -m tests.rig.rig_faults --count $(or $(N),200)
 
 kills: test-install ## kill 50 estimates and their workers at random moments, or make kills N=10

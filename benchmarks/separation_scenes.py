@@ -1,6 +1,6 @@
 """Direct and global light on rendered scenes that the experiment `uses` does not hold.
 
-The thresholds of `lightmatrix.uses.direct_light` and `stray_spots` were chosen on them. Needs the
+The thresholds of `lightmatrix.uses.separation` were chosen on them. Needs the
 extra `render`, and half a minute a scene:
 
     python -m benchmarks.separation_scenes

@@ -24,7 +24,7 @@ import psutil
 import lightmatrix as lm
 from experiments.harness import options as options_of
 from lightmatrix.estimators.choice import choose_estimator
-from lightmatrix.estimators.workers.pool import DaskPool, dask_pool
+from lightmatrix.estimators.workers import DaskPool, dask_pool
 
 
 def main(arguments: list[str] | None = None) -> None:

@@ -51,13 +51,11 @@ def small_scenes() -> Iterator[None]:
 
 
 # One process at a time can serve a camera on the loopback network, or look for cameras there and
-# find none; the fault tests share their workers.
+# find none.
 _TOGETHER = {
     "tests/rig/test_aravis.py": "gige",
     "tests/rig/test_devices.py": "gige",
     "tests/rig/test_gige_capture.py": "gige",
-    "tests/faults/fuzz/test_fuzz.py": "faults",
-    "tests/faults/test_table.py": "faults",
 }
 
 

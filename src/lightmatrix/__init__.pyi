@@ -81,8 +81,8 @@ from .shape.calibrate import (
     BoardPose as BoardPose,
     RigCalibration as RigCalibration,
     calibrate_rig as calibrate_rig,
+    self_calibrate as self_calibrate,
 )
-from .shape.self_calibration import self_calibrate as self_calibrate
 from .geometry.rig_geometry import RigGeometry as RigGeometry
 
 # What is wrong with a capture.
@@ -92,11 +92,11 @@ from .check.curves import FoundResponse as FoundResponse
 
 # Responses, measured from photographs.
 from .patterns.projector_curve import ProjectorResponse as ProjectorResponse
-from .responses.camera import (
+from .responses.curves import (
     CameraResponse as CameraResponse,
     camera_response as camera_response,
+    projector_response as projector_response,
 )
-from .responses.projector import projector_response as projector_response
 
 # Estimates.
 from .estimators.estimate import estimate as estimate
@@ -158,16 +158,14 @@ from .judgement.evaluate import ColourErrors as ColourErrors
 from .judgement.evaluate import Errors as Errors
 from .transport.matrix import LightTransport as LightTransport
 from .transport.operator import singular_values as singular_values
-from .uses.compensated_video import (
-    CompensatedVideo as CompensatedVideo,
-    compensate_video as compensate_video,
-)
 from .uses.compensation import (
+    CompensatedVideo as CompensatedVideo,
     Compensation as Compensation,
     Reach as Reach,
+    cancel_global as cancel_global,
     compensate as compensate,
+    compensate_video as compensate_video,
 )
-from .uses.inverse_light import cancel_global as cancel_global
 from .rig.closed_loop import (
     RefinedCompensation as RefinedCompensation,
     refine_compensation as refine_compensation,

@@ -43,12 +43,9 @@ Found = list[tuple[str, tuple[int, ...]]]
 
 
 def found(
-    frames: Frames,
-    patterns: lm.PatternSet = PATTERNS,
-    decoder: lm.Decoder = DECODER,
-    **options: bool,
+    frames: Frames, patterns: lm.PatternSet = PATTERNS, decoder: lm.Decoder = DECODER
 ) -> Found:
-    findings = check_capture(lm.Capture.from_arrays(patterns, frames, decoder), **options)
+    findings = check_capture(lm.Capture.from_arrays(patterns, frames, decoder))
     assert {each.kind for each in findings} <= set(KINDS)
     assert all(each.message and each.advice for each in findings)
     return [(each.kind, each.frames) for each in findings]
@@ -111,15 +108,6 @@ def test_light_that_changes() -> None:
     assert found(photographs(PATTERNS, gain=beat)) == [("flicker", ())]
     one = np.where(np.arange(K) == 7, 1.1, 1.0)
     assert found(photographs(PATTERNS, gain=one)) == [("flicker", (7,))]
-
-
-def test_only_the_order_of_frames() -> None:
-    frames = photographs(PATTERNS)
-    assert found(swapped(frames), order_only=True) == [("order", (3, 9))]
-    assert found(blackened(frames), order_only=True) == [("frame", (5,))]
-    bright = photographs(PATTERNS, exposure=20)
-    assert found(bright, order_only=True) == []
-    assert [kind for kind, _ in found(bright)] == ["light"]
 
 
 def test_a_bright_black_frame() -> None:

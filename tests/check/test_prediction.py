@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 import lightmatrix as lm
-from lightmatrix.check import prediction
 from lightmatrix.check.prediction import find_places, predict
 from lightmatrix.patterns.bits import BernoulliPatterns
 
@@ -16,13 +15,18 @@ K, SHAPE = 80, (12, 14)
 PATTERNS = BernoulliPatterns(SHAPE, K)
 
 
-def samples(places: list[tuple[int, int]], noise: float = 0.0, top: float = np.inf) -> lm.Samples:
+def samples(
+    places: list[tuple[int, int]],
+    noise: float = 0.0,
+    top: float = np.inf,
+    patterns: lm.PatternSet = PATTERNS,
+) -> lm.Samples:
     """Camera pixels that see one projector pixel, and one as bright as a half 5 columns on."""
-    columns = PATTERNS.columns(np.arange(PATTERNS.pixels))
+    columns = patterns.columns(np.arange(patterns.pixels))
     first = [np.ravel_multi_index(place, SHAPE) for place in places]
     light = columns[:, first].T + 0.5 * columns[:, [p + 5 for p in first]].T
     light = light + noise * np.random.default_rng(0).standard_normal(light.shape)
-    return lm.Samples(np.minimum(light, top), light >= top, np.full(K, top))
+    return lm.Samples(np.minimum(light, top), light >= top, np.full(patterns.count, top))
 
 
 def test_the_two_strongest_places_are_found() -> None:
@@ -48,10 +52,15 @@ def test_clipped_and_doubted_samples_find_nothing() -> None:
     np.testing.assert_allclose(doubtful.expected[0, :6], seen.values[0, :6], atol=0.1)
 
 
-def test_each_sample_is_predicted_without_itself() -> None:
-    """The closed form is what ridge regression of the other frames gives."""
-    seen = samples([(3, 4), (1, 1)], noise=0.05)
-    made = predict(PATTERNS, seen)
+@pytest.mark.parametrize("count", [K, 40])
+def test_each_sample_is_predicted_without_itself(count: int) -> None:
+    """The closed form is what ridge regression of the other frames gives.
+
+    A row has about 50 columns: more and fewer than frames.
+    """
+    patterns = BernoulliPatterns(SHAPE, count)
+    seen = samples([(3, 4), (1, 1)], noise=0.05, patterns=patterns)
+    made = predict(patterns, seen)
     for row in range(2):
         windows = []
         for place, scale in zip(made.places, (1.0, 0.5), strict=True):
@@ -61,25 +70,25 @@ def test_each_sample_is_predicted_without_itself() -> None:
                     if 0 <= r + down < SHAPE[0] and 0 <= c + right < SHAPE[1]:
                         pixel = (r + down) * SHAPE[1] + c + right
                         fall = np.exp(-(down**2 + right**2) / 4)
-                        windows.append(scale * fall * PATTERNS.columns(np.array([pixel]))[:, 0])
+                        windows.append(scale * fall * patterns.columns(np.array([pixel]))[:, 0])
         r, c = divmod(int(made.places[0][row]), SHAPE[1])
-        around = np.zeros(K)
+        around = np.zeros(count)
         for down in range(-6, 7, 2):
             for right in range(-6, 7, 2):
                 if 0 <= r + down < SHAPE[0] and 0 <= c + right < SHAPE[1]:
                     pixel = (r + down) * SHAPE[1] + c + right
                     fall = np.exp(-(down**2 + right**2) / 18)
-                    around += fall * PATTERNS.columns(np.array([pixel]))[:, 0]
+                    around += fall * patterns.columns(np.array([pixel]))[:, 0]
         windows.append(0.3 * (around - around.mean()) / around.std())
-        means = PATTERNS.means
+        means = patterns.means
         windows.append(0.1 * (means - means.mean()) / means.std())
         explain = np.stack(windows, axis=1).astype(float)
         target = seen.values[row]
         by_ridge = []
         for ridge in (0.003, 0.03, 0.3):
-            left_out = np.empty(K)
-            for k in range(K):
-                rest = np.delete(np.arange(K), k)
+            left_out = np.empty(count)
+            for k in range(count):
+                rest = np.delete(np.arange(count), k)
                 x, y = explain[rest], target[rest]
                 centred = x - x.mean(axis=0)
                 slope = np.linalg.solve(
@@ -91,19 +100,6 @@ def test_each_sample_is_predicted_without_itself() -> None:
         best = int(np.argmin(missed))
         np.testing.assert_allclose(made.expected[row], by_ridge[best], atol=2e-3)
         assert made.miss[row] == pytest.approx(missed[best] / target.var(), rel=0.02)
-
-
-@pytest.mark.parametrize("frames", [5, 20])
-def test_fits_follow_their_definition_for_fewer_and_more_frames_than_columns(frames: int) -> None:
-    draw = np.random.default_rng(0)
-    columns, values = draw.normal(size=(3, frames, 9)), draw.normal(size=(3, frames))
-    weight = (draw.uniform(size=(3, frames)) < 0.7).astype(float)
-    made = list(prediction._ridge_fits(columns, weight, values))
-    for ridge, (fitted, lever) in zip(prediction._RIDGES, made, strict=True):
-        for x, w, y, fit, own in zip(columns, weight, values, fitted, lever, strict=True):
-            hat = x @ np.linalg.inv(x.T @ np.diag(w) @ x + ridge * np.eye(9)) @ x.T
-            np.testing.assert_allclose(fit, hat @ (w * y), rtol=1e-8, atol=1e-10)
-            np.testing.assert_allclose(own, np.diag(hat), rtol=1e-8)
 
 
 def test_samples_near_the_clip_level_are_not_trusted() -> None:

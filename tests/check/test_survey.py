@@ -105,10 +105,6 @@ def test_masked_hot_and_dark_samples_do_not_count() -> None:
         np.stack([frames[:, 5, 0] - 50.0, frames[:, 0, 4] - 4.0]) / 255,
         atol=0.01,
     )
-    ((start, tile),) = taken.tiles()
-    assert start == 0
-    assert not tile.values[[7, 23]].any()
-    assert tile.values[24].any()
 
 
 def test_frames_can_be_selected_with_their_exposures() -> None:

@@ -16,12 +16,27 @@ from lightmatrix.check.wrong_frames import (
     check_frames,
     wrong_frames,
 )
-from tests.helpers.predictions import prediction
 
 K, M = 16, 60
 
 
 NAMES = [f"frame {k}" for k in range(K)]
+
+
+def prediction(
+    rows: int,
+    frames: int,
+    *,
+    noise: float = 0.0,
+    gain: NDArray[np.floating] | float = 1.0,
+    seed: int = 0,
+) -> FramePrediction:
+    """Samples between 0.1 and 1 as expected, times a gain for each frame, and Gaussian noise."""
+    expected = np.random.default_rng(17).uniform(0.1, 1, (rows, frames))
+    observed = expected * gain
+    observed = observed + noise * np.random.default_rng(seed).standard_normal(observed.shape)
+    trusted = np.ones((rows, frames), bool)
+    return FramePrediction(observed, expected, trusted, np.full(rows, 0.01), (), np.arange(rows))
 
 
 def off(frame: int, share: float, rows: int = M) -> FramePrediction:

@@ -36,7 +36,7 @@ import psutil
 from lightmatrix.capture.capture import Capture
 from lightmatrix.estimators.coherent import schedule
 from lightmatrix.estimators.coherent.estimator import WINDOWS, CoherentEstimator
-from lightmatrix.estimators.workers.pool import dask_pool
+from lightmatrix.estimators.workers import dask_pool
 from lightmatrix.patterns.bits import BernoulliPatterns
 from lightmatrix.simulation.procedural import ProceduralScene, simulate_procedural
 from lightmatrix.transport import store as store
@@ -46,7 +46,7 @@ LARGER = (WINDOWS, 48, 40, 32)
 SMALLER = (((2, 1), (1, 1)), 24, 24, 16)
 MOST_KILLS = 3
 # Workers end at once when the process that started them does; a busy machine takes its time.
-ORPHANED = 20.0
+ORPHANED = 120.0
 
 
 def in_child(work: Callable[[], None], seconds: float | None = None) -> bool:

@@ -64,7 +64,7 @@ def test_every_tile_is_kept_and_progress_never_falls(together: int) -> None:
 
 
 def test_two_tiles_are_solved_at_a_time() -> None:
-    meeting = threading.Barrier(2, timeout=10)
+    meeting = threading.Barrier(2, timeout=120)
 
     def meet(start: int, stop: int, progress: Progress) -> SparseRows:
         meeting.wait()

@@ -22,7 +22,8 @@ from zarr.codecs import Crc32cCodec
 from lightmatrix.files.zarr_arrays import SMALL
 from lightmatrix.transport.store import seal
 
-from .case import Prepare, SkipError
+from .case import Prepare
+from .run import SkipError
 
 
 def both(*faults: Prepare) -> Prepare:
@@ -228,27 +229,32 @@ def endless_zeros(count: int) -> bytes:
 # ---- stores and archives
 
 
-def stored(name: str, array_name: str, change: Callable[[NDArray[Any]], NDArray[Any]]) -> Prepare:
+def rewrite(store: Path, name: str, values: NDArray[Any]) -> None:
     """One array of a Zarr store written anew, with sound checksums and a sound seal."""
+    group = zarr.open_group(store, mode="r+", use_consolidated=False)
+    del group[name]
+    made = group.create_array(
+        name,
+        shape=values.shape,
+        chunks=tuple(max(1, n) for n in values.shape),
+        dtype=values.dtype,
+        compressors=[SMALL, Crc32cCodec()],
+        config={"write_empty_chunks": True},
+    )
+    made[...] = values
+    # Arrays that no store may hold cannot be sealed either.
+    with suppress(ValueError):
+        seal(store)
+
+
+def stored(name: str, array_name: str, change: Callable[[NDArray[Any]], NDArray[Any]]) -> Prepare:
+    """One array of a store changed by a function."""
 
     def fault(folder: Path) -> None:
-        group = zarr.open_group(folder / name, mode="r+", use_consolidated=False)
-        old = group[array_name]
-        assert isinstance(old, zarr.Array)
-        values = change(np.asarray(old[...]))
-        del group[array_name]
-        made = group.create_array(
-            array_name,
-            shape=values.shape,
-            chunks=tuple(max(1, n) for n in values.shape),
-            dtype=values.dtype,
-            compressors=[SMALL, Crc32cCodec()],
-            config={"write_empty_chunks": True},
-        )
-        made[...] = values
-        # Arrays that no store may hold cannot be sealed either.
-        with suppress(ValueError):
-            seal(folder / name)
+        group = zarr.open_group(folder / name, mode="r", use_consolidated=False)
+        held = group[array_name]
+        assert isinstance(held, zarr.Array)
+        rewrite(folder / name, array_name, change(np.asarray(held[...])))
 
     return fault
 

@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import json
 import shutil
-from collections.abc import Iterable
+import tempfile
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
 from scipy.sparse import csr_array
 
-from .zygote import run_command
+from .run import run
 
 SHAPE = (8, 8)
 COUNT = 32
@@ -53,7 +55,7 @@ def make_work(folder: Path) -> None:
     folder.mkdir(parents=True)
     write_truth(folder / "T.npz", matrix())
     for command in _COMMANDS:
-        ran = run_command(command, folder, seconds=120)
+        ran = run(command, folder)
         if ran.code != 0:
             raise RuntimeError(f"{command}: exit {ran.code}\n{ran.err}")
     shutil.copytree(folder / "capture" / "images", folder / "photos")
@@ -65,15 +67,20 @@ def make_work(folder: Path) -> None:
     (folder / "holiday.jpg").write_bytes(b"a photograph that is dear to its owner")
 
 
-def copy_work(template: Path, place: Path, names: Iterable[str]) -> None:
-    """A fresh copy of some things of the work folder."""
-    place.mkdir(parents=True)
-    for name in names:
-        source = template / name
-        if source.is_dir():
-            shutil.copytree(source, place / name, copy_function=shutil.copyfile)
-        else:
-            shutil.copyfile(source, place / name)
+@contextmanager
+def fresh_copy(template: Path, names: Iterable[str]) -> Iterator[Path]:
+    """A fresh copy of some things of the work folder, with room for temporary files beside it."""
+    with tempfile.TemporaryDirectory(prefix="case-", dir=template.parents[2]) as base:
+        (Path(base) / "tmp").mkdir()
+        place = Path(base) / "outer" / "work"
+        place.mkdir(parents=True)
+        for name in names:
+            source = template / name
+            if source.is_dir():
+                shutil.copytree(source, place / name, copy_function=shutil.copyfile)
+            else:
+                shutil.copyfile(source, place / name)
+        yield place
 
 
 def matrix(seed: int = 0) -> csr_array:

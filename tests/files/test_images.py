@@ -24,8 +24,7 @@ from lightmatrix.errors import InputError, OutputError
 from lightmatrix.files import reading
 from lightmatrix.files.images import encode_image, read_grey, read_image, write_image
 from lightmatrix.files.stacks import list_images, nonlinear_tag
-from tests.helpers.limits import largest_file
-from tests.helpers.systems import LIMITS, PIPES
+from tests.helpers.systems import PIPES
 
 SHAPES = {"grey": (24, 31), "colour": (24, 31, 3)}
 # Channels of PNG files by their kind of colour.
@@ -57,10 +56,8 @@ def flip(file: Path, bit: int) -> None:
 
 
 def a_png(shape: tuple[int, int], bits: int, colour: int, pixels: bytes, **more: Any) -> bytes:
-    """A PNG file of deflated lines, with further chunks; `interlaced` is the last of its header."""
-    header = struct.pack(
-        ">IIBBBBB", shape[1], shape[0], bits, colour, 0, 0, more.pop("interlaced", 0)
-    )
+    """A PNG file of deflated lines, with further chunks."""
+    header = struct.pack(">IIBBBBB", shape[1], shape[0], bits, colour, 0, 0, 0)
     chunks = {"IHDR": header, **more, "IDAT": pixels, "IEND": b""}
     data = b"\x89PNG\r\n\x1a\n"
     for name, content in chunks.items():
@@ -75,12 +72,12 @@ def lines(image: NDArray[Any]) -> bytes:
     return np.column_stack([np.zeros(rows, np.uint8), data]).tobytes()
 
 
-@pytest.mark.parametrize("suffix", [".png", ".tif", ".tiff", ".npy"])
-@pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
+@pytest.mark.parametrize("suffix", [".png", ".TIF", ".tiff", ".npy", ".PNG", ".NPY"])
+@pytest.mark.parametrize("dtype", [np.uint8, np.uint16, np.float32])
 @pytest.mark.parametrize("shape", [(1, 1), (5, 7), (4, 9, 3), (3, 1, 3)])
-def test_integer_images_round_trip(
-    tmp_path: Path, suffix: str, dtype: Any, shape: tuple[int, ...]
-) -> None:
+def test_images_round_trip(tmp_path: Path, suffix: str, dtype: Any, shape: tuple[int, ...]) -> None:
+    if dtype == np.float32 and suffix.lower() == ".png":
+        pytest.skip("a PNG has no float values")
     image = noise(shape, dtype)
     file = tmp_path / f"image{suffix}"
     write_image(file, image)
@@ -88,13 +85,6 @@ def test_integer_images_round_trip(
     assert back.dtype == dtype
     np.testing.assert_array_equal(back, image)
     assert [entry.name for entry in tmp_path.iterdir()] == [file.name]
-
-
-@pytest.mark.parametrize("suffix", [".tif", ".npy"])
-def test_float_images_round_trip(tmp_path: Path, suffix: str) -> None:
-    image = noise((6, 5), np.float32) * 3
-    write_image(tmp_path / f"image{suffix}", image)
-    np.testing.assert_array_equal(read_image(tmp_path / f"image{suffix}"), image)
 
 
 def test_float_images_as_png_use_the_full_range_and_cut_off(tmp_path: Path) -> None:
@@ -137,14 +127,6 @@ def test_a_palette_counts_as_the_colours_that_it_becomes(
     monkeypatch.setattr(reading, "MOST_VALUES", colours.size - 1)
     with pytest.raises(InputError, match="4 x 6 x 3 values"):
         read_image(tmp_path / "a.bmp")
-
-
-@pytest.mark.parametrize("name", ["a.PNG", "a.TIF", "a.NPY", "a.Tiff"])
-def test_endings_in_capitals_are_endings(tmp_path: Path, name: str) -> None:
-    image = picture((5, 6), np.uint16)
-    write_image(tmp_path / name, image)
-    np.testing.assert_array_equal(read_image(tmp_path / name), image)
-    assert [entry.name for entry in tmp_path.iterdir()] == [name]
 
 
 # ---- PNG
@@ -203,23 +185,6 @@ def test_few_bits_and_palettes(tmp_path: Path, bits: int, colour: int) -> None:
     more["tRNS"] = b"\0\1" if palette is None else b"\0\x80"
     (tmp_path / "a.png").write_bytes(a_png((1, 8), bits, colour, pixels, **more))
     np.testing.assert_array_equal(read_image(tmp_path / "a.png"), expected)
-
-
-@pytest.mark.parametrize(("bits", "colour"), [(8, 0), (16, 0), (16, 2)])
-def test_interlaced_png_is_read_whole(tmp_path: Path, bits: int, colour: int) -> None:
-    """Written pass by pass as the specification says."""
-    for rows, cols in ((1, 1), (3, 2), (5, 9), (8, 8)):
-        image = picture((rows, cols, CHANNELS[colour]), np.uint8 if bits == 8 else np.uint16)
-        starts = [(0, 0, 8, 8), (0, 4, 8, 8), (4, 0, 8, 4), (0, 2, 4, 4)]
-        starts += [(2, 0, 4, 2), (0, 1, 2, 2), (1, 0, 2, 1)]
-        passes = (np.ascontiguousarray(image[r::down, c::across]) for r, c, down, across in starts)
-        packed = zlib.compress(b"".join(lines(part) for part in passes if part.size))
-        file = tmp_path / "a.png"
-        file.write_bytes(a_png((rows, cols), bits, colour, packed, interlaced=1))
-        np.testing.assert_array_equal(read_image(file), image if colour else image[..., 0])
-        file.write_bytes(a_png((rows, cols), bits, colour, packed[:-2], interlaced=1))
-        with pytest.raises(InputError, match="damaged"):
-            read_image(tmp_path / "a.png")
 
 
 @pytest.mark.parametrize("chunks", [{"sBIT": b"\x0c"}, {"gAMA": struct.pack(">I", 45455)}])
@@ -533,21 +498,12 @@ def test_only_regular_files_are_read(tmp_path: Path) -> None:
         list_images(tmp_path)
 
 
-def truncated(path: Path, share: float = 0.6) -> None:
-    data = path.read_bytes()
-    path.write_bytes(data[: int(len(data) * share)])
-
-
 BAD_FILES = {
     "missing.png": "no such file",
     "folder.png": "is a folder, not an image file",
     "raw.x3f": "files ending in .x3f are not read",
     "empty.png": "is empty",
     "text.png": "cannot be read as an image",
-    "half.png": "damaged or truncated",
-    "half16.png": "damaged or truncated",
-    "half.tif": "damaged or truncated",
-    "half.npy": "damaged or truncated",
     "nan.npy": r"the value at \(1, 2\) is nan",
     "inf.tif": r"the value at \(0, 0\) is inf",
     "stack.npy": r"holds an array of shape \(2, 3, 5\)",
@@ -564,13 +520,6 @@ def bad_files(tmp_path_factory: pytest.TempPathFactory) -> Path:
     (folder / "raw.x3f").write_bytes(b"raw")
     (folder / "empty.png").touch()
     (folder / "text.png").write_text("not an image")
-    image = noise((40, 50), np.uint8)
-    write_image(folder / "half.png", image)
-    write_image(folder / "half16.png", noise((40, 50, 3), np.uint16))
-    write_image(folder / "half.tif", image)
-    write_image(folder / "half.npy", image)
-    for name in ("half.png", "half16.png", "half.tif", "half.npy"):
-        truncated(folder / name)
     values = noise((3, 4), np.float32)
     values[1, 2] = np.nan
     np.save(folder / "nan.npy", values)
@@ -595,7 +544,8 @@ def test_bad_files_are_named(bad_files: Path, name: str) -> None:
 def test_no_truncation_is_read_as_an_image(tmp_path: Path, suffix: str, share: float) -> None:
     file = tmp_path / f"image{suffix}"
     write_image(file, noise((50, 60), np.uint16))
-    truncated(file, share)
+    data = file.read_bytes()
+    file.write_bytes(data[: int(len(data) * share)])
     with pytest.raises(InputError, match="truncated"):
         read_image(file)
 
@@ -746,24 +696,3 @@ def test_writing_refuses_what_is_no_image(tmp_path: Path) -> None:
     with pytest.raises(OutputError, match=r"ends in \.jpg"):
         write_image(tmp_path / "a.jpg", np.zeros((2, 2)))
     assert not list(tmp_path.iterdir())
-
-
-def test_an_existing_output_needs_overwrite(tmp_path: Path) -> None:
-    file = tmp_path / "a.png"
-    write_image(file, np.zeros((2, 2)))
-    with pytest.raises(OutputError, match="overwrite=True"):
-        write_image(file, np.ones((2, 2)))
-    assert read_image(file).max() == 0
-    write_image(file, np.ones((2, 2)), overwrite=True)
-    assert read_image(file).max() == 255
-
-
-@LIMITS
-def test_a_failing_write_leaves_nothing_and_spares_the_old_file(tmp_path: Path) -> None:
-    file = tmp_path / "a.npy"
-    write_image(file, np.zeros((2, 2)))
-    before = file.read_bytes()
-    with largest_file(4096), pytest.raises(OutputError, match="cannot be written"):
-        write_image(file, noise((100, 100), np.float32), overwrite=True)
-    assert [entry.name for entry in tmp_path.iterdir()] == ["a.npy"]
-    assert file.read_bytes() == before

@@ -77,6 +77,11 @@ def _help_of(name: str) -> str:
     return str(command.get_help(context))
 
 
+def test_the_page_of_settings_is_up_to_date() -> None:
+    command = [sys.executable, str(ROOT / "tools" / "settings_table.py"), "--check"]
+    assert subprocess.run(command).returncode == 0, "run python tools/settings_table.py"
+
+
 @pytest.mark.parametrize("name", ["report", "other-programs", "colour", "operator"])
 def test_the_commands_of_a_page_work(
     name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch

@@ -107,4 +107,4 @@ def _server(command: list[str]) -> Iterator[str]:
         yield f":{number}"
     finally:
         process.terminate()
-        process.wait(timeout=30)
+        process.wait(timeout=120)

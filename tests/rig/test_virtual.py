@@ -102,7 +102,7 @@ def test_time_passes_as_it_does_unless_it_is_simulated() -> None:
     rig.camera.exposure = 0.05
     rig.camera.trigger()
     rig.camera.get_image(1)
-    assert 0.05 <= time.monotonic() - started < 1
+    assert 0.05 <= time.monotonic() - started < 60
 
 
 @pytest.mark.parametrize(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from typing import cast
 
 import numpy as np
 import pytest
@@ -15,6 +16,16 @@ import lightmatrix as lm
 from lightmatrix.errors import InputError, OutputError
 from lightmatrix.shape.shape import surface_faces
 from lightmatrix.shape.triangulation import find_line_spots, uncut_places
+
+
+class Known(lm.Truth):
+    """A scene whose geometry is known."""
+
+    geometry: lm.RigGeometry
+
+
+def truth(scene: str) -> Known:
+    return cast(Known, lm.truth(scene))
 
 
 def errors(shape: lm.Shape, known: lm.Truth) -> NDArray[np.float64]:
@@ -34,8 +45,7 @@ def rig(rows: int = 12, cols: int = 16) -> lm.RigGeometry:
 
 @pytest.mark.parametrize("scene", ["corner", "l_objects"])
 def test_depths_of_known_scenes(scene: str) -> None:
-    known = lm.truth(scene)
-    assert known.geometry is not None
+    known = truth(scene)
     shape = lm.triangulate(known.transport(), known.geometry)
     error = errors(shape, known)
     right = error <= 0.01 * 4
@@ -48,8 +58,7 @@ def test_depths_of_known_scenes(scene: str) -> None:
 
 
 def test_normals_of_walls() -> None:
-    known = lm.truth("corner")
-    assert known.geometry is not None
+    known = truth("corner")
     assert known.normals is not None
     shape = lm.triangulate(known.transport(), known.geometry)
     cosine = (shape.normals * known.normals).sum(axis=-1)
@@ -57,8 +66,7 @@ def test_normals_of_walls() -> None:
 
 
 def test_strict_keeps_fewer_points_and_fewer_wrong_ones() -> None:
-    known = lm.truth("metal")
-    assert known.geometry is not None
+    known = truth("metal")
     usual = lm.triangulate(known.transport(), known.geometry)
     strict = lm.triangulate(known.transport(), known.geometry, strict=True)
     assert (usual.kept | ~strict.kept).all()
@@ -68,8 +76,7 @@ def test_strict_keeps_fewer_points_and_fewer_wrong_ones() -> None:
 
 
 def test_codes_feed_the_same_triangulation(tmp_path: Path) -> None:
-    known = lm.truth("corner")
-    assert known.geometry is not None
+    known = truth("corner")
     code = lm.make_patterns("graycode", (64, 64), inverse=True)
     capture = lm.simulate(known, code, exposure=0.5)
     matches = lm.decode(capture, output=tmp_path / "c.npz")
@@ -137,8 +144,7 @@ def test_spots_that_the_border_cuts_off_move_out_along_the_line() -> None:
 
 
 def test_files(tmp_path: Path) -> None:
-    known = lm.truth("l_objects")
-    assert known.geometry is not None
+    known = truth("l_objects")
     known.geometry.save(tmp_path / "rig.json")
     known.save(tmp_path / "T.npz")
     files = {"output": tmp_path / "cloud.ply", "depth": tmp_path / "depth.tif"}
@@ -159,9 +165,8 @@ def test_files(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("view", ["depth", "normals"])
 def test_views_of_a_shape(view: str, tmp_path: Path) -> None:
-    known = lm.truth("metal")
+    known = truth("metal")
     matrix, geometry = known.transport(), known.geometry
-    assert geometry is not None
     shape = lm.triangulate(matrix, geometry)
     expected = getattr(shape, view)
     assert np.isnan(expected).any()
@@ -175,9 +180,8 @@ def test_views_of_a_shape(view: str, tmp_path: Path) -> None:
 
 
 def test_colours_of_normals_do_not_depend_on_the_frame_of_the_world() -> None:
-    known = lm.truth("corner")
+    known = truth("corner")
     geometry = known.geometry
-    assert geometry is not None
     turn = np.array([[0, 0, 1.0], [1, 0, 0], [0, 1, 0]])
     whole = np.eye(4)
     whole[:3, :3] = turn
@@ -193,8 +197,7 @@ def test_colours_of_normals_do_not_depend_on_the_frame_of_the_world() -> None:
 
 
 def test_binned_captures_scale_the_geometry_and_others_are_refused() -> None:
-    known = lm.truth("corner")
-    assert known.geometry is not None
+    known = truth("corner")
     matrix = known.transport()
     fine = known.geometry
     camera = np.diag([2.0, 2, 1]) @ fine.camera_matrix + np.outer(
@@ -210,8 +213,7 @@ def test_binned_captures_scale_the_geometry_and_others_are_refused() -> None:
 
 
 def test_rows_that_state_an_error_of_all_their_light_give_no_depth() -> None:
-    known = lm.truth("corner")
-    assert known.geometry is not None
+    known = truth("corner")
     plain = known.transport()
     stated = np.full(plain.shape[0], 0.1, np.float32)
     stated[70], stated[71], stated[72] = 1.2, 0.5, np.nan

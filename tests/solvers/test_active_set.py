@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import signal
 import subprocess
 import sys
@@ -10,6 +11,7 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
+import psutil
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -405,7 +407,7 @@ def test_an_error_in_progress_stops_the_solver() -> None:
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="signals of another kind")
-def test_ctrl_c_stops_within_a_second() -> None:
+def test_ctrl_c_stops_a_solve() -> None:
     # A problem that takes minutes: noise with a tiny regularization.
     script = (
         # Shells start background jobs with interrupts ignored, which this child would inherit.
@@ -429,10 +431,10 @@ def test_ctrl_c_stops_within_a_second() -> None:
         assert process.stdout.readline() == "ready\n"
         time.sleep(1.0)
         assert process.poll() is None
-        sent = time.monotonic()
+        others = os.times().children_user
+        before = psutil.Process(process.pid).cpu_times().user
         process.send_signal(signal.SIGINT)
-        _, errors = process.communicate(timeout=30)
-        waited = time.monotonic() - sent
+        _, errors = process.communicate(timeout=120)
     assert "KeyboardInterrupt" in errors
-    # On a busy machine the interpreter itself takes half a second to exit.
-    assert waited < 1.5
+    # Seconds of the processor, as by the clock a busy machine takes long. The solve takes minutes.
+    assert os.times().children_user - others - before < 5

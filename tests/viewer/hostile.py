@@ -89,7 +89,7 @@ def attack(server: running.Server, count: int, seed: int = 0) -> tuple[int, int,
                 sent += 1
                 try:
                     connection.send(mutated(generator, generator.choice(whole)))
-                    connection.recv(timeout=30)
+                    connection.recv(timeout=120)
                     answered += 1
                 except ConnectionClosed:
                     refused += 1

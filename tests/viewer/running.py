@@ -21,7 +21,7 @@ from playwright.sync_api import Browser, Page
 import lightmatrix as lm
 from lightmatrix.simulation.procedural import ProceduralScene
 
-PATIENCE_MS = 10_000
+PATIENCE_MS = 120_000
 VIEWER = "globalThis.lightmatrixViewer"
 
 
@@ -45,7 +45,7 @@ class Server:
     def stop(self) -> int:
         """Press Ctrl-C, and return the exit code."""
         self.process.send_signal(signal.SIGINT)
-        return self.process.wait(60)
+        return self.process.wait(120)
 
 
 @contextmanager

@@ -47,7 +47,7 @@ def server(store: Path) -> Iterator[running.Server]:
 def ask(
     server: running.Server, path: str, method: str = "GET", **headers: str
 ) -> http.client.HTTPResponse:
-    connection = http.client.HTTPConnection("127.0.0.1", server.port, timeout=30)
+    connection = http.client.HTTPConnection("127.0.0.1", server.port, timeout=120)
     connection.putrequest(method, path, skip_host=True)
     for name, value in {"Host": server.host, **headers}.items():
         connection.putheader(name, value)
@@ -110,7 +110,7 @@ def test_nothing_is_written(server: running.Server) -> None:
 
 def connect(server: running.Server, path: str = "", **options: object) -> object:
     address = f"ws://{server.host}/{path or server.token + '/socket'}"
-    options = {"origin": f"http://{server.host}", "open_timeout": 30, **options}
+    options = {"origin": f"http://{server.host}", "open_timeout": 120, **options}
     return websockets.connect(address, proxy=None, **options)
 
 
@@ -132,7 +132,7 @@ def test_a_socket_that_talks_is_closed(server: running.Server) -> None:
         with connect(server) as connection:  # type: ignore[attr-defined]
             connection.send(message)
             with pytest.raises(ConnectionClosed):
-                connection.recv(timeout=30)
+                connection.recv(timeout=120)
     # Windows are counted only while they are open.
     for _ in range(20):
         with connect(server):  # type: ignore[attr-defined]
@@ -162,7 +162,7 @@ def test_hostile_requests_change_nothing(server: running.Server) -> None:
             message[place : place + generator.randint(0, 4)] = generator.randbytes(
                 generator.randint(0, 6)
             )
-        with socket.create_connection(("127.0.0.1", server.port), timeout=30) as connection:
+        with socket.create_connection(("127.0.0.1", server.port), timeout=120) as connection:
             connection.sendall(message)
             if number % 2:
                 connection.shutdown(socket.SHUT_WR)
@@ -256,13 +256,13 @@ def test_a_browser_that_does_not_return_is_served(
     """As one in the terminal, which runs until it is closed."""
     browser = tmp_path / "browser"
     # Its outputs are closed, as the command's pipes would stay open as long as it runs.
-    ending = "exec sleep 60 >/dev/null 2>&1"
+    ending = "exec sleep 300 >/dev/null 2>&1"
     browser.write_text(f'#!/bin/sh\necho "$1" > {tmp_path}/address\n{ending}\n')
     browser.chmod(0o755)
     monkeypatch.setenv("BROWSER", f"{browser} %s")
     with running.served(store, "--browser") as server:
         assert ask(server, f"/{server.token}/").status == 200
-        end = time.monotonic() + 30
+        end = time.monotonic() + 120
         while not (tmp_path / "address").exists() and time.monotonic() < end:
             time.sleep(0.1)
         assert (tmp_path / "address").read_text().strip() == server.address

@@ -22,7 +22,7 @@ from lightmatrix.check.inverse_pairs import Pairs, check_pairs, pair_gains
 from lightmatrix.check.levels import check_jpeg, check_light_level, check_plain_frames
 from lightmatrix.check.linearity import check_grey_levels, check_linearity, show_pictures
 from lightmatrix.check.motion import check_motion
-from lightmatrix.check.prediction import FramePrediction, predict
+from lightmatrix.check.prediction import predict
 from lightmatrix.check.relation import check_relation
 from lightmatrix.check.survey import Survey, high_variance_rows
 from lightmatrix.check.wrong_frames import (
@@ -150,18 +150,18 @@ def _unread(parts: CaptureParts) -> list[Finding]:
     return findings
 
 
-def check_capture(capture: Capture, *, order_only: bool = False) -> list[Finding]:
-    """Everything that seems wrong with a capture, or only what bears on the order of its frames.
+def check_capture(capture: Capture) -> list[Finding]:
+    """Everything that seems wrong with a capture.
 
     Frames are looked at as they were taken, whatever is binned. Of a rectangle of the photographs,
     only the light is judged: whether frames are in order, or something moved, shows better in whole
     photographs.
     """
     with one_blas_thread():
-        return _check(capture, order_only)
+        return _check(capture)
 
 
-def _check(capture: Capture, order_only: bool) -> list[Finding]:
+def _check(capture: Capture) -> list[Finding]:
     whole = capture.whole
     survey = _survey(whole)
     names = [capture.frames.name(k) for k in range(capture.count)]
@@ -171,8 +171,6 @@ def _check(capture: Capture, order_only: bool) -> list[Finding]:
     rows = high_variance_rows(survey)
 
     def of_light() -> list[Finding]:
-        if order_only:
-            return []
         seen = survey if whole is capture else _survey(capture)
         found = check_distinguishable(survey.patterns) + check_light_level(seen)
         return found + check_jpeg(survey, names)
@@ -188,7 +186,8 @@ def _check(capture: Capture, order_only: bool) -> list[Finding]:
     disorder, findings, unrelated = side_by_side(
         [of_order, of_light, lambda: check_relation(survey)]
     )
-    light = None if order_only else not any(each.kind == "jpeg" for each in findings)
+    # JPEG rounds dark and bright samples by different steps, which looks like a gamma.
+    light = not any(each.kind == "jpeg" for each in findings)
     if pairs is None:
         return findings + _check_by_prediction(survey, rows, names, light, disorder, unrelated)
     return findings + _check_by_pairs(survey, rows, names, light, pairs, unrelated)
@@ -244,15 +243,14 @@ def check_interchanged(survey: Survey) -> list[Finding]:
 
 
 # In the two functions below, `disorder` and `unrelated` are what the checks of the order and of the
-# relation found. `light` is None if the light is not judged, and False if its linearity is not:
-# JPEG rounds dark and bright samples by different steps, which looks like a gamma.
+# relation found; `light` tells whether the linearity of the light is judged.
 
 
 def _check_by_pairs(
     survey: Survey,
     rows: NDArray[np.int64],
     names: Sequence[str],
-    light: bool | None,
+    light: bool,
     pairs: Pairs,
     unrelated: list[Finding],
 ) -> list[Finding]:
@@ -262,7 +260,7 @@ def _check_by_pairs(
     findings = check_plain_frames(survey, rows, names)
     of_pairs, corrected, doubted = check_pairs(survey, rows, pairs, names)
     findings += of_pairs
-    if light is None or any(each.kind == "motion" for each in of_pairs):
+    if any(each.kind == "motion" for each in of_pairs):
         return findings
     # Sums of pairs that are not linear in light look like changes of the light.
     bent = check_linearity(corrected, doubted, steady=False) if light else []
@@ -277,7 +275,7 @@ def _check_by_prediction(
     survey: Survey,
     rows: NDArray[np.int64],
     names: Sequence[str],
-    light: bool | None,
+    light: bool,
     disorder: list[Finding],
     unrelated: list[Finding],
 ) -> list[Finding]:
@@ -291,7 +289,11 @@ def _check_by_prediction(
         return unrelated
     findings = check_plain_frames(survey, rows, names)
     prediction = predict(survey.patterns, survey.samples(rows), doubted=displaced)
-    suspects = _suspects(prediction, displaced)
+    # Frames that may show something else, if only a few do.
+    suspects = displaced
+    if prediction.predicted.sum() >= _FEWEST_ROWS:
+        odd = displaced | wrong_frames(prediction.rows(prediction.predicted), SUSPECT)
+        suspects = odd if odd.mean() < _MOST_ODD else displaced
     moved = check_motion(survey, rows, suspects, names)
     if moved:
         return findings + moved
@@ -314,8 +316,6 @@ def _check_by_prediction(
     # Without a frame, its rows may be explained by other places; then it seems wrong only now.
     both = wrong & wrong_frames(first.rows(first.predicted), LIKELY)
     findings += check_frames(prediction, both & ~displaced, names)
-    if light is None:
-        return findings
     right = np.flatnonzero(~wrong & ~displaced)
     findings += check_flicker(*brightness_changes(prediction.frames(right)), right, names)
     if light:
@@ -323,11 +323,3 @@ def _check_by_prediction(
         judge_light = check_grey_levels if survey.greys else check_linearity
         findings += judge_light(survey, suspects | wrong, steady=steady)
     return findings
-
-
-def _suspects(prediction: FramePrediction, displaced: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Frames (K,) that are displaced or may show something else, if only a few do."""
-    if prediction.predicted.sum() < _FEWEST_ROWS:
-        return displaced
-    suspects = displaced | wrong_frames(prediction.rows(prediction.predicted), SUSPECT)
-    return suspects if suspects.mean() < _MOST_ODD else displaced

@@ -266,7 +266,7 @@ def gammas_from_greys(
     greys = capture.patterns
     for number in range(8):
         patterns = ProjectorResponse.of_gamma(gamma).light_of_patterns(greys)
-        found = _step(capture, rows, patterns, camera)
+        found = _off_by(capture, rows, patterns, camera)
         if found is None:
             return None
         # Beyond 30 % the linear change of the light misleads.
@@ -281,7 +281,7 @@ def gammas_from_greys(
     return None
 
 
-def _step(capture: Capture, rows: _LitRows, patterns: PatternSet, camera: bool) -> Bends | None:
+def _off_by(capture: Capture, rows: _LitRows, patterns: PatternSet, camera: bool) -> Bends | None:
     """How much the camera's and the projector's gamma are off, as shares of them."""
     samples = capture.samples().rows(rows.index)
     exposures = capture.exposures

@@ -138,7 +138,13 @@ def check_grey_levels(survey: Survey, doubted: NDArray[np.bool_], *, steady: boo
         if not is_certain(projector, survey.distinct_patterns, steady=True):
             return []
         other = power_from_windows(with_gamma(survey, projector.power), doubted)
-        alone = _projector_finding(projector)
+        uncertainty = max(2 * projector.error * projector.power, 0.01)
+        message = (
+            "the patterns' grey values are not proportional to light: the projector seems to have "
+            f"a gamma of {projector.power:.2f} +- {uncertainty:.2f}"
+        )
+        advice = 'use projector_response="auto", or measure its curve'
+        alone = Finding("projector", (), message, advice)
     if other is None or not is_certain(other, survey.distinct_patterns, steady=steady):
         return [alone]
     advice = 'use response="auto" and projector_response="auto", which find both gammas at once'
@@ -163,34 +169,15 @@ def is_certain(found: WindowPower, count: int, *, steady: bool) -> bool:
 def response_finding(found: WindowPower, stated: str) -> Finding:
     """The finding of photographs that are not linear, decoded by the `stated` response."""
     power, uncertainty = found.power, max(2 * found.error * found.power, 0.01)
+    message = f"the photographs are not linear in light, decoded as {stated}: they look"
+    advice = 'use response="auto", which finds the curve; or '
     if power < 1:
-        return Finding(
-            "response",
-            (),
-            f"the photographs are not linear in light, decoded as {stated}: they look as if raised "
-            f"to a power of {1 / power:.2f} +- {uncertainty / power**2:.2f}",
-            'use response="auto", which finds the curve; or measure it',
-        )
+        message += f" as if raised to a power of {1 / power:.2f} +- {uncertainty / power**2:.2f}"
+        return Finding("response", (), message, advice + "measure it")
     coded = "coded with" if stated == "linear" else "coded with a further"
-    return Finding(
-        "response",
-        (),
-        f"the photographs are not linear in light, decoded as {stated}: they look {coded} gamma "
-        f"{power:.2f} +- {uncertainty:.2f}",
-        'use response="auto", which finds the curve; or turn gamma, sRGB, contrast and tone curves '
-        "off in the camera",
-    )
-
-
-def _projector_finding(found: WindowPower) -> Finding:
-    uncertainty = max(2 * found.error * found.power, 0.01)
-    return Finding(
-        "projector",
-        (),
-        "the patterns' grey values are not proportional to light: the projector seems to have a "
-        f"gamma of {found.power:.2f} +- {uncertainty:.2f}",
-        'use projector_response="auto", or measure its curve',
-    )
+    message += f" {coded} gamma {power:.2f} +- {uncertainty:.2f}"
+    advice += "turn gamma, sRGB, contrast and tone curves off in the camera"
+    return Finding("response", (), message, advice)
 
 
 def show_pictures(patterns: PatternSet) -> bool:
@@ -236,34 +223,24 @@ class WindowPower:
 
 
 @dataclass(frozen=True, eq=False)
-class _Places:
-    """The projector pixels that rows follow, as `find_places` has them, and the light around them.
-
-    `lit` is what explains rows there, (m, K, d).
-    """
-
-    pixels: tuple[NDArray[np.int64], ...]
-    lit: NDArray[np.float64]
-
-
-@dataclass(frozen=True, eq=False)
 class _Bend:
     """The bend under one power: its size and standard error, and how it was found.
 
-    `missed` is the usual share of the variance that is missed, `freedom` as in `WindowPower`.
+    `missed` is the usual share of the variance that is missed, `freedom` as in `WindowPower`;
+    `places` are those of `find_places`, and `lit` what explains rows there, (m, K, d).
     """
 
     size: float
     error: float
     missed: float
     freedom: float
-    places: _Places
+    places: tuple[NDArray[np.int64], ...]
+    lit: NDArray[np.float64]
 
 
-def varied_rows(survey: Survey, most: int | None = None) -> NDArray[np.int64]:
+def varied_rows(survey: Survey) -> NDArray[np.int64]:
     """Rows that vary much and clip little, sorted; drawn at random if there are many."""
-    if most is None:
-        most = int(np.clip(64 * _LIMITS.rows // survey.count, 200, _LIMITS.rows))
+    most = int(np.clip(64 * _LIMITS.rows // survey.count, 200, _LIMITS.rows))
     known = survey.statistics
     usable = survey.valid & survey.inner & (known.clipped <= MOST_CLIPPED)
     usable &= known.highest > known.lowest
@@ -300,13 +277,19 @@ def _search(
         response = raised(survey.decoder.response, float(np.exp(logs[-1])))
         # The places that rows follow are looked for until the power is nearly right.
         found = len(bends) > 1 or (len(bends) == 1 and abs(bends[0].size) < _LIMITS.nearly)
-        bend = _bend(survey, rows, doubted, response, bends[-1].places if found else None)
+        bend = _bend(survey, rows, doubted, response, bends[-1] if found else None)
         if bend is None:
             return None
         bends.append(bend)
         if abs(bend.size) < _LIMITS.small or len(bends) == _LIMITS.steps:
             break
-        step = _step(logs, [each.size for each in bends])
+        step = bend.size
+        # By the secant through the last two.
+        if len(bends) > 1 and logs[-1] != logs[-2]:
+            slope = (bend.size - bends[-2].size) / (logs[-1] - logs[-2])
+            if slope < -_LIMITS.flattest:
+                step = -bend.size / slope
+        step = float(np.clip(step, -_LIMITS.largest_step, _LIMITS.largest_step))
         logs.append(float(np.clip(logs[-1] + step, *np.log(GAMMAS))))
     return WindowPower(
         float(np.exp(logs[-1])),
@@ -317,30 +300,20 @@ def _search(
     )
 
 
-def _step(logs: list[float], sizes: list[float]) -> float:
-    """The next change of the logarithm of the gamma, by the secant through the last two."""
-    step = sizes[-1]
-    if len(sizes) > 1 and logs[-1] != logs[-2]:
-        slope = (sizes[-1] - sizes[-2]) / (logs[-1] - logs[-2])
-        if slope < -_LIMITS.flattest:
-            step = -sizes[-1] / slope
-    return float(np.clip(step, -_LIMITS.largest_step, _LIMITS.largest_step))
-
-
 def _bend(
     survey: Survey,
     rows: NDArray[np.int64],
     doubted: NDArray[np.bool_],
     response: Response,
-    places: _Places | None,
+    known: _Bend | None,
 ) -> _Bend | None:
-    """The bend of one gamma under a response.
+    """The bend of one gamma under a response, at the places of a `known` one if there is one.
 
-    The places are those that are given, or are looked for. None if too few rows can be predicted.
+    None if too few rows can be predicted.
     """
     patterns, decoder = survey.patterns, survey.decoder
     samples = survey.samples(rows, response)
-    prediction = predict(patterns, samples, None if places is None else places.pixels, doubted)
+    prediction = predict(patterns, samples, None if known is None else known.places, doubted)
     kept = prediction.predicted
     if kept.sum() < FEWEST_ROWS:
         return None
@@ -348,9 +321,16 @@ def _bend(
     exposures = np.broadcast_to(np.asarray(decoder.exposure, np.float64), (survey.count,))
     light, dark = light_of(prediction.observed, samples, decoder, exposures)
     expected, _ = light_of(prediction.expected, samples, decoder, exposures)
-    if places is None:
-        places = _Places(prediction.places, _lit_around(survey, prediction.places[0]))
-    own = [np.ones((*light.shape, 1)), prediction.expected[..., None], places.lit]
+    if known is None:
+        place = prediction.places[0]
+        shown = patterns.at(cross(place, patterns.shape)).astype(np.float64)
+        columns = [np.moveaxis(shown, 0, 1)]
+        if survey.distinct_patterns >= _LIMITS.enough_patterns:
+            for spread in _LIMITS.around:
+                window = window_around(place, patterns.shape, 2 * spread, spread, spread // 2)
+                columns.append(mean_around(patterns, *window)[..., None])
+    lit = np.concatenate(columns, axis=2) if known is None else known.lit
+    own = [np.ones((*light.shape, 1)), prediction.expected[..., None], lit]
     whole = Rows(
         light,
         expected,
@@ -359,7 +339,12 @@ def _bend(
         np.concatenate(own, axis=2) * exposures[None, :, None],
         prediction.part,
     ).select(kept)
-    weight = _row_weights(whole) if survey.distinct_patterns >= _LIMITS.enough_patterns else None
+    weight = None
+    if survey.distinct_patterns >= _LIMITS.enough_patterns:
+        # The inverse of the mean square that predictions miss.
+        missed = (whole.usable * (whole.light - whole.predicted) ** 2).sum(axis=1)
+        missed = missed / np.maximum(whole.usable.sum(axis=1), 1)
+        weight = 1 / np.maximum(missed + _LIMITS.missed_anyway * np.median(missed), 1e-18)
     bends = solve_bends(replace(whole, weight=weight), response, GammaBend())
     if bends is None:
         return None
@@ -369,29 +354,9 @@ def _bend(
         error=float(bends.errors[0]),
         missed=float(np.median(prediction.miss)),
         freedom=compared - whole.columns.shape[2],
-        places=places,
+        places=prediction.places,
+        lit=lit,
     )
-
-
-def _row_weights(rows: Rows) -> NDArray[np.float64]:
-    """How much each row counts, (m,): the inverse of the mean square that its predictions miss."""
-    missed = (rows.usable * (rows.light - rows.predicted) ** 2).sum(axis=1)
-    missed = missed / np.maximum(rows.usable.sum(axis=1), 1)
-    return np.asarray(1 / np.maximum(missed + _LIMITS.missed_anyway * np.median(missed), 1e-18))
-
-
-def _lit_around(survey: Survey, place: NDArray[np.int64]) -> NDArray[np.float64]:
-    """What the pixels of a cross, and far light, show around each row's place, (m, K, d)."""
-    patterns = survey.patterns
-    shown = patterns.at(cross(place, patterns.shape)).astype(np.float64)
-    columns = [np.moveaxis(shown, 0, 1)]
-    if survey.distinct_patterns >= _LIMITS.enough_patterns:
-        windows = (
-            window_around(place, patterns.shape, 2 * spread, spread, spread // 2)
-            for spread in _LIMITS.around
-        )
-        columns += [mean_around(patterns, *each)[..., None] for each in windows]
-    return np.concatenate(columns, axis=2)
 
 
 def cross(places: NDArray[np.int64], shape: tuple[int, int]) -> NDArray[np.int64]:

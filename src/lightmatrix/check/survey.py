@@ -114,13 +114,6 @@ class Survey:
             part = slice(start, min(start + step, len(self.raw)))
             yield part, self.samples(np.arange(part.start, part.stop))
 
-    def tiles(self) -> Iterator[tuple[int, Samples]]:
-        """All samples with those that do not count set to 0, and the first row of each tile."""
-        for part, tile in self.chunks():
-            valid = self.valid[part, None]
-            values, clipped = tile.values * valid, tile.clipped & valid
-            yield part.start, replace(tile, values=values, clipped=clipped)
-
     @cached_property
     def statistics(self) -> Statistics:
         """Extremes, spread and clipping of every sample."""

@@ -2,19 +2,11 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import typer
 
 from lightmatrix.cli.options import Json
 from lightmatrix.cli.source import Source, with_source
 from lightmatrix.cli.terminal import as_options, say, show_json
-
-if TYPE_CHECKING:
-    from lightmatrix import Finding
-
-# The exit code if something is wrong.
-FOUND = 1
 
 
 @with_source()
@@ -30,15 +22,10 @@ def check(*, source: Source, as_json: Json = False) -> None:
     if as_json:
         show_json({"findings": [finding.as_dict() for finding in findings]})
     elif findings:
-        show_findings(findings)
+        for finding in findings:
+            say(as_options(f"{finding.kind}: {finding.message}"), style="yellow")
+            say(as_options(f"  {finding.advice}"))
     else:
         say("nothing is wrong")
     if not all(finding.is_note for finding in findings):
-        raise typer.Exit(FOUND)
-
-
-def show_findings(findings: list[Finding]) -> None:
-    """Print findings, each with its advice."""
-    for finding in findings:
-        say(as_options(f"{finding.kind}: {finding.message}"), style="yellow")
-        say(as_options(f"  {finding.advice}"))
+        raise typer.Exit(1)

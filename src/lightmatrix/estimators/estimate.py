@@ -10,8 +10,7 @@ A tile of rows is solved six calls below it:
 6. `solve_weighted` (`solvers/active_set.py`) hands it to the compiled core.
 
 Row by row, `_Rows.solve` (`plain.py`) replaces 4 and 5, and `solvers.solve` replaces 6.
-With workers, 3 hands the tiles to `DaskPool.solve` (`workers/pool.py`), and each worker does the
-rest (`workers/worker.py`).
+With workers, 3 hands the tiles to `DaskPool.solve` (`workers.py`), and each worker does the rest.
 """
 
 from __future__ import annotations
@@ -33,7 +32,7 @@ from lightmatrix.estimators.plain import PlainEstimator
 from lightmatrix.estimators.resource_estimate import estimate_resources
 from lightmatrix.estimators.settings import EstimateSettings
 from lightmatrix.estimators.unknown_projector import find_responses
-from lightmatrix.estimators.workers.pool import open_workers
+from lightmatrix.estimators.workers import dask_pool
 from lightmatrix.files.kinds import STORE
 from lightmatrix.files.writing import check_output
 from lightmatrix.patterns.colour import ColourPatterns
@@ -193,8 +192,10 @@ def estimate(
         resources.check()
     elif not resources.fits:
         warn(f"this takes {resources}\n  {resources.advice}")
+    several = settings.workers is not None or settings.cluster is not None
+    each = resources.memory // resources.workers
     # Workers are checked before the frames are read, which takes longer.
-    with open_workers(settings, resources) as pool:
+    with dask_pool(workers, cluster, each) if several else nullcontext() as pool:
         refuse_unusable(capture)
         check_frames = partial(refuse_unordered, capture) if check else list
         remarks: dict[str, Any] = {}

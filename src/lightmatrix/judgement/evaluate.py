@@ -28,7 +28,7 @@ from lightmatrix.simulation import library
 from lightmatrix.simulation.colour import is_of_all_primaries, of_primary
 from lightmatrix.simulation.scenes import scene as find_scene
 from lightmatrix.simulation.truth import Truth
-from lightmatrix.transport import store as store
+from lightmatrix.transport import store
 from lightmatrix.transport.matrix import ColourTransport, LightTransport
 
 
@@ -230,7 +230,12 @@ def evaluate_colour(
         if len(matrices) != 3:
             raise InputError(f"{len(matrices)} {word}", hint="give those of red, green and blue")
     pairs = [_matrices(*pair, progress) for pair in zip(estimates, truths, strict=True)]
-    return errors_in_colour([one for one, _ in pairs], [known for _, known in pairs], exposure)
+    red, green, blue = each = [errors_by_rows(*pair, exposure) for pair in pairs]
+    energies = np.array([float(row_energies(known).sum()) for _, known in pairs])
+    missed = np.array([errors.relative_error for errors in each]) ** 2 * energies
+    relighting = joint_relighting_error([one for one, _ in pairs], [known for _, known in pairs])
+    relative = float(np.sqrt(missed.sum() / energies.sum()))
+    return ColourErrors(red, green, blue, relative, relighting)
 
 
 def _known_in_colour(truth: Truth | str | Path) -> Sequence[LightTransport | str | Path]:
@@ -259,10 +264,10 @@ def _matrices(
     if isinstance(truth, LightTransport):
         known = truth
     else:
-        is_file = isinstance(truth, str) and (
+        is_scene = isinstance(truth, str) and not (
             truth.lower().endswith(".npz") or Path(truth).is_dir()
         )
-        if isinstance(truth, str) and not is_file:
+        if isinstance(truth, str) and is_scene:
             find_scene(truth)
             region, projector = matrix.region, matrix.projector_shape
             camera = matrix.camera_shape if region is None else region.whole
@@ -286,18 +291,6 @@ def _matrices(
             hint="compare matrices of one rig with the same binning",
         )
     return matrix, known
-
-
-def errors_in_colour(
-    estimates: Sequence[LightTransport], truths: Sequence[LightTransport], exposure: float
-) -> ColourErrors:
-    """The errors of the matrices of red, green and blue, each and together."""
-    each = [errors_by_rows(*pair, exposure) for pair in zip(estimates, truths, strict=True)]
-    energies = np.array([float(row_energies(truth).sum()) for truth in truths])
-    missed = np.array([one.relative_error for one in each]) ** 2 * energies
-    red, green, blue = each
-    whole = float(np.sqrt(missed.sum() / energies.sum()))
-    return ColourErrors(red, green, blue, whole, joint_relighting_error(estimates, truths))
 
 
 def joint_relighting_error(

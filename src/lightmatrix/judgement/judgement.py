@@ -37,7 +37,7 @@ SINGLY_CLIPPED = 0.02
 # show it; and those after which photographs held out, which are wrong alike, test nothing.
 _SPOILING = ("order", "unrelated", "response", "projector", "motion", "patterns")
 _WRONG_ALIKE = ("order", "unrelated", "motion")
-_UNTESTED = "It was not tested on unseen photographs (`estimate --report` does that)."
+_UNTESTED = "It was not tested on unseen photographs, as a report does."
 
 
 @dataclass(frozen=True)
@@ -182,15 +182,13 @@ class Verdicts:
         ]
 
 
-def verdict(transport: LightTransport, why_untested: str = _UNTESTED) -> Verdict:
+def verdict(transport: LightTransport) -> Verdict:
     """Judge an estimate by the errors that it estimates of its own rows.
 
     Parameters
     ----------
     transport : LightTransport
         An estimate. A matrix without diagnostics cannot be judged.
-    why_untested : str
-        The sentence to add where no row has an estimated error.
 
     Returns
     -------
@@ -206,8 +204,7 @@ def verdict(transport: LightTransport, why_untested: str = _UNTESTED) -> Verdict
     >>> print(lm.verdict(lm.truth("metal").transport()))
     Not tested. The matrix has no diagnostics.
     """
-    judged = verdict_by_rows(transport, why_untested)
-    return judged.with_findings(stored_findings(transport))
+    return verdict_by_rows(transport).with_findings(stored_findings(transport))
 
 
 def verdicts(transport: LightTransport) -> Verdicts:
@@ -239,7 +236,10 @@ def verdicts(transport: LightTransport) -> Verdicts:
 
 
 def verdict_by_rows(transport: LightTransport, why_untested: str = _UNTESTED) -> Verdict:
-    """The verdict by the diagnostics of the rows alone, whatever was found in the capture."""
+    """The verdict by the diagnostics of the rows alone, whatever was found in the capture.
+
+    `why_untested` is a sentence to add where no row has an estimated error.
+    """
     diagnostics = transport.diagnostics
     if not diagnostics:
         return Verdict("not tested", None, ("The matrix has no diagnostics.",))

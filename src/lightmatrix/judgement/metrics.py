@@ -18,14 +18,8 @@ from lightmatrix.transport.sparse_rows import row_blocks
 # A single response counts as unclipped up to this share of the clip level. The margin of 2 % is
 # part of the metric's definition, chosen by hand.
 UNCLIPPED_RESPONSE = 0.98
-# Rows are processed in chunks of about this many bytes, of which a sparse entry takes 32: a double,
-# its square, and two indices.
+# Rows are processed in chunks of about this many bytes.
 _CHUNK_BYTES = 64 << 20
-_ENTRY_BYTES = 32
-# Unseen patterns of blocks and stripes have cells of this many projector pixels, checkers of twice
-# as many. A row is diffuse if its strongest window holds less than this share of its sum.
-_CELL = 4
-_DIFFUSE_SHARE = 0.5
 
 
 def relative_error(
@@ -46,7 +40,7 @@ def squared_errors(
     wrong = np.empty(truth.sparse.shape[0])
     entries = np.asarray(estimate.sparse.indptr, np.int64) + truth.sparse.indptr
     cells = estimate.background.shape[1] + truth.background.shape[1]
-    for rows in _blocks(entries, _ENTRY_BYTES, cells):
+    for rows in _blocks(entries, cells):
         difference = csr_array(estimate.sparse[rows] - truth.sparse[rows], dtype=np.float64)
         backgrounds = [
             (estimate.background[rows], estimate.pooling),
@@ -60,14 +54,17 @@ def row_energies(transport: LightTransport) -> NDArray[np.float64]:
     """||T_i||^2 of each row, background included, (M,) float64."""
     result = np.empty(transport.sparse.shape[0])
     cells = transport.background.shape[1]
-    for rows in _blocks(transport.sparse.indptr, _ENTRY_BYTES, cells):
+    for rows in _blocks(transport.sparse.indptr, cells):
         sparse = csr_array(transport.sparse[rows], dtype=np.float64)
         result[rows] = _row_energies(sparse, [(transport.background[rows], transport.pooling)])
     return result
 
 
-def _blocks(indptr: NDArray[np.integer], bytes_each: int, cells: int = 0) -> Iterator[slice]:
-    """Slices of rows whose entries and background cells, `bytes_each` each, fill a chunk."""
+def _blocks(indptr: NDArray[np.integer], cells: int = 0, bytes_each: int = 32) -> Iterator[slice]:
+    """Slices of rows whose entries and background cells, `bytes_each` each, fill a chunk.
+
+    By default an entry takes a double, its square, and two indices.
+    """
     ends = np.asarray(indptr, np.int64) + cells * np.arange(len(indptr))
     for start, stop in itertools.pairwise(row_blocks(ends, _CHUNK_BYTES // bytes_each)):
         yield slice(start, stop)
@@ -115,7 +112,8 @@ def response_rmse(
     for start in range(0, difference.shape[0], size):
         part = slice(start, start + size)
         dense = difference[part].toarray() + background[part] @ cells
-        wrong += _energy(dense - true_background[part] @ true_cells)
+        missed = dense - true_background[part] @ true_cells
+        wrong += float(np.square(missed, dtype=np.float64).sum())
     count = difference.shape[0] * difference.shape[1]
     return float(np.sqrt(wrong / max(count, 1))) / clip_level
 
@@ -140,14 +138,15 @@ def unseen_patterns(shape: tuple[int, int], seed: int = 0) -> dict[str, NDArray[
     """Patterns that no estimate has seen: checker, disc, gradient, stripes, random blocks."""
     rows, cols = np.indices(shape)
     centre = (shape[0] - 1) / 2, (shape[1] - 1) / 2
-    cells = [-(-side // _CELL) for side in shape]
+    # Blocks and stripes have cells of 4 projector pixels, checkers of twice as many.
+    cells = [-(-side // 4) for side in shape]
     random = np.random.default_rng(seed).random(cells) < 0.5
     patterns = {
-        "checker": (rows // (2 * _CELL) + cols // (2 * _CELL)) % 2,
+        "checker": (rows // 8 + cols // 8) % 2,
         "disc": np.hypot(rows - centre[0], cols - centre[1]) < min(shape) / 3,
         "gradient": (rows / shape[0] + 2 * cols / shape[1]) / 3,
-        "stripes": cols // _CELL % 2,
-        "blocks": np.kron(random, np.ones((_CELL, _CELL)))[: shape[0], : shape[1]],
+        "stripes": cols // 4 % 2,
+        "blocks": np.kron(random, np.ones((4, 4)))[: shape[0], : shape[1]],
     }
     return {name: np.asarray(image, np.float32) for name, image in patterns.items()}
 
@@ -178,10 +177,10 @@ def diffuse_rows(matrix: csr_array, projector_shape: tuple[int, int]) -> NDArray
     windows = csr_array(kron(down, right), dtype=np.float32)
     result = np.zeros(matrix.shape[0], bool)
     # Each entry lies in nine windows, of 8 bytes each.
-    for rows in _blocks(matrix.indptr, 9 * 8):
+    for rows in _blocks(matrix.indptr, bytes_each=9 * 8):
         part = matrix[rows]
         strongest = (part @ windows).max(axis=1).toarray().ravel()
-        result[rows] = strongest < _DIFFUSE_SHARE * part.sum(axis=1)
+        result[rows] = strongest < 0.5 * part.sum(axis=1)
     return result
 
 
@@ -193,7 +192,3 @@ def _check_same_rig(estimate: LightTransport, truth: LightTransport) -> None:
                 f"the truth's is {getattr(truth, name)}",
                 hint="compare matrices of one rig with the same binning",
             )
-
-
-def _energy(values: NDArray[Any]) -> float:
-    return float(np.square(values, dtype=np.float64).sum())

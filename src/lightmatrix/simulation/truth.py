@@ -21,8 +21,7 @@ from lightmatrix.capture.settings import TRUTH as TRUTH_NAME
 from lightmatrix.errors import InputError
 from lightmatrix.files.kinds import TRUTH
 from lightmatrix.files.writing import atomic_file
-from lightmatrix.geometry.projection import binned_matrix
-from lightmatrix.geometry.rig_geometry import RigGeometry
+from lightmatrix.geometry.rig_geometry import RigGeometry, binned_matrix
 from lightmatrix.regions import Region
 from lightmatrix.reprs import short_repr
 from lightmatrix.simulation.scenes import names, scene

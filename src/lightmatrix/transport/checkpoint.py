@@ -16,7 +16,6 @@ import re
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import ExitStack
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
@@ -113,13 +112,13 @@ class Checkpoint:
         trace: TracebackType | None,
     ) -> None:
         with self._claim:
-            tiles = [tile for name in self._kept.names if (tile := tile_of(name)) is not None]
             # Settings that no tile could be computed with must not stand in the way of others.
             refused = isinstance(error, LightMatrixError) and not isinstance(
                 error, OutputError | ClusterError
             )
-            if not tiles or (refused and not any(step == ROWS for step, _ in tiles)):
-                self.discard()
+            steps = {step for _, step, _ in self._files()}
+            if not steps or (refused and ROWS not in steps):
+                self._kept.discard()
 
     @property
     def folder(self) -> Path:
@@ -129,10 +128,10 @@ class Checkpoint:
     def spans(self, step: str = ROWS) -> list[Span]:
         """Rows of the finished, undamaged tiles of a step, in order and without overlap."""
         if step not in self._spans:
-            tiles = [tile for name in self._kept.names if (tile := tile_of(name)) is not None]
-            spans = [span for other, span in tiles if other == step]
-            whole = [span for span in spans if self._tile(step, span) is not None]
-            self._spans[step] = without_overlap(whole)
+            spans = [span for _, other, span in self._files() if other == step]
+            self._spans[step] = _without_overlap(
+                s for s in spans if self._tile(step, s) is not None
+            )
         return list(self._spans[step])
 
     def write(self, start: int, stop: int, rows: SparseRows, step: str = ROWS) -> None:
@@ -146,7 +145,7 @@ class Checkpoint:
 
     def add(self, start: int, stop: int, step: str = ROWS) -> None:
         """Count a tile that was written as finished."""
-        self._spans[step] = without_overlap([*self.spans(step), (start, stop)])
+        self._spans[step] = _without_overlap([*self.spans(step), (start, stop)])
 
     def read(self, step: str) -> SparseRows:
         """All tiles of a step, joined."""
@@ -159,9 +158,8 @@ class Checkpoint:
 
     def forget(self, step: str) -> None:
         """Throw away the tiles of a step."""
-        for name in self._kept.names:
-            tile = tile_of(name)
-            if tile is not None and tile[0] == step:
+        for name, other, _ in self._files():
+            if other == step:
                 self._kept.forget(name)
         self._spans[step] = []
 
@@ -196,40 +194,37 @@ class Checkpoint:
                 hint=f"the finished tiles are kept in {self.folder}: check the folder, its "
                 "permissions and the free space, and run the same estimate again",
             ) from error
-        self.discard()
+        self._kept.discard()
         return replace(open_store(self._path), provenance=provenance)
 
-    def discard(self) -> None:
-        """Throw away all that is kept."""
-        self._kept.discard()
-
-    def _tiles(self, step: str) -> Iterator[SparseRows]:
-        """Finished tiles one after the other, so that they are never all in memory."""
-        return work_ahead(partial(self._whole, step), self.spans(step))
-
-    def _whole(self, step: str, span: Span) -> SparseRows:
-        tile = self._tile(step, span)
-        if tile is None:
-            raise InputError(
-                f"{self.folder}: the tile {tile_name(step, span)} was damaged meanwhile",
-                hint="run the same estimate again; it computes that tile anew",
-            )
-        return tile
+    def _files(self) -> list[tuple[str, str, Span]]:
+        """Name, step and rows of each tile's file that is kept."""
+        form = re.compile(r"([a-z0-9-]+)-([0-9]{1,18})-([0-9]{1,18})\.npz")
+        found = [match for name in self._kept.names if (match := form.fullmatch(name))]
+        return [(match[0], match[1], (int(match[2]), int(match[3]))) for match in found]
 
     def _tile(self, step: str, span: Span) -> SparseRows | None:
         """A finished tile; None if it is damaged."""
         return read_tile(self._kept.file(tile_name(step, span)), self.token, span[1] - span[0])
 
+    def _tiles(self, step: str) -> Iterator[SparseRows]:
+        """Finished tiles one after the other, so that they are never all in memory."""
+
+        def whole(span: Span) -> SparseRows:
+            tile = self._tile(step, span)
+            if tile is None:
+                raise InputError(
+                    f"{self.folder}: the tile {tile_name(step, span)} was damaged meanwhile",
+                    hint="run the same estimate again; it computes that tile anew",
+                )
+            return tile
+
+        return work_ahead(whole, self.spans(step))
+
 
 def tile_name(step: str, span: Span) -> str:
     """The name of the file that keeps a tile of a step."""
     return f"{step}-{span[0]}-{span[1]}.npz"
-
-
-def tile_of(name: str) -> tuple[str, Span] | None:
-    """The step and the rows of a tile by its file's name; None if it is no tile's."""
-    match = re.fullmatch(r"([a-z0-9-]+)-([0-9]{1,18})-([0-9]{1,18})\.npz", name)
-    return None if match is None else (match[1], (int(match[2]), int(match[3])))
 
 
 def write_tile(file: Path, token: str, rows: SparseRows) -> None:
@@ -255,7 +250,7 @@ def read_tile(file: Path, token: str, count: int) -> SparseRows | None:
     return rows if rows.count == count else None
 
 
-def without_overlap(spans: Iterable[Span]) -> list[Span]:
+def _without_overlap(spans: Iterable[Span]) -> list[Span]:
     """Spans of rows in order, of which a longer one excludes those that overlap it."""
     chosen: list[Span] = []
     for start, stop in sorted(spans, key=lambda span: span[0] - span[1]):

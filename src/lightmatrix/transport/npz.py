@@ -1,6 +1,6 @@
 """Files of other programs: T as npz that SciPy loads or mat for MATLAB, and correspondences as npz.
 
-`import_npz` reads exports, rendered truths, and sparse matrices that SciPy saved.
+`import_npz` reads exports, rendered truths, and sparse matrices that SciPy saved as CSR.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 from scipy.io import savemat
-from scipy.sparse import coo_array, csr_array
+from scipy.sparse import csr_array
 
 from lightmatrix.errors import InputError, OutputError
 from lightmatrix.files.kinds import (
@@ -39,7 +39,7 @@ from lightmatrix.transport.sparse_rows import checked_float32, checked_matrix, c
 VERSION = 1
 # Arrays with one value for each entry. All others are small, or have one value for each row and
 # cell.
-_ENTRIES = ("data", "indices", "row", "col", "direct_data")
+_ENTRIES = ("data", "indices", "direct_data")
 # Arrays of a correspondence for each camera pixel: numbers after (rows, cols), type, and whether
 # every file has them.
 _MATCHES = {
@@ -211,7 +211,7 @@ def import_npz(
 
 
 def read_sparse_npz(path: str | Path) -> SparseFile:
-    """Read a sparse matrix in CSR, CSC or COO form."""
+    """Read a sparse matrix in the form CSR."""
     file = Path(path)
     content = read_npz(file, _check_sizes)
     for name in (TRANSPORT_MARK, TRUTH_MARK):
@@ -245,7 +245,13 @@ def _check_sizes(headers: Mapping[str, NpyHeader]) -> None:
 
 def _checked(file: Path, content: Mapping[str, NDArray[Any]]) -> SparseFile:
     rows, cols = checked_shape(content["shape"], (2,), "the matrix", pixels=max)
-    matrix = _matrix(content, (rows, cols))
+    form = _text(content["format"])
+    if form != "csr":
+        raise ValueError(f"a matrix in the form {form[:20]!r}; save it as csr (matrix.tocsr())")
+    lacking = [name for name in ("indices", "indptr") if name not in content]
+    if lacking:
+        raise ValueError(f"{', '.join(lacking)} missing")
+    matrix = checked_matrix(content["data"], content["indices"], content["indptr"], (rows, cols))
     camera, projector = None, None
     if "camera_shape" in content:
         camera = checked_shape(content["camera_shape"], (2, 3), "camera_shape")
@@ -266,8 +272,6 @@ def _checked(file: Path, content: Mapping[str, NDArray[Any]]) -> SparseFile:
         background = checked_float32(background, "the background")
     direct = content.get("direct_data")
     if direct is not None:
-        if _text(content["format"]) != "csr":
-            raise ValueError("direct parts belong to a matrix in the form csr")
         direct = checked_float32(direct, "the direct part")
     metadata: Any = {}
     if "metadata" in content:
@@ -281,29 +285,6 @@ def _checked(file: Path, content: Mapping[str, NDArray[Any]]) -> SparseFile:
         if (geometry.camera_shape, geometry.projector_shape) != ((camera or ())[:2], projector):
             raise ValueError("its geometry has other image sizes")
     return SparseFile(matrix, direct, background, grid, camera, projector, metadata, geometry)
-
-
-def _matrix(content: Mapping[str, NDArray[Any]], shape: tuple[int, int]) -> csr_array:
-    rows, cols = shape
-    form = _text(content["format"])
-    needed = {"csr": ("indices", "indptr"), "csc": ("indices", "indptr"), "coo": ("row", "col")}
-    if form not in needed:
-        raise ValueError(f"a matrix in the form {form[:20]!r}; save it as csr")
-    lacking = [name for name in needed[form] if name not in content]
-    if lacking:
-        raise ValueError(f"{', '.join(lacking)} missing")
-    data = content["data"]
-    if form == "csr":
-        return checked_matrix(data, content["indices"], content["indptr"], shape)
-    if form == "csc":
-        flipped = checked_matrix(data, content["indices"], content["indptr"], (cols, rows))
-        return csr_array(flipped.T)
-    for name, most in (("row", rows), ("col", cols)):
-        index = content[name]
-        if index.dtype.kind not in "iu" or (index < 0).any() or (index >= most).any():
-            raise ValueError(f"a place lies outside the matrix of {rows} x {cols}")
-    places = (content["row"].astype(np.int32), content["col"].astype(np.int32))
-    return csr_array(coo_array((checked_float32(data, "data"), places), shape=shape))
 
 
 def _check_version(file: Path, stored: NDArray[Any]) -> None:

@@ -1,0 +1,600 @@
+"""Estimates by several processes, here or on other machines, on Dask's scheduler (extra cluster).
+
+`dask_pool` starts workers, or connects to those of a cluster, and checks them. `DaskPool.solve`
+hands out tiles, and hands them out again where a worker died. `solve_tile` runs in a worker: it
+opens an estimate once, solves tiles of it and writes them.
+
+The pool waits for tiles with `distributed.wait`. `distributed.as_completed` would be shorter, but
+it has one deadline for all tiles, so it could not notice that every worker is gone; and it returns
+the tiles of a worker that died as if they had ended.
+"""
+
+from __future__ import annotations
+
+import gc
+import hashlib
+import io
+import logging
+import os
+import pickle
+import platform
+import threading
+import time
+import warnings
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping
+from concurrent.futures import CancelledError
+from contextlib import ExitStack, contextmanager
+from dataclasses import MISSING, dataclass, field, fields, is_dataclass
+from functools import partial
+from multiprocessing import spawn
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import TYPE_CHECKING, Any, TypeVar
+from weakref import WeakKeyDictionary
+
+import numpy as np
+import scipy
+
+from lightmatrix._version import __version__
+from lightmatrix.capture.capture import Capture
+from lightmatrix.capture.frames import PixelFrames
+from lightmatrix.errors import ClusterError, InputError, LightMatrixError, MissingExtraError
+from lightmatrix.estimators.work import SolveTile, Work
+from lightmatrix.resources.memory import available_bytes
+from lightmatrix.resources.threads import core_threads
+from lightmatrix.transport.checkpoint import (
+    Checkpoint,
+    Span,
+    fingerprint_token,
+    read_tile,
+    tile_name,
+    write_tile,
+)
+from lightmatrix.transport.sparse_rows import SparseRows
+
+if TYPE_CHECKING:
+    from distributed import Client
+
+T = TypeVar("T")
+
+# The environment variables of the threads of BLAS, which a process reads as it starts, and that of
+# the compiled core.
+_BLAS_THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+_CORE_THREADS = "RAYON_NUM_THREADS"
+# The file of the packed estimate in the folder of the running results.
+_JOB_FILE = "job.pickle"
+# What Dask runs as a worker of this machine starts, before it loads NumPy. It leaves Ctrl-C, which
+# a terminal sends to all processes, to the process that started the workers.
+_IGNORE_CTRL_C = """
+import signal
+def dask_setup(worker):
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+"""
+_NO_SCHEDULER = "the connection to the scheduler was lost"
+_CONTINUE = "finished tiles are kept: run the same estimate again, with workers or without"
+_SAME_VERSIONS = "install the same version of lightmatrix, NumPy, SciPy and Python for all workers"
+_SHARE_OUTPUT = "write the output to a file system that all workers share, by the same path"
+_SHARE_CAPTURE = "put the capture on a file system that all workers share, by the same path"
+
+
+@dataclass(frozen=True)
+class Patience:
+    """Seconds that processes wait for each other; all are chosen by hand."""
+
+    # For the answer of a scheduler, and for its first worker.
+    scheduler: float = 10
+    first_worker: float = 30
+    # Between two counts of the workers, and without any worker until the estimate is given up. Dask
+    # starts a dead worker again within seconds.
+    count: float = 2
+    no_worker: float = 60
+    # Until the tiles of a worker that is silent, such as one that was stopped, go to others. Dask
+    # waits for five minutes. Workers report every second or so also while they solve, as the
+    # compiled core leaves Python free.
+    silent: float = 60
+    # Until a missing file counts as missing: a shared file system may show the files of other
+    # machines some seconds late.
+    file: float = 15
+
+
+PATIENCE = Patience()
+
+
+@dataclass(frozen=True)
+class Job:
+    """An estimate in a folder of running results that all workers share."""
+
+    folder: str
+    # Hash of the packed estimate; `token` is the fingerprint of the running results, and `frame`
+    # the hash of a frame, by which a worker notices another capture.
+    digest: str
+    token: str
+    frame: str
+    version: str = __version__
+
+
+# ---- in the process that hands out tiles
+
+
+@dataclass(eq=False)
+class DaskPool:
+    """Checked Dask workers."""
+
+    client: Client
+    _jobs: WeakKeyDictionary[Checkpoint, Job] = field(default_factory=WeakKeyDictionary)
+
+    @property
+    def threads(self) -> dict[str, int]:
+        """Threads of each present worker, as Dask counts them, by its address."""
+        return dict(self.client.nthreads())
+
+    @property
+    def parts(self) -> int:
+        """Into how many tiles a step is cut at least."""
+        # Three for each worker, so that none waits long for the last one. More would cost more to
+        # hand out.
+        return 3 * max(1, len(self.threads))
+
+    def solve(
+        self,
+        work: Work,
+        step: str,
+        spans: list[Span],
+        checkpoint: Checkpoint,
+        report: Callable[[int], None],
+    ) -> None:
+        """Let workers solve tiles of a step whose earlier steps are finished; see `WorkerPool`.
+
+        Raises
+        ------
+        ClusterError
+            If a worker does not see the capture or the output, all are gone, or a tile has killed
+            several of them.
+        LightMatrixError
+            As an estimate in one process.
+        """
+        from distributed import wait
+
+        job, threads = self._job(work, checkpoint), min(self.threads.values(), default=1)
+        before = {name: checkpoint.spans(name) for name in work.steps[step]}
+        running, done, seen = dict[Any, Span](), 0, time.monotonic()
+        try:
+            for span in spans:
+                # The checkpoint knows the name of the file before a worker writes it.
+                checkpoint.place(*span, step)
+                key = f"{tile_name(step, span)}-{job.digest[:8]}-{time.monotonic_ns()}"
+                future = self.client.submit(
+                    solve_tile, job, step, span, before, threads, key=key, pure=False
+                )
+                running[future] = span
+            while running:
+                try:
+                    with self.client.as_current():
+                        ended = wait(list(running), PATIENCE.count, "FIRST_COMPLETED").done
+                except TimeoutError:
+                    ended = set()
+                except CancelledError as error:
+                    raise ClusterError(_NO_SCHEDULER, hint=_CONTINUE) from error
+                for future in ended:
+                    # The status is read once, as it changes when a worker dies. Dask lets another
+                    # worker solve the tiles of one that died, which `wait` counts as done.
+                    if (status := future.status) == "lost":
+                        continue
+                    span = running.pop(future)
+                    if status != "finished":
+                        raise _tile_error(future, status, span)
+                    file = checkpoint.place(*span, step)
+                    if not _wait_for(partial(_present, file)):
+                        raise ClusterError(
+                            f"{file}: was written by a worker, but is not visible here",
+                            hint=_SHARE_OUTPUT,
+                        )
+                    checkpoint.add(*span, step)
+                    done += span[1] - span[0]
+                    report(done)
+                now = time.monotonic()
+                if ended or self.threads:
+                    seen = now
+                elif now > seen + PATIENCE.no_worker:
+                    raise ClusterError("no worker is left", hint=_CONTINUE)
+        finally:
+            # After an error or Ctrl-C the tiles that no worker has begun are taken back.
+            if running:
+                self.client.cancel(list(running), force=True)
+
+    def _job(self, work: Work, checkpoint: Checkpoint) -> Job:
+        """The job of an estimate; as it is new, every worker checks its access to the files."""
+        if checkpoint not in self._jobs:
+            data = pack_work(work)
+            checkpoint.keep(_JOB_FILE, data)
+            digest = hashlib.sha256(data).hexdigest()
+            frame = frame_digest(work.capture)
+            job = Job(str(checkpoint.folder), digest, checkpoint.token, frame)
+            for address, answer in self.client.run(check_access, job, on_error="return").items():
+                if isinstance(answer, BaseException):
+                    raise _worker_error(address, answer)
+            self._jobs[checkpoint] = job
+        return self._jobs[checkpoint]
+
+
+def _present(file: Path) -> bool | None:
+    return file.is_file() or None
+
+
+def _tile_error(future: Any, status: str, span: Span) -> Exception:
+    """What went wrong with a tile that did not finish."""
+    if status != "error":
+        return ClusterError(_NO_SCHEDULER, hint=_CONTINUE)
+    error = future.exception()
+    if isinstance(error, LightMatrixError):
+        return error
+    if type(error).__name__ == "KilledWorker":
+        return ClusterError(
+            f"rows {span[0]} to {span[1]}: {error.allowed_failures + 1} workers died while "
+            "solving them, one after the other",
+            hint=f"probably memory: use fewer workers, memory or tile_rows. {_CONTINUE}",
+        )
+    return _worker_error("a worker", error)
+
+
+def _worker_error(address: str, error: BaseException) -> ClusterError:
+    """The error of a worker, with its address."""
+    if isinstance(error, LightMatrixError):
+        return ClusterError(f"{address}: {error.message}", hint=error.hint)
+    if isinstance(error, ImportError):
+        return ClusterError(
+            f"{address}: does not have this version of lightmatrix ({error})", hint=_SAME_VERSIONS
+        )
+    return ClusterError(f"{address}: {_words(error)}", hint=_CONTINUE)
+
+
+def _words(error: BaseException) -> str:
+    return f"{type(error).__name__}: {' '.join(str(error).split())[:300]}"
+
+
+@contextmanager
+def dask_pool(
+    workers: int | None = None, cluster: str | None = None, memory: int = 0
+) -> Iterator[DaskPool]:
+    """A pool of new processes or of the workers at `cluster`, which take `memory` bytes each.
+
+    Raises
+    ------
+    MissingExtraError
+        If Dask is missing.
+    ClusterError
+        If workers cannot be started, the scheduler does not answer or has none, or one of them has
+        other versions or too little memory.
+    """
+    try:
+        import distributed  # noqa: F401
+    except ImportError as error:
+        raise MissingExtraError(
+            "estimates by several processes need Dask",
+            hint="install it: pip install 'lightmatrix[cluster]'",
+        ) from error
+    with ExitStack() as stack:
+        # Dask is silent here, as whatever matters becomes an error of ours.
+        logger = logging.getLogger("distributed")
+        stack.callback(logger.setLevel, logger.level)
+        logger.setLevel(logging.CRITICAL)
+        stack.enter_context(warnings.catch_warnings())
+        warnings.filterwarnings("ignore", module=r"distributed(\..*)?")
+        # On a busy machine this warning seems to come from another module.
+        warnings.filterwarnings("ignore", message="Creating scratch directories")
+        if cluster is None:
+            client = stack.enter_context(_started(workers or 1))
+        else:
+            client = stack.enter_context(_connected(cluster))
+        answers = client.run(describe_worker, on_error="return")
+        for address, answer in answers.items():
+            if isinstance(answer, BaseException):
+                # Dask may wrap the ImportError of a worker into another exception.
+                raise _worker_error(address, ImportError(_words(answer)))
+            theirs = answer["versions"]
+            differing = [
+                f"{name} {theirs.get(name)}, not {own}"
+                for name, own in versions().items()
+                if theirs.get(name) != own
+            ]
+            if differing:
+                raise ClusterError(f"{address}: has {', '.join(differing)}", hint=_SAME_VERSIONS)
+        hosts = Counter(answer["host"] for answer in answers.values())
+        for host, count in hosts.items():
+            free = min(each["available"] for each in answers.values() if each["host"] == host)
+            # `estimate_resources` compares workers of this machine with its free memory.
+            if cluster is not None and count * memory > free:
+                raise ClusterError(
+                    f"{host}: {count} workers take about {count * memory / 2**30:.2g} GiB of "
+                    f"memory, {free / 2**30:.2g} GiB are free",
+                    hint="use fewer workers with more threads each, or give memory for each",
+                )
+        stack.callback(client.run, close_job, on_error="ignore")
+        yield DaskPool(client)
+
+
+@contextmanager
+def _started(workers: int) -> Iterator[Client]:
+    """New workers on this machine, which share its cores."""
+    import dask
+    from distributed import Client, LocalCluster
+
+    threads = str(max(1, core_threads() // workers))
+    blas = dict.fromkeys(_BLAS_THREADS, threads)
+    settings = {
+        # Dask's monitoring takes 7 to 9 % of a core, its setting of malloc 6 %.
+        "distributed.admin.tick.interval": "1s",
+        "distributed.admin.system-monitor.interval": "20s",
+        "distributed.worker.profile.enabled": False,
+        "distributed.scheduler.worker-ttl": f"{PATIENCE.silent:g}s",
+        "distributed.nanny.pre-spawn-environ": blas,
+    }
+    with TemporaryDirectory(prefix="lightmatrix-workers-") as folder, ExitStack() as stack:
+        stack.enter_context(_without_script())
+        # Dask sets the variables in this process too, for the processes that it starts.
+        stack.callback(_restore, {name: os.environ.get(name) for name in blas})
+        stack.enter_context(dask.config.set(settings))
+        try:
+            cluster = stack.enter_context(
+                LocalCluster(
+                    n_workers=workers,
+                    threads_per_worker=1,
+                    host="127.0.0.1",
+                    dashboard_address=None,
+                    silence_logs=logging.CRITICAL,
+                    # Tiles bound the memory. Dask would kill a worker at a share of its limit.
+                    memory_limit=0,
+                    local_directory=folder,
+                    preload=[_IGNORE_CTRL_C],
+                    env={_CORE_THREADS: threads, **blas},
+                )
+            )
+            client = stack.enter_context(Client(cluster, set_as_default=False))
+        except (OSError, RuntimeError, TimeoutError) as error:
+            raise ClusterError(
+                f"{workers} workers could not be started ({_words(error)})",
+                hint="use fewer of them, or none",
+            ) from error
+        yield client
+
+
+def _restore(variables: Mapping[str, str | None]) -> None:
+    for name, value in variables.items():
+        if value is None:
+            os.environ.pop(name, None)
+        else:
+            os.environ[name] = value
+
+
+@contextmanager
+def _without_script() -> Iterator[None]:
+    """Keep workers from importing the user's script, which might start more workers."""
+    usual = spawn.get_preparation_data
+
+    def prepared(name: str) -> dict[str, Any]:
+        data = usual(name)
+        if name.startswith("Dask Worker process"):
+            data.pop("init_main_from_name", None)
+            data.pop("init_main_from_path", None)
+        return data
+
+    spawn.get_preparation_data = prepared
+    try:
+        yield
+    finally:
+        spawn.get_preparation_data = usual
+
+
+@contextmanager
+def _connected(address: str) -> Iterator[Client]:
+    """The workers of a cluster."""
+    from distributed import Client
+
+    # A client that could not connect is closed when it is collected. Within the constructor of
+    # another one, this would wait for ever for a lock that the constructor holds.
+    gc.collect()
+    try:
+        client = Client(
+            address, timeout=PATIENCE.scheduler, set_as_default=False, name="lightmatrix"
+        )
+    # A scheduler of another version may cause any exception.
+    except Exception as error:
+        raise ClusterError(
+            f"{address}: no scheduler of Dask answers ({_words(error)})",
+            hint="start one with `dask scheduler` and workers with `dask worker tcp://HOST:8786`, "
+            "give the address that the scheduler prints, and check the firewall",
+        ) from error
+    with client:
+        try:
+            client.wait_for_workers(1, timeout=PATIENCE.first_worker)
+        except TimeoutError as error:
+            raise ClusterError(
+                f"{address}: has no workers", hint=f"start some: dask worker {address}"
+            ) from error
+        yield client
+
+
+# ---- what travels
+
+
+def pack_work(work: Work) -> bytes:
+    """An estimate as bytes: absolute paths of frames in files, frames in memory, no caches."""
+    stream = io.BytesIO()
+    try:
+        _Pickler(stream, protocol=pickle.HIGHEST_PROTOCOL).dump(work)
+    except (pickle.PicklingError, AttributeError, TypeError) as error:
+        raise InputError(
+            f"the estimate cannot be sent to workers ({error})",
+            hint="put your own solver into a module that workers can import",
+        ) from error
+    return stream.getvalue()
+
+
+class _Pickler(pickle.Pickler):
+    def reducer_override(self, obj: Any) -> Any:
+        if isinstance(obj, Path):
+            return Path, (os.path.abspath(obj),)
+        kind = type(obj)
+        if is_dataclass(kind) and kind.__module__.startswith("lightmatrix."):
+            # A private field with a default factory is a cache and starts empty.
+            return _rebuild, (
+                kind,
+                {
+                    part.name: part.default_factory()
+                    if part.name.startswith("_") and part.default_factory is not MISSING
+                    else getattr(obj, part.name)
+                    for part in fields(obj)
+                },
+            )
+        return NotImplemented
+
+
+def _rebuild(kind: type, values: dict[str, Any]) -> Any:
+    # The constructor is not called: what it checks or converts was checked in the first process.
+    instance: Any = object.__new__(kind)
+    for name, value in values.items():
+        object.__setattr__(instance, name, value)
+    return instance
+
+
+def frame_digest(capture: Capture) -> str:
+    """A hash of the first frame, or of some pixels where frames are stored by pixel."""
+    frames = capture.frames
+    if isinstance(frames, PixelFrames):
+        levels = frames.levels(0, min(64, int(np.prod(frames.shape))))
+    else:
+        levels = frames.read(0)
+    return hashlib.sha256(levels.tobytes()).hexdigest()
+
+
+def versions() -> dict[str, str]:
+    """The versions that results depend on."""
+    return {
+        "lightmatrix": __version__,
+        "python": ".".join(platform.python_version_tuple()[:2]),
+        "numpy": np.__version__,
+        "scipy": scipy.__version__,
+    }
+
+
+# ---- in a worker
+
+
+@dataclass
+class _OpenJob:
+    """The one estimate that a worker has open, and the step that it has prepared."""
+
+    job: Job | None = None
+    work: Work | None = None
+    step: str = ""
+    solve_tile: SolveTile | None = None
+
+
+_open_job = _OpenJob()
+# A tile takes all threads and the memory of a worker, so only one is solved at a time.
+_lock = threading.Lock()
+
+
+def describe_worker(dask_worker: Any) -> dict[str, Any]:
+    """The versions, host and free memory of a worker, JSON-ready."""
+    # Workers that we start have the variable already; others use the threads that Dask gives them.
+    os.environ.setdefault(_CORE_THREADS, str(dask_worker.state.nthreads))
+    return {
+        "versions": versions(),
+        "host": platform.node(),
+        "available": available_bytes(),
+    }
+
+
+def check_access(job: Job) -> None:
+    """Check that this worker sees the capture and may write the output, or raise a ClusterError."""
+    folder = Path(job.folder)
+    if _wait_for(lambda: fingerprint_token(folder)) != job.token:
+        raise ClusterError(f"does not see the running results in {folder}", hint=_SHARE_OUTPUT)
+    if not os.access(folder, os.W_OK | os.X_OK):
+        raise ClusterError(
+            f"may not write in {folder}", hint="let workers run as a user who may write there"
+        )
+    with _lock:
+        work = _work(job)
+        try:
+            same = frame_digest(work.capture) == job.frame
+        except LightMatrixError as error:
+            raise ClusterError(
+                f"cannot read the capture: {error.message}", hint=_SHARE_CAPTURE
+            ) from error
+    if not same:
+        raise ClusterError("sees another capture by the path of this one", hint=_SHARE_CAPTURE)
+
+
+def solve_tile(
+    job: Job, step: str, span: Span, before: Mapping[str, list[Span]], threads: int
+) -> None:
+    """Solve the rows `span` of a step, given finished tiles `before`, and write them."""
+    if job.version != __version__:
+        raise ClusterError(
+            f"a worker has lightmatrix {__version__}, this is {job.version}", hint=_SAME_VERSIONS
+        )
+    with _lock:
+        os.environ.setdefault(_CORE_THREADS, str(threads))
+        work = _work(job)
+        if _open_job.step != step or _open_job.solve_tile is None:
+            _open_job.solve_tile = work.prepare(
+                step, lambda name: _read_step(job, name, before[name])
+            )
+            _open_job.step = step
+        rows = _open_job.solve_tile(*span, lambda done, total: None)
+        write_tile(Path(job.folder) / tile_name(step, span), job.token, rows)
+
+
+def close_job() -> None:
+    """Close the open estimate, unless a tile is being solved."""
+    if _lock.acquire(blocking=False):
+        vars(_open_job).update(vars(_OpenJob()))
+        _lock.release()
+
+
+def _work(job: Job) -> Work:
+    """The estimate, which is read once."""
+    if _open_job.job != job or _open_job.work is None:
+        vars(_open_job).update(vars(_OpenJob()))
+        file = Path(job.folder) / _JOB_FILE
+
+        def packed() -> bytes | None:
+            try:
+                data = file.read_bytes()
+            except OSError:
+                return None
+            # The digest came from the client, so nobody else can have written what is unpickled.
+            return data if hashlib.sha256(data).hexdigest() == job.digest else None
+
+        data = _wait_for(packed)
+        if data is None:
+            raise ClusterError(f"does not find the estimate in {file}", hint=_SHARE_OUTPUT)
+        _open_job.job, _open_job.work = job, pickle.loads(data)
+        assert _open_job.work is not None
+    return _open_job.work
+
+
+def _read_step(job: Job, step: str, spans: list[Span]) -> SparseRows:
+    """All rows of a finished step."""
+    parts = []
+    for start, stop in spans:
+        file = Path(job.folder) / tile_name(step, (start, stop))
+        part = _wait_for(partial(read_tile, file, job.token, stop - start))
+        if part is None:
+            raise InputError(
+                f"{file}: is missing or damaged",
+                hint="run the same estimate again; it computes that tile anew",
+            )
+        parts.append(part)
+    return SparseRows.joined(parts)
+
+
+def _wait_for(read: Callable[[], T | None]) -> T | None:
+    """What `read` returns, repeated while that is None and a file may still appear."""
+    deadline = time.monotonic() + PATIENCE.file
+    while (value := read()) is None and time.monotonic() < deadline:
+        time.sleep(0.2)
+    return value

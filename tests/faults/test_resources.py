@@ -1,0 +1,169 @@
+"""Little memory, few threads, full disks, sizes beyond all machines."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import pytest
+
+from .case import Case, Prepare, bear
+from .checks import same_matrix
+from .put import copy, folder_at, text
+from .run import Limits, SkipError
+from .work import PLAIN
+
+NEEDS = (
+    *("T.npz", "patterns", "capture", "scene.zarr", "plain.npz", "plain.zarr", "black.png"),
+    *("shown.png", "white.png"),
+)
+ESTIMATE = f"{PLAIN} -o new.zarr"
+COHERENT = "estimate capture -o new.zarr"
+SIMULATE = "simulate T.npz --patterns patterns -o new"
+
+
+def _memory() -> list[Case]:
+    commands = {
+        "estimate": ESTIMATE,
+        "coherent": COHERENT,
+        "admm": f"{ESTIMATE} --solver saturation-admm --iterations 5",
+        "romp": f"{ESTIMATE} --solver romp",
+        "relight": "relight scene.zarr shown.png -o new.png",
+        "simulate": SIMULATE,
+    }
+    # Threads need room for their stacks; with little room there are no more threads.
+    threads = (("RAYON_NUM_THREADS", "64"),)
+    little = [
+        *((room, name, ()) for room in (8, 32, 96) for name in commands),
+        *((room, name, threads) for room in (12, 40) for name in ("estimate", "coherent")),
+    ]
+    return [
+        Case(
+            f"{room} MiB of memory{', 64 threads' if many else ''}: {name}",
+            commands[name],
+            (),
+            code=(0, 3),
+            # Where no memory is left to clean up, the next run of the output does it.
+            leaves=("new.zarr.partial", ".new.zarr.part"),
+            limits=Limits(memory=room << 20, environment=many),
+        )
+        for room, name, many in little
+    ]
+
+
+def _sizes() -> list[Case]:
+    huge = {
+        "patterns of 10^5 x 10^5 pixels": "patterns bernoulli -k 2 --size 100000x100000 -o new",
+        "patterns of 2^31 pixels, blocks": "patterns blocks --size 46341x46341 --block 1x1 -o new",
+        "10^9 patterns": "patterns bernoulli -k 1000000000 --size 8x8 -o new",
+        "hadamard of 65536 x 65536": "patterns hadamard -k 4 --size 65536x65536 -o new",
+        "a plan for 10^9 frames": "plan white.png --size 1024x1024 -k 1000000000",
+        "a plan for a huge projector": "plan white.png --size 1000000x1000000",
+        "a blur of 10^9 pixels": "simulate T.npz --patterns patterns --blur 1e9 -o new",
+        "a render of 10^6 x 10^6": "render wall --size 1000000x1000000 --spp 1 -o new.npz",
+    }
+    return [
+        *(
+            Case(
+                name,
+                command,
+                (),
+                code=(0, 2, 3) if name.startswith(("a plan", "a blur")) else (2, 3),
+                limits=Limits(memory=1 << 30),
+            )
+            for name, command in huge.items()
+        ),
+        *(
+            Case(
+                f"{value} threads",
+                ESTIMATE,
+                (),
+                code=(0, 2, 3),
+                limits=Limits(environment=(("RAYON_NUM_THREADS", value),)),
+            )
+            for value in ("2147483648", "-1", "many")
+        ),
+    ]
+
+
+def _disks() -> list[Case]:
+    cases = []
+    commands = {
+        "patterns": ("patterns bernoulli -k 4 --size 400x400 -o new", "new"),
+        "simulate": ("simulate T.npz --patterns patterns -o new", "new"),
+        "estimate": (ESTIMATE, "new.zarr"),
+        "coherent": (COHERENT, "new.zarr"),
+        "export npz": ("export scene.zarr new.npz", "new.npz"),
+        "export mat": ("export scene.zarr new.mat --dense-background", "new.mat"),
+        "relight": ("relight scene.zarr shown.png -o new.tif", "new.tif"),
+    }
+    for size in (0, 60, 1200):
+        for name, (command, output) in commands.items():
+            small = name == "relight" or (size == 1200 and name not in ("export mat", "patterns"))
+            cases.append(
+                Case(
+                    f"files of at most {size} bytes: {name}",
+                    command,
+                    output if not small else (),
+                    code=(0, 2) if small else 2,
+                    leaves=("new.zarr.partial",) if size else (),
+                    limits=Limits(file_size=size),
+                )
+            )
+    full, disk, large = (
+        Limits(file_size=100),
+        *(Limits(mount=("disk", n)) for n in (1 << 14, 1 << 20)),
+    )
+    place = folder_at("disk")
+    replaced = {
+        "patterns": f"{commands['patterns'][0][:-3]}old --overwrite",
+        "plain.npz": "export scene.zarr old.npz --dense-background --overwrite",
+    }
+    many = "patterns bernoulli -k 99 --size 64x64 -o disk/new"
+    same = same_matrix("new.zarr", "plain.zarr")
+    return [
+        *cases,
+        *(
+            Case(f"{old} of old", line, "old", copy(old, f"old{Path(old).suffix}"), limits=full)
+            for old, line in replaced.items()
+        ),
+        Case("a disk of 16 KiB", many, "disk/new", place, limits=disk),
+        Case("an estimate on it", f"{PLAIN} -o disk/new.zarr", "disk/new.zarr", place, limits=disk),
+        Case("another disk", ESTIMATE, (), place, code=0, limits=large, check=same),
+    ]
+
+
+def _rights() -> list[Case]:
+    def closed(name: str, mode: int) -> Prepare:
+        def fault(folder: Path) -> None:
+            if os.geteuid() == 0:
+                raise SkipError("root may read and write everything")
+            if "." not in name:
+                (folder / name).mkdir(exist_ok=True)
+            (folder / name).chmod(mode)
+
+        return fault
+
+    lines = {
+        "locked": ("patterns bernoulli -k 2 --size 8x8 -o locked/new", 0o500),
+        "T.npz": (SIMULATE, 0),
+        "black.png": ("relight scene.zarr black.png -o new.png", 0),
+        "capture/capture.json": (COHERENT, 0),
+        "scene.zarr/zarr.json": ("info scene.zarr", 0),
+    }
+    there = "patterns bernoulli -k 2 --size 8x8 -o there/new"
+    return [
+        *(
+            Case(f"no right to {name}", line, name.split("/zarr")[0], closed(name, mode))
+            for name, (line, mode) in lines.items()
+        ),
+        Case("a file where a folder for output should be", there, "there", text("there")),
+    ]
+
+
+CASES = [*_memory(), *_sizes(), *_disks(), *_rights()]
+
+
+@pytest.mark.parametrize("case", CASES, ids=str)
+def test_resources(case: Case, work: Path) -> None:
+    bear(case, work)

@@ -1,0 +1,325 @@
+"""Damaged stores."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from .case import Case, Prepare, bear
+from .checks import prints, same_matrix
+from .put import (
+    DEEP,
+    attribute,
+    both,
+    copy,
+    cut,
+    flip,
+    folder_at,
+    json_edit,
+    link,
+    pipe,
+    remove,
+    stored,
+    text,
+    with_item,
+)
+
+NEEDS = ("T.npz", "scene.zarr", "shown.png")
+# What reads a store. Any of these crashed on some damaged one.
+READERS = {
+    "info": "info bad.zarr",
+    "relight": "relight bad.zarr shown.png -o out.npy",
+    "export npz": "export bad.zarr out.npz",
+    "export mat": "export bad.zarr out.mat",
+    "export whole": "export bad.zarr out.npz --dense-background",
+    "evaluate": "evaluate bad.zarr --truth T.npz",
+}
+INFO = READERS["info"]
+HEADER, INNER = "bad.zarr/zarr.json", "bad.zarr/data/zarr.json"
+OUT = ("out.npy", "out.npz", "out.mat")
+
+
+def _bad(*puts: Prepare) -> Prepare:
+    """A copy of a sound store with faults put into it."""
+    return both(copy("scene.zarr", "bad.zarr"), *puts)
+
+
+def _arrays() -> list[Case]:
+    faults: dict[str, tuple[str, Any]] = {
+        "an index of N": ("indices", with_item(5, 64)),
+        "an index far out": ("indices", with_item(5, 2**31 - 1)),
+        "an index below 0": ("indices", with_item(5, -1)),
+        "an index far below 0": ("indices", with_item(5, -(2**31))),
+        "one index too few": ("indices", lambda held: held[:-1]),
+        "indices of float": ("indices", lambda held: held.astype(np.float64)),
+        "indices of two dimensions": ("indices", lambda held: held.reshape(1, -1)),
+        "an index twice in a row": ("indices", lambda held: np.repeat(held[::2], 2)[: len(held)]),
+        "row ends that go down": ("indptr", with_item(3, 10**6)),
+        "row ends below 0": ("indptr", with_item(3, -5)),
+        "row ends far out": ("indptr", with_item(-1, 2**40)),
+        "row ends that begin late": ("indptr", with_item(0, 2)),
+        "one row end too few": ("indptr", lambda held: held[:-1]),
+        "one row end too many": ("indptr", lambda held: np.append(held, held[-1])),
+        "row ends of int32": ("indptr", lambda held: held.astype(np.int32) - 1),
+        "nan in data": ("data", with_item(7, np.nan)),
+        "infinity in data": ("data", with_item(7, np.inf)),
+        "one value too few": ("data", lambda held: held[:-1]),
+        "data of complex numbers": ("data", lambda held: held.astype(np.complex64)),
+        "data of truth values": ("data", lambda held: held > 0),
+        "data of 1e300": ("data", lambda held: held.astype(np.float64) * 1e300),
+        "nan in the background": ("background", with_item(7, np.nan)),
+        "infinity in the background": ("background", with_item(7, -np.inf)),
+        "a background of other rows": ("background", lambda held: held[:-1]),
+        "a background of other blocks": ("background", lambda held: held[:, :-1]),
+        "a background of one dimension": ("background", lambda held: held.ravel()),
+        "diagnostics of other rows": ("diagnostics/gap", lambda held: held[:-1]),
+        "diagnostics without a dimension": ("diagnostics/gap", lambda held: held[0].reshape(())),
+    }
+    # CSR sums what stands twice, so that this may be read.
+    allowed = "an index twice in a row"
+    return [
+        Case(
+            f"{words}: {reader}",
+            READERS[reader],
+            "" if words == allowed else "bad.zarr",
+            _bad(stored("bad.zarr", name, change)),
+            code=(0, 2) if words == allowed else 2,
+            makes=OUT,
+        )
+        for words, (name, change) in faults.items()
+        # Damage that only one reader minds is tried with every one, most with two.
+        for reader in (
+            READERS if words.startswith(("an index", "row ends")) else ("info", "relight")
+        )
+    ]
+
+
+def _attributes() -> list[Case]:
+    values: dict[str, tuple[Any, ...]] = {
+        "camera_shape": (
+            [8, 9],
+            [0, 0],
+            [-8, -8],
+            [2**40, 2**40],
+            "8x8",
+            [8.5, 8],
+            None,
+            [],
+            [[8]],
+            [64],
+            [True, 64],
+        ),
+        "projector_shape": ([4, 8], [0, 8], [8], [8, 8, 1], [2**62, 2], "8x8", None),
+        "background_grid": ([8, 9], [0, 0], [-1, -64], [99, 99], "1x1", None, [1]),
+        "version": (2, "1", None, 1.5, [1], 0, 1.0, True),
+        "format": ("zarr", None, 5),
+        "provenance": ("text", ["a"], 5, None),
+    }
+    cases = []
+    for key, wrong in values.items():
+        for number, value in enumerate(wrong):
+            name = f"{key} is {str(value)[:24]}"
+            put = _bad(attribute("bad.zarr", key, value))
+            cases.append(Case(name, INFO, "bad.zarr", put))
+            if key.endswith(("shape", "grid")) and number < 4:
+                cases.append(Case(f"{name}, relit", READERS["relight"], "bad.zarr", put))
+
+    def provenance(value: object) -> Prepare:
+        return _bad(attribute("bad.zarr", "provenance", value))
+
+    markup = {
+        "estimator": "[/red]",
+        "solver": "[bold",
+        "scene": ":smile:",
+        "versions": {"[x]": "["},
+    }
+    half = provenance({"estimator": "half \ud800 of a sign"})
+    return [
+        *cases,
+        *(
+            Case(f"provenance of {value}", INFO, (), provenance(value), code=(0, 2))
+            for value in (
+                {"versions": "text"},
+                {"versions": {"a": 5}},
+                {"solver_parameters": "text"},
+                {"solver": ["a"]},
+                {"estimator": {"a": 1}},
+            )
+        ),
+        *(
+            Case(f"provenance that is no text: {reader}", command, (), half, code=0, makes=OUT)
+            for reader, command in {**READERS, "info json": f"{INFO} --json"}.items()
+        ),
+        Case(
+            "provenance of markup",
+            f"{INFO} --verbose",
+            (),
+            provenance(markup),
+            code=0,
+            check=prints("[/red]", ":smile:"),
+        ),
+    ]
+
+
+def _header() -> list[Case]:
+    contents: dict[str, str | bytes] = {
+        "nested 100,000 deep": DEEP,
+        "of a list": "[]",
+        "of null": "null",
+        "empty": "",
+        "of zeros": bytes(64),
+        "of an array": '{"zarr_format": 3, "node_type": "array"}',
+        "of a group without words": '{"zarr_format": 3, "node_type": "group"}',
+        "of format 4": '{"zarr_format": 4, "node_type": "group"}',
+    }
+    edits: dict[str, dict[str, Any]] = {
+        "a shape of 10^15": {"shape": [10**15]},
+        "a shape below 0": {"shape": [-5]},
+        "chunks of 0": {"chunk_grid": {"name": "regular", "configuration": {"chunk_shape": [0]}}},
+        "an unknown type": {"data_type": "quaternion"},
+        "no codecs": {"codecs": []},
+        "codecs that are pickles": {"codecs": [{"name": "numcodecs.pickle", "configuration": {}}]},
+        "an unknown codec": {"codecs": [{"name": "of-the-future"}]},
+    }
+    faults: dict[str, Prepare] = {
+        **{f"zarr.json {words}": _bad(text(HEADER, c)) for words, c in contents.items()},
+        **{
+            f"an array with {words}": _bad(
+                json_edit(INNER, lambda held, change=change: held.update(change))  # type: ignore[misc]
+            )
+            for words, change in edits.items()
+        },
+        "zarr.json is a pipe": _bad(pipe(HEADER)),
+        "zarr.json is a folder": _bad(folder_at(HEADER)),
+        "zarr.json is missing": _bad(remove(HEADER)),
+        "an array's zarr.json is a pipe": _bad(pipe(INNER)),
+        "an array is missing": _bad(remove("bad.zarr/indices")),
+        "a store that is a pipe": pipe("bad.zarr"),
+        "a store that is a file": text("bad.zarr"),
+        "a store that is a link to nowhere": link("bad.zarr", "gone.zarr"),
+    }
+    lost = _bad(remove("bad.zarr/diagnostics"))
+    return [
+        *(Case(words, INFO, "bad.zarr", put) for words, put in faults.items()),
+        Case("diagnostics are missing", INFO, (), lost, code=(0, 2)),
+        Case("a store by a link", INFO, (), link("bad.zarr", "scene.zarr"), code=0),
+        Case("a store that is a capture", "info capture", "capture"),
+    ]
+
+
+def _chunk_of(folder: Path, array: str) -> str:
+    files = [f for f in (folder / "bad.zarr" / array).rglob("*") if f.is_file()]
+    return str(next(f for f in files if f.name != "zarr.json").relative_to(folder))
+
+
+def _chunks() -> list[Case]:
+    damages: dict[str, Any] = {
+        "flipped": lambda name: flip(name, 0.5, 3),
+        "cut off": lambda name: cut(name, 20),
+        "empty": lambda name: cut(name, 0),
+        "missing": remove,
+        "of noise": lambda name: text(name, bytes(range(256))),
+        "a pipe": pipe,
+    }
+
+    def at_chunk(array: str, put: Any) -> Prepare:
+        return _bad(lambda folder: put(_chunk_of(folder, array))(folder))
+
+    return [
+        Case(f"a chunk of {array} {words}", INFO, "bad.zarr", at_chunk(array, put))
+        for array in ("data", "indices", "indptr", "background")
+        for words, put in damages.items()
+    ]
+
+
+def _foreign_parts() -> list[Case]:
+    """Parts that are sound in themselves but were not written together."""
+
+    def of_another(folder: Path, what: str) -> None:
+        _bad(stored("bad.zarr", "data", lambda held: 2 * held))(folder)
+        if what == "chunk":
+            what = _chunk_of(folder, "data")
+        shutil.move(folder / what, folder / "other")
+        shutil.rmtree(folder / "bad.zarr")
+        both(_bad(remove(what)), lambda folder: shutil.move(folder / "other", folder / what))(
+            folder
+        )
+
+    def indices_over_data(folder: Path) -> None:
+        _bad()(folder)
+        shutil.copyfile(folder / _chunk_of(folder, "indices"), folder / _chunk_of(folder, "data"))
+
+    def turned(held: dict[str, Any]) -> None:
+        rows, cols = held["attributes"]["camera_shape"]
+        held["attributes"]["camera_shape"] = [rows * 2, cols // 2]
+
+    as_integers = json_edit(INNER, lambda held: held.update(data_type="uint32"))
+    unsealed = json_edit(HEADER, lambda held: held["attributes"].pop("digest"))
+    faults: dict[str, tuple[Prepare, tuple[str, ...]]] = {
+        "a chunk of another store": (lambda f: of_another(f, "chunk"), ("bad.zarr", "data/c/0")),
+        "an array of another store": (
+            lambda f: of_another(f, "bad.zarr/data"),
+            ("bad.zarr", "data/c/0"),
+        ),
+        "the indices as data": (indices_over_data, ("bad.zarr", "data/c/0")),
+        "data read as whole numbers": (_bad(as_integers), ("bad.zarr", "together")),
+        "a camera of another shape": (_bad(json_edit(HEADER, turned)), ("bad.zarr",)),
+        "no digest": (_bad(unsealed), ("bad.zarr", "digest")),
+    }
+    return [
+        Case(f"{words}: {reader}", READERS[reader], says, put)
+        for words, (put, says) in faults.items()
+        for reader in ("info", "relight", "export npz")
+    ]
+
+
+def _consolidated() -> list[Case]:
+    """Metadata that stands twice: only that of the arrays counts, and none of it runs code."""
+
+    def lie(folder: Path) -> None:
+        _bad()(folder)
+        store = folder / "bad.zarr"
+        arrays = {
+            str(file.parent.relative_to(store)): json.loads(file.read_text())
+            for file in store.rglob("*/zarr.json")
+        }
+        arrays["data"]["shape"] = [3]
+        both_times = {"kind": "inline", "must_understand": False, "metadata": arrays}
+        json_edit(HEADER, lambda held: held.update(consolidated_metadata=both_times))(folder)
+
+    def old_format(folder: Path) -> None:
+        # A store of format 2 whose objects are pickles that would leave a file `pwned`.
+        _bad()(folder)
+        attributes = json.loads((folder / HEADER).read_text())["attributes"]
+        array = {"zarr_format": 2, "shape": [1], "chunks": [1], "dtype": "|O", "compressor": None}
+        array |= {"fill_value": None, "order": "C", "filters": [{"id": "pickle", "protocol": 0}]}
+        metadata = {".zgroup": {"zarr_format": 2}, ".zattrs": attributes}
+        for name in ("data", "indices", "indptr", "background"):
+            metadata[f"{name}/.zarray"] = array
+            text(f"bad.zarr/{name}/0", b"cos\nsystem\n(S'touch pwned'\ntR.")(folder)
+        for name, content in metadata.items():
+            text(f"bad.zarr/{name}", json.dumps(content))(folder)
+        whole = {"zarr_consolidated_format": 1, "metadata": metadata}
+        text("bad.zarr/.zmetadata", json.dumps(whole))(folder)
+
+    alone, beside = both(old_format, remove(HEADER)), both(old_format, text(HEADER, "{}"))
+    same = same_matrix("bad.zarr", "scene.zarr")
+    return [
+        Case("consolidated metadata that lies", INFO, (), lie, code=0, check=same),
+        Case("a store of format 2 beside the third", INFO, (), old_format, code=(0, 2)),
+        Case("a store of format 2 with pickles", INFO, "bad.zarr", alone),
+        Case("the same with an empty zarr.json", INFO, "bad.zarr", beside),
+    ]
+
+
+CASES = [*_arrays(), *_attributes(), *_header(), *_chunks(), *_foreign_parts(), *_consolidated()]
+
+
+@pytest.mark.parametrize("case", CASES, ids=str)
+def test_stores(case: Case, work: Path) -> None:
+    bear(case, work)
