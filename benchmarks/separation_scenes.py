@@ -15,10 +15,9 @@ import numpy as np
 
 import lightmatrix as lm
 from experiments.uses import separation_rows
-from lightmatrix.simulation.scenes import BUILDERS
+from lightmatrix.simulation.scenes import BUILDERS, Part, Scene, View, matt, metal, plastic
 from lightmatrix.simulation.scenes import scene as bundled
-from lightmatrix.simulation.scenes.scene import Part, Scene, View, matt, metal, plastic
-from lightmatrix.simulation.scenes.shapes import (
+from lightmatrix.simulation.shapes import (
     Mesh,
     ball,
     bolt,

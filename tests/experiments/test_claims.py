@@ -12,13 +12,13 @@ from scipy.stats import spearmanr
 import lightmatrix as lm
 from experiments import few_patterns, fig6, rigs, shape
 from experiments.measured_scene import THREE_EXPOSURES, MeasuredScene
+from experiments.other_cameras import seen
 from experiments.rigs import rig_capture, rig_truth
 from experiments.uses import compensation_rows, separation_rows
 from lightmatrix.estimators.coherent.estimator import CoherentEstimator
 from lightmatrix.judgement.metrics import relative_error
 from lightmatrix.shape.shape import Shape
 from lightmatrix.simulation import library
-from lightmatrix.simulation.other_cameras import seen
 
 pytestmark = pytest.mark.usefixtures("small_scenes")
 SMALL = few_patterns.Case("gripper", "coherent", 64, 0, size=(32, 32))

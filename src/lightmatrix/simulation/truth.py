@@ -24,9 +24,8 @@ from lightmatrix.files.writing import atomic_file
 from lightmatrix.geometry.rig_geometry import RigGeometry, binned_matrix
 from lightmatrix.regions import Region
 from lightmatrix.reprs import short_repr
-from lightmatrix.simulation.scenes import names, scene
-from lightmatrix.simulation.scenes.scene import Scene
-from lightmatrix.simulation.scenes.shapes import Mesh, merge
+from lightmatrix.simulation.scenes import Scene, names, scene
+from lightmatrix.simulation.shapes import Mesh, merge
 from lightmatrix.transport.matrix import LightTransport
 from lightmatrix.transport.npz import VERSION, read_sparse_npz
 

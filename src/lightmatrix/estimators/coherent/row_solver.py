@@ -39,7 +39,7 @@ from lightmatrix.solvers.active_set import (
 from lightmatrix.solvers.fidelity import Fidelity
 from lightmatrix.solvers.loop import Progress
 from lightmatrix.solvers.problem import Problem, Result
-from lightmatrix.transport.matrix import cell_means
+from lightmatrix.transport.operator import cell_means
 from lightmatrix.transport.sparse_rows import SparseRows
 
 # The penalty of a cell's coefficient is this share of the clip level over the side of the cell in
