@@ -144,8 +144,8 @@ def test_two_photographs_that_share_a_little_of_white_or_a_pattern_do_not_agree(
     random = np.random.default_rng(1)
     white, black = 2600 + 900 * random.random(SHAPE), np.zeros(SHAPE)
     flat = np.full(SHAPE, 64, np.float32)
-    exact = [replace(_average(light), mean=flat + np.float32(light)) for light in (black, white)]
-    references = References(*exact, flat)
+    unlit, lit = (replace(_average(x), mean=flat + np.float32(x)) for x in (black, white))
+    references = References(unlit, lit, flat)
     own, other = (white * random.integers(0, 2, SHAPE) for _ in range(2))
     for seed in range(20):
         one, again = _photograph(own, 3 * seed), _photograph(own, 3 * seed + 1)
