@@ -14,7 +14,7 @@ import pytest
 from numpy.typing import NDArray
 
 import lightmatrix as lm
-from lightmatrix.check.finding import KINDS
+from lightmatrix.check.finding import KINDS, Finding
 from lightmatrix.files.images import decode_image, encode_image
 from lightmatrix.files.stacks import ImageStack
 
@@ -39,7 +39,7 @@ def exchanged(frames: Images, a: int, b: int) -> Images:
     return frames[order]
 
 
-def kinds_and_frames(found: list[lm.Finding]) -> list[tuple[str, tuple[int, ...]]]:
+def kinds_and_frames(found: list[Finding]) -> list[tuple[str, tuple[int, ...]]]:
     assert {each.kind for each in found} <= set(KINDS)
     assert all(each.message and each.advice for each in found)
     return [(each.kind, each.frames) for each in found]

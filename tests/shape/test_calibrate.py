@@ -21,6 +21,7 @@ from lightmatrix.shape.calibrate import (
     light_corners,
     pose_images,
 )
+from lightmatrix.simulation.simulate import SimulatedCapture
 
 from ..helpers.board import BOARD, POSES, SQUARE, board_capture, board_rig
 
@@ -93,15 +94,13 @@ def test_homographies_survive_wrong_matches() -> None:
 
 
 @pytest.fixture(scope="module")
-def captures() -> list[lm.SimulatedCapture]:
+def captures() -> list[SimulatedCapture]:
     rig = board_rig()
     code = lm.make_patterns("graycode", rig.projector_shape, inverse=False)
     return [board_capture(rig, pose, code) for pose in POSES]
 
 
-def test_a_simulated_board_gives_the_rig(
-    captures: list[lm.SimulatedCapture], tmp_path: Path
-) -> None:
+def test_a_simulated_board_gives_the_rig(captures: list[SimulatedCapture], tmp_path: Path) -> None:
     known = board_rig()
     measured = lm.calibrate_rig(captures, BOARD, SQUARE, units="mm", output=tmp_path / "rig.json")
     rig = measured.geometry
@@ -123,7 +122,7 @@ def test_a_simulated_board_gives_the_rig(
     assert again.units == "mm"
 
 
-def test_poses_that_cannot_be_used_are_named(captures: list[lm.SimulatedCapture]) -> None:
+def test_poses_that_cannot_be_used_are_named(captures: list[SimulatedCapture]) -> None:
     blank = board_capture(board_rig(), POSES[0], captures[0].patterns, squares=False)
     with pytest.raises(lm.InputError, match="2 usable poses; pose 2: no board of 7 x 5"):
         lm.calibrate_rig([*captures[2:], blank], BOARD, SQUARE)
@@ -133,7 +132,7 @@ def test_poses_that_cannot_be_used_are_named(captures: list[lm.SimulatedCapture]
     assert measured.as_dict()["left_out"] == {"pose 0": "no board of 7 x 5 inner corners is found"}
 
 
-def test_poses_must_be_several_and_tilted(captures: list[lm.SimulatedCapture]) -> None:
+def test_poses_must_be_several_and_tilted(captures: list[SimulatedCapture]) -> None:
     small = captures[1].bin(camera=2)
     for poses, board, square, message in (
         (captures[:2], BOARD, SQUARE, "2 usable poses"),
@@ -146,7 +145,7 @@ def test_poses_must_be_several_and_tilted(captures: list[lm.SimulatedCapture]) -
             lm.calibrate_rig(poses, board, square)
 
 
-def test_a_board_that_the_projector_does_not_light(captures: list[lm.SimulatedCapture]) -> None:
+def test_a_board_that_the_projector_does_not_light(captures: list[SimulatedCapture]) -> None:
     white, matches = pose_images(captures[0])
     places = find_corners(white, BOARD)
     assert places is not None
@@ -160,7 +159,7 @@ def test_a_board_that_the_projector_does_not_light(captures: list[lm.SimulatedCa
 
 
 def test_the_command(
-    captures: list[lm.SimulatedCapture], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    captures: list[SimulatedCapture], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     folders = [str(tmp_path / f"pose_{k}") for k in range(3)]
     for capture, folder in zip(captures[:3], folders, strict=True):
@@ -182,7 +181,7 @@ def test_the_command(
 
 
 def test_a_pose_under_random_patterns_has_the_same_corners(
-    captures: list[lm.SimulatedCapture],
+    captures: list[SimulatedCapture],
 ) -> None:
     rig = board_rig()
     random = lm.BernoulliPatterns(rig.projector_shape, 24, seed=0)

@@ -14,7 +14,7 @@ from scipy.sparse import csr_array
 
 import lightmatrix as lm
 from lightmatrix.errors import InputError, OutputError
-from lightmatrix.shape.shape import surface_faces
+from lightmatrix.shape.shape import Shape, ShapeTest, surface_faces
 from lightmatrix.shape.triangulation import find_line_spots, uncut_places
 
 
@@ -28,7 +28,7 @@ def truth(scene: str) -> Known:
     return cast(Known, lm.truth(scene))
 
 
-def errors(shape: lm.Shape, known: lm.Truth) -> NDArray[np.float64]:
+def errors(shape: Shape, known: lm.Truth) -> NDArray[np.float64]:
     """Distances of the depths from the nearest surface in their pixels, NaN where there is none."""
     within = known.depths_within(4)
     assert within is not None
@@ -102,10 +102,10 @@ def test_a_reflection_off_the_line_is_passed_over() -> None:
     np.testing.assert_allclose(shape.place[5, 10], [5, 4.5], atol=1e-5)
     # Disparity 10 - 4.5 = 20 * 1 / depth.
     assert shape.depth[5, 10] == pytest.approx(20 / 5.5, rel=1e-5)
-    assert shape.test[0, 0] == lm.ShapeTest.NO_LIGHT
+    assert shape.test[0, 0] == ShapeTest.NO_LIGHT
     weak = replace(transport, sparse=csr_array(transport.sparse * 1))
     weak.sparse.data[weak.sparse.data == 3] = 12
-    assert lm.triangulate(weak, geometry).test[5, 10] == lm.ShapeTest.WEAK
+    assert lm.triangulate(weak, geometry).test[5, 10] == ShapeTest.WEAK
 
 
 def test_the_brightest_three_by_three_pixels_are_the_spot() -> None:
@@ -223,4 +223,4 @@ def test_rows_that_state_an_error_of_all_their_light_give_no_depth() -> None:
         shape = lm.triangulate(told, known.geometry, strict=strict)
         changed = np.flatnonzero((shape.test != without.test).ravel())
         np.testing.assert_array_equal(changed, uncertain)
-        assert (shape.test.ravel()[changed] == lm.ShapeTest.UNCERTAIN).all()
+        assert (shape.test.ravel()[changed] == ShapeTest.UNCERTAIN).all()

@@ -16,7 +16,7 @@ from scipy.sparse import csr_array, kron
 
 import lightmatrix as lm
 from lightmatrix.simulation.truth import Truth
-from lightmatrix.uses.compensation import BoundedFit, JointLight, compensator, joint_light
+from lightmatrix.uses.compensation import BoundedFit, JointLight, Reach, compensator, joint_light
 
 
 def _scene(
@@ -171,7 +171,7 @@ def test_the_map_says_what_is_not_reached() -> None:
     ambient = np.array([[0, 0, 0], [0, 0, 0.9]])
     mask = np.array([[1, 0, 1], [1, 1, 1]])
     found = lm.compensate(transport, wanted, mask=mask, ambient=ambient, brightness=1.5)
-    reach = lm.Reach
+    reach = Reach
     expected = [
         [reach.SHADOW, reach.MASKED, reach.TOO_DARK],
         [reach.REACHED, reach.REACHED, reach.TOO_BRIGHT],

@@ -13,7 +13,13 @@ from scipy.sparse import csr_array, kron
 import lightmatrix as lm
 from lightmatrix.simulation.realism import defocus
 from lightmatrix.uses import loading
-from lightmatrix.uses.separation import by_pixel, crossing_spots, near_spots, outshone_spots
+from lightmatrix.uses.separation import (
+    Separation,
+    by_pixel,
+    crossing_spots,
+    near_spots,
+    outshone_spots,
+)
 
 SIDE = 40
 
@@ -71,7 +77,7 @@ def _relative(found: NDArray[np.float32], expected: NDArray[np.float32]) -> floa
     return float(np.linalg.norm(found - expected) / np.linalg.norm(expected))
 
 
-def _assert_sums(parts: lm.Separation, transport: lm.LightTransport) -> None:
+def _assert_sums(parts: Separation, transport: lm.LightTransport) -> None:
     for part in (parts.direct, parts.global_):
         assert (part.sparse.data > 0).all()
         assert (part.background >= 0).all()

@@ -145,8 +145,9 @@ class MultiScaleEstimator(Estimator):
     Examples
     --------
     >>> import lightmatrix as lm
+    >>> from lightmatrix.estimators.multiscale import MultiScaleEstimator
     >>> capture = lm.simulate("metal", lm.BernoulliPatterns((64, 64), 8))
-    >>> lm.MultiScaleEstimator(lm.ROMP(max_iterations=2)).estimate(capture).camera_shape
+    >>> MultiScaleEstimator(lm.ROMP(max_iterations=2)).estimate(capture).camera_shape
     (64, 64)
     """
 

@@ -146,7 +146,7 @@ def find_responses(capture: Capture, settings: EstimateSettings) -> FoundRespons
 def _refuse_other_patterns(capture: Capture) -> None:
     """Refuse patterns from which no gamma of the projector can be found."""
     patterns = capture.patterns
-    hint = "leave out --projector-response auto"
+    hint = 'leave out projector_response="auto"'
     if isinstance(patterns, ColourPatterns):
         raise InputError("the projector's gamma cannot be found from patterns in colour", hint=hint)
     if patterns.as_bits() is not None:
@@ -154,8 +154,7 @@ def _refuse_other_patterns(capture: Capture) -> None:
     if capture.bin_projector != (1, 1):
         raise InputError(
             "grey values are averaged before their light is known",
-            hint="do not bin the projector, or measure its curve with `lightmatrix response "
-            "--projector`",
+            hint="do not bin the projector, or measure its curve with `projector_response`",
         )
     refuse_pictures(capture)
 
@@ -163,5 +162,5 @@ def _refuse_other_patterns(capture: Capture) -> None:
 def _undetermined() -> InputError:
     return InputError(
         "the photographs do not determine the projector's gamma",
-        hint="measure it with `lightmatrix response --projector`",
+        hint="measure it with `projector_response`",
     )

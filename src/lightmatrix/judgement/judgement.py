@@ -1,4 +1,4 @@
-"""How far to trust an estimate: `lm.verdict` judges T, `lm.verdicts` its uses as well.
+"""How far to trust an estimate: `verdict` judges T, `lm.verdicts` its uses as well.
 
 T is judged by the errors that an estimate states of its own rows. Photographs held out of an
 estimate do not show what is wrong with all photographs alike, nor what none of them shows. The
@@ -86,7 +86,8 @@ class Verdict:
     Examples
     --------
     >>> import lightmatrix as lm
-    >>> print(lm.Verdict("good", 0.012, ("100 % of the rows converged.",)))
+    >>> from lightmatrix.judgement.judgement import Verdict
+    >>> print(Verdict("good", 0.012, ("100 % of the rows converged.",)))
     Good. Estimated error of T: 1.2 %. 100 % of the rows converged.
     """
 
@@ -201,7 +202,8 @@ def verdict(transport: LightTransport) -> Verdict:
     Examples
     --------
     >>> import lightmatrix as lm
-    >>> print(lm.verdict(lm.truth("metal").transport()))
+    >>> from lightmatrix.judgement.judgement import verdict
+    >>> print(verdict(lm.truth("metal").transport()))
     Not tested. The matrix has no diagnostics.
     """
     return verdict_by_rows(transport).with_findings(stored_findings(transport))

@@ -278,10 +278,11 @@ class CameraResponse:
     Examples
     --------
     >>> import lightmatrix as lm
+    >>> from lightmatrix.responses.curves import CameraResponse
     >>> light = np.geomspace(0.002, 1, 4000).reshape(50, 80)
     >>> photographs = [np.rint(255 * np.clip(e * light, 0, 1)) for e in (0.25, 1, 4)]
     >>> measured = lm.camera_response(np.array(photographs, np.uint8), [0.25, 1, 4])
-    >>> isinstance(measured, lm.CameraResponse), abs(measured.gamma - 1) < 0.02
+    >>> isinstance(measured, CameraResponse), abs(measured.gamma - 1) < 0.02
     (True, True)
     """
 

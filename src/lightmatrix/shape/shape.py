@@ -145,9 +145,10 @@ class ShapeTest(IntEnum):
     Examples
     --------
     >>> import lightmatrix as lm
+    >>> from lightmatrix.shape.shape import ShapeTest
     >>> known = lm.truth("metal")
     >>> shape = lm.triangulate(known.transport(), known.geometry)
-    >>> bool((shape.test == lm.ShapeTest.OFF_LINE).any())
+    >>> bool((shape.test == ShapeTest.OFF_LINE).any())
     True
     """
 

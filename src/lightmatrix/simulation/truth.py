@@ -330,7 +330,7 @@ class Truth:
         if content.background is not None and content.background.any():
             raise InputError(
                 f"{path} holds its background separately, so its matrix is not the whole of T",
-                hint="export it with --dense-background",
+                hint="export it with dense_background=True",
             )
         direct = content.direct_data
         return cls(

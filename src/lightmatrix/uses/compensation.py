@@ -335,8 +335,9 @@ class Reach(IntEnum):
     Examples
     --------
     >>> import lightmatrix as lm
+    >>> from lightmatrix.uses.compensation import Reach
     >>> found = lm.compensate(lm.truth("metal").transport(), np.full((64, 64), 0.5))
-    >>> bool((found.reach == lm.Reach.SHADOW).any())
+    >>> bool((found.reach == Reach.SHADOW).any())
     True
     """
 
@@ -369,8 +370,8 @@ class Compensation:
     brightness : float
         `scale` as a share of what the lit camera samples see under a white pattern, their median.
     reach : camera_shape uint8
-        0 where the picture is reached; else why not: 1 masked, 2 in shadow, 3 too dark there, 4 too
-        bright there.
+        0 where the picture is reached; else why not (see `Reach`): 1 masked, 2 in shadow, 3 too
+        dark there, 4 too bright there.
     exposure : float
         The exposure e for which `clipped` is told.
 

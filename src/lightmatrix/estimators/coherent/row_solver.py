@@ -39,7 +39,7 @@ from lightmatrix.solvers.active_set import (
 from lightmatrix.solvers.fidelity import Fidelity
 from lightmatrix.solvers.loop import Progress
 from lightmatrix.solvers.problem import Problem, Result
-from lightmatrix.transport.matrix import cell_means
+from lightmatrix.transport.operator import cell_means
 from lightmatrix.transport.sparse_rows import SparseRows
 
 # At a distance of d the halo is 1 / (d^2 + c^2)^2, as the light of a patch in front of a wall at a
