@@ -38,7 +38,6 @@ from lightmatrix.resources.threads import core_threads
 from lightmatrix.solvers.fidelity import Fidelity
 from lightmatrix.solvers.problem import Result
 
-
 # No frame is held out of fewer.
 FEWEST = 8
 
