@@ -28,6 +28,7 @@ from benchmarks.synthetic_captures import DAMAGES, PATTERNS, SCENES, SyntheticCa
 from experiments.harness import Row, show, write_json
 from experiments.harness import options as options_of
 from lightmatrix.check.finding import NOTES
+from lightmatrix.judgement.judgement import verdict
 from lightmatrix.judgement.metrics import relative_error
 from lightmatrix.pictures.style import COLOURS, figure, fix_ticks, save
 from lightmatrix.simulation import library
@@ -135,9 +136,9 @@ def measure(case: Case) -> Outcome:
         except lm.InputError as error:
             return Outcome(case, "refused", error.message, seconds=seconds())
     kinds = tuple(sorted({each["kind"] for each in estimate.provenance["findings"]}))
-    verdict = lm.verdict(estimate)
+    judged = verdict(estimate)
     true = relative_error(estimate, drawn.truth)
-    return Outcome(case, verdict.level, verdict.sentence, kinds, true, verdict.error, seconds())
+    return Outcome(case, judged.level, judged.sentence, kinds, true, judged.error, seconds())
 
 
 def outcomes(cases: Sequence[Case], file: Path, processes: int) -> list[Outcome]:

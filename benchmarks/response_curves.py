@@ -22,6 +22,7 @@ from scipy.ndimage import gaussian_filter
 import lightmatrix as lm
 from experiments.harness import markdown
 from experiments.harness import options as options_of
+from lightmatrix.responses.curves import CameraResponse
 
 Curve = Callable[[NDArray[np.float64]], NDArray[np.float64]]
 TIMES: list[float] = [0.125, 0.25, 0.5, 1, 2, 4, 8]
@@ -71,7 +72,7 @@ def stack(
     return levels.astype(np.uint8 if clip < 256 else np.uint16)
 
 
-def errors(measured: lm.CameraResponse, curve: Curve, black: int, clip: int) -> NDArray[np.float64]:
+def errors(measured: CameraResponse, curve: Curve, black: int, clip: int) -> NDArray[np.float64]:
     """Light of the 256 levels by the measured curve, less that by the known one."""
     response = measured.response
     assert response.light is not None

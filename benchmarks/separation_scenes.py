@@ -1,6 +1,6 @@
 """Direct and global light on rendered scenes that the experiment `uses` does not hold.
 
-The thresholds of `lightmatrix.uses.direct_light` and `stray_spots` were chosen on them. Needs the
+The thresholds of `lightmatrix.uses.separation` were chosen on them. Needs the
 extra `render`, and half a minute a scene:
 
     python -m benchmarks.separation_scenes
@@ -15,10 +15,9 @@ import numpy as np
 
 import lightmatrix as lm
 from experiments.uses import separation_rows
-from lightmatrix.simulation.scenes import BUILDERS
+from lightmatrix.simulation.scenes import BUILDERS, Part, Scene, View, matt, metal, plastic
 from lightmatrix.simulation.scenes import scene as bundled
-from lightmatrix.simulation.scenes.scene import Part, Scene, View, matt, metal, plastic
-from lightmatrix.simulation.scenes.shapes import (
+from lightmatrix.simulation.shapes import (
     Mesh,
     ball,
     bolt,

@@ -32,6 +32,7 @@ from scipy.sparse import csr_array
 
 import lightmatrix as lm
 from experiments.harness import options as options_of
+from lightmatrix.shape.calibrate import RigCalibration
 
 BOARD, SQUARE, POSES = (9, 7), 75.0, 5
 # A camera pixel is lit if white exceeds black by this share of the clip level. Chosen by hand.
@@ -78,7 +79,7 @@ def within(corners: NDArray[np.float64], shape: tuple[int, int]) -> NDArray[np.b
     return np.asarray(inside.reshape(shape))
 
 
-def plane(capture: lm.Capture, measured: lm.RigCalibration) -> None:
+def plane(capture: lm.Capture, measured: RigCalibration) -> None:
     """Print how far the points of pose 0 lie from one plane."""
     matches = lm.decode(capture)
     assert matches.light is not None

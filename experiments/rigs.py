@@ -15,6 +15,7 @@ from scipy.stats import spearmanr
 
 from experiments.harness import Experiment, Measured, Row, all_rows, means
 from experiments.measured_scene import SCENES
+from experiments.other_cameras import depth_blur, mapped, seen, varying_defocus
 from experiments.responses import S_CURVE, camera_of, photographed
 from lightmatrix.capture.camera_curve import Response
 from lightmatrix.capture.capture import Capture
@@ -34,8 +35,7 @@ from lightmatrix.planning.plan import plan
 from lightmatrix.simulation import library
 from lightmatrix.simulation.binning import binned
 from lightmatrix.simulation.colour import in_all_primaries, of_primary
-from lightmatrix.simulation.other_cameras import depth_blur, mapped, seen
-from lightmatrix.simulation.realism import defocus, varying_defocus
+from lightmatrix.simulation.realism import defocus
 from lightmatrix.simulation.simulate import SimulatedCapture, simulate
 from lightmatrix.simulation.truth import Truth
 from lightmatrix.transport.matrix import LightTransport

@@ -23,10 +23,8 @@ from lightmatrix.simulation.simulate import simulate
 from lightmatrix.simulation.truth import Truth
 from lightmatrix.transport.correspondence import REACH, correspondence
 from lightmatrix.transport.matrix import LightTransport
-from lightmatrix.uses.compensation import compensate, compensator
-from lightmatrix.uses.inverse_light import cancel_global
-from lightmatrix.uses.separation import Separation, separate
-from lightmatrix.uses.spots import entries_of
+from lightmatrix.uses.compensation import cancel_global, compensate, compensator
+from lightmatrix.uses.separation import Separation, entries_of, separate
 
 # The wanted picture is a white photograph of another scene; its brightest hundredth is white.
 _PICTURE, _OTHER_PICTURE, _WHITE = "gripper", "l_objects", 0.99

@@ -8,8 +8,11 @@ the examples and their pictures. Formulas become MathML, which browsers show wit
 from __future__ import annotations
 
 import ast
+import dataclasses
 import html
+import inspect
 import re
+import sys
 import tempfile
 from pathlib import Path
 from typing import Any
@@ -112,18 +115,51 @@ def start_page() -> str:
 
 
 def reference_pages() -> dict[str, str]:
-    """The public names, a page for each heading in `__init__.pyi`."""
+    """The public names and the classes that they return, a page for each heading in the stub."""
     pages: dict[str, str] = {}
+    shown: set[str] = set()
     parts = re.split(r"^# (.+)\.\n(?=from)", DOOR.read_text(), flags=re.MULTILINE)[1:]
     for heading, part in zip(parts[::2], parts[1::2], strict=True):
-        lines = [f"# {heading}", "", "All names belong to `import lightmatrix as lm`.", ""]
+        lead = "`import lightmatrix as lm` has these names, without the classes of results."
+        lines = [f"# {heading}", "", lead, ""]
         for node in ast.parse(part).body:
             if isinstance(node, ast.ImportFrom):
                 for alias in node.names:
-                    lines += [f"::: lightmatrix.{node.module}.{alias.name}", ""]
+                    things = [f"{node.module}.{alias.name}"]
+                    for each in returned_classes(getattr(lm, alias.name)):
+                        things.append(f"{each.__module__}.{each.__name__}"[len("lightmatrix.") :])
+                    for thing in things:
+                        if thing not in shown:
+                            lines += [f"::: lightmatrix.{thing}", ""]
+                    shown.update(things)
         slug = re.sub(r"[^a-z]+", "-", heading.lower()).strip("-")
         pages[f"reference/{slug}.md"] = "\n".join(lines)
     return pages
+
+
+def returned_classes(thing: object) -> list[type]:
+    """The classes that a public name leads to, and which are no public names themselves.
+
+    These are the classes in the return annotation of a function, and those that a class names in
+    its docstring or annotations, such as the enumeration of one of its fields.
+    """
+    if inspect.isfunction(thing):
+        texts = [(thing.__module__, str(thing.__annotations__.get("return")))]
+    elif dataclasses.is_dataclass(thing):
+        texts = [(thing.__module__, str(thing.__annotations__))]
+    else:
+        return []
+    found: list[type] = []
+    while texts:
+        module, text = texts.pop()
+        for name in re.findall(r"\w+", text):
+            each = getattr(sys.modules[module], name, None)
+            if not inspect.isclass(each) or each in found or name.startswith("_"):
+                continue
+            if each.__module__.startswith("lightmatrix.") and name not in dir(lm):
+                found.append(each)
+                texts.append((each.__module__, f"{each.__doc__} {each.__annotations__}"))
+    return found
 
 
 def gallery_page() -> str:

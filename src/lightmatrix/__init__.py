@@ -9,7 +9,42 @@ projector has pixels, and is correct although the camera clips::
     transport = lm.estimate(capture, output="scene.zarr")
     photograph = transport.relight(pattern)
 
-`__init__.pyi` lists every public name. Each is loaded when it is first used.
+Before the photographs:
+
+    plan                which patterns and exposures a scene needs, and which error to expect
+    make_patterns       patterns of any kind by name; write_patterns writes them as images
+    take_capture        projects patterns with a rig of `open_rig`, and photographs them
+    simulate            photographs of a scene with known T, under the faults of a real camera
+
+From photographs to T:
+
+    Capture             patterns and photographs: a folder, image files or arrays
+    ReadSettings        how photographs are read: black level, clipping, exposure, response, crop
+    check               what is wrong with a capture, and what to do about it
+    estimate            T, warning about each finding; EstimateSettings has every parameter
+    estimate_colour     T of a colour projector: one matrix for each of its primaries
+    verdicts            how far an estimate may be trusted
+    evaluate            the error against a known T, which `truth` has for each of `scenes`
+    report              a page about an estimate, with its error on photographs that it never saw
+
+What is done with T:
+
+    LightTransport      T in memory, with `relight`, `dual`, `row` and `column`; `save` stores it
+    open                T from a store, read where it is used
+    show                pictures of T; show_row, show_column and others draw one
+    correspondence      which projector pixel each camera pixel sees; `decode` finds it of stripes
+    triangulate         depth and shape, with the geometry of `calibrate_rig` or `self_calibrate`
+    separate            direct and global light; `probe` and `max_min` are others
+    compensate          the pattern that makes the scene look as a picture
+    view                T in a notebook, to paint on; `serve_viewer` shows it in a browser
+    export              T as a SciPy matrix in a file
+
+Solvers by themselves:
+
+    solve               solves a `Problem` of rows of T with ADMM, SaturationADMM, ROMP or ActiveSet
+
+All errors are `LightMatrixError`, and all warnings `LightMatrixWarning`. `__init__.pyi` lists every
+public name. Each is loaded when it is first used.
 """
 
 from __future__ import annotations

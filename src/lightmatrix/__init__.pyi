@@ -20,16 +20,11 @@ from .patterns.folder import (
     read_patterns as read_patterns,
     write_patterns as write_patterns,
 )
-from .patterns.stripes import GrayCodePatterns as GrayCodePatterns
-from .patterns.hadamard import HadamardPatterns as HadamardPatterns
 from .patterns.making import make_patterns as make_patterns
-from .patterns.stripes import MicroPhasePatterns as MicroPhasePatterns
-from .patterns.mix import MixedPatterns as MixedPatterns
 from .patterns.pattern_set import (
     ImagePatterns as ImagePatterns,
     PatternSet as PatternSet,
 )
-from .patterns.stripes import PhasePatterns as PhasePatterns
 
 # Captures, photographed and simulated.
 from .capture.decoder import Decoder as Decoder
@@ -41,7 +36,6 @@ from .capture.convert import convert as convert
 from .capture.packing import pack as pack
 from .capture.settings import ReadSettings as ReadSettings
 from .files.images import (
-    read_grey as read_grey,
     read_image as read_image,
     write_image as write_image,
 )
@@ -50,10 +44,7 @@ from .simulation.library import (
     scenes as scenes,
     truth as truth,
 )
-from .simulation.simulate import (
-    SimulatedCapture as SimulatedCapture,
-    simulate as simulate,
-)
+from .simulation.simulate import simulate as simulate
 from .simulation.procedural import ProceduralScene as ProceduralScene
 from .simulation.renderer import render as render
 from .simulation.thumbnails import write_thumbnails as write_thumbnails
@@ -71,50 +62,32 @@ from .rig.devices.registry import (
     open_camera as open_camera,
     open_projector as open_projector,
 )
-from .rig.rig import (
-    Rig as Rig,
-    open_rig as open_rig,
-)
+from .rig.rig import open_rig as open_rig
 
 # Geometry of a rig.
 from .shape.calibrate import (
-    BoardPose as BoardPose,
-    RigCalibration as RigCalibration,
     calibrate_rig as calibrate_rig,
+    self_calibrate as self_calibrate,
 )
-from .shape.self_calibration import self_calibrate as self_calibrate
 from .geometry.rig_geometry import RigGeometry as RigGeometry
 
 # What is wrong with a capture.
-from .check.finding import Finding as Finding
 from .check.all_checks import check as check
-from .check.curves import FoundResponse as FoundResponse
 
 # Responses, measured from photographs.
 from .patterns.projector_curve import ProjectorResponse as ProjectorResponse
-from .responses.camera import (
-    CameraResponse as CameraResponse,
+from .responses.curves import (
     camera_response as camera_response,
+    projector_response as projector_response,
 )
-from .responses.projector import projector_response as projector_response
 
 # Estimates.
 from .estimators.estimate import estimate as estimate
 from .estimators.colour.estimate import estimate_colour as estimate_colour
-from .estimators.resource_estimate import (
-    ResourceEstimate as ResourceEstimate,
-    estimate_resources as estimate_resources,
-)
+from .estimators.resource_estimate import estimate_resources as estimate_resources
 from .estimators.settings import EstimateSettings as EstimateSettings
-from .estimators.unknown_projector import (
-    find_projector_response as find_projector_response,
-)
-from .estimators.unknown_response import (
-    find_response as find_response,
-)
-from .estimators.coherent.estimator import CoherentEstimator as CoherentEstimator
-from .estimators.multiscale import MultiScaleEstimator as MultiScaleEstimator
-from .estimators.plain import PlainEstimator as PlainEstimator
+from .estimators.unknown_projector import find_projector_response as find_projector_response
+from .estimators.unknown_response import find_response as find_response
 from .solvers import (
     ADMM as ADMM,
     ROMP as ROMP,
@@ -128,10 +101,7 @@ from .solvers import (
 
 # Correspondence without T, from stripes.
 from .shape.decode import decode as decode
-from .transport.npz import (
-    read_correspondence as read_correspondence,
-    write_correspondence as write_correspondence,
-)
+from .transport.npz import read_correspondence as read_correspondence
 
 # What is done with them.
 from .pictures.relight import relight as relight
@@ -154,33 +124,17 @@ from .transport.correspondence import (
     Correspondence as Correspondence,
     correspondence as correspondence,
 )
-from .judgement.evaluate import ColourErrors as ColourErrors
-from .judgement.evaluate import Errors as Errors
 from .transport.matrix import LightTransport as LightTransport
 from .transport.operator import singular_values as singular_values
-from .uses.compensated_video import (
-    CompensatedVideo as CompensatedVideo,
+from .uses.compensation import (
+    cancel_global as cancel_global,
+    compensate as compensate,
     compensate_video as compensate_video,
 )
-from .uses.compensation import (
-    Compensation as Compensation,
-    Reach as Reach,
-    compensate as compensate,
-)
-from .uses.inverse_light import cancel_global as cancel_global
-from .rig.closed_loop import (
-    RefinedCompensation as RefinedCompensation,
-    refine_compensation as refine_compensation,
-)
-from .uses.epipolar import EpipolarGeometry as EpipolarGeometry
+from .rig.closed_loop import refine_compensation as refine_compensation
 from .uses.probing import (
-    QuickLook as QuickLook,
     max_min as max_min,
     probe as probe,
-)
-from .shape.shape import (
-    Shape as Shape,
-    ShapeTest as ShapeTest,
 )
 from .report.views import (
     show as show,
@@ -190,25 +144,15 @@ from .shape.triangulation import (
     geometry_of as geometry_of,
     triangulate as triangulate,
 )
-from .uses.separation import (
-    Separation as Separation,
-    separate as separate,
-)
+from .uses.separation import separate as separate
 from .judgement.judgement import (
-    Verdict as Verdict,
     Verdicts as Verdicts,
-    verdict as verdict,
     verdicts as verdicts,
 )
 
 # Plans and the demo.
-from .demo import (
-    demo as demo,
-)
-from .planning.plan import (
-    Advice as Advice,
-    plan as plan,
-)
+from .demo import demo as demo
+from .planning.plan import plan as plan
 
 # Errors.
 from .errors import (

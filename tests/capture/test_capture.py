@@ -295,33 +295,6 @@ def test_the_digest_tells_captures_apart() -> None:
     assert len(digests) == 6
 
 
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
-        ({"exposures": 1}, "does not know 'exposures'"),
-        ({"camera_shape": [5, 8]}, r"camera_shape is \[5, 8\], but the images have \[5, 7\]"),
-        ({"projector_shape": [8, 6]}, "projector_shape is"),
-        ({"exposure": [1, 2]}, "exposure has 2 values for 9 frames"),
-        ({"exposure": "long"}, "\"exposure\" cannot be 'long'"),
-        ({"exposure": -1}, '"exposure" cannot be -1'),
-        ({"clip": 0}, '"clip" cannot be 0'),
-        ({"clip": 256}, "a clip level of 256"),
-        ({"black_level": 255}, "a black level of 255"),
-        ({"response": "film"}, "a response of 'film'"),
-        ({"black": {"file": "none.png"}}, r"none\.png: no such file"),
-        ({"black": "black.png"}, "\"black\" cannot be 'black.png'"),
-        ({"mask": "none.png"}, r"none\.png: no such file"),
-        ({"version": 2}, "format version 2"),
-        ({"format": "other"}, "is not a lightmatrix-capture file"),
-    ],
-)
-def test_contradictory_descriptions(tmp_path: Path, change: dict[str, Any], message: str) -> None:
-    file = write_plain(tmp_path) / "capture.json"
-    file.write_text(json.dumps({**json.loads(file.read_text()), **change}))
-    with pytest.raises(InputError, match=message):
-        Capture.open(tmp_path / "c")
-
-
 def test_a_folder_without_description_is_a_linear_camera(tmp_path: Path) -> None:
     place = write_plain(tmp_path)
     whole = Capture.open(place)

@@ -14,6 +14,7 @@ from scipy.sparse import csr_array
 import lightmatrix as lm
 from lightmatrix.cli import main
 from lightmatrix.errors import InputError
+from lightmatrix.files.images import read_grey
 from lightmatrix.simulation.colour import FILTERS, in_primary
 from lightmatrix.simulation.procedural import ProceduralScene
 
@@ -209,6 +210,6 @@ def test_patterns_in_one_primary(tmp_path: Path, capsys: pytest.CaptureFixture[s
     assert isinstance(mixed, lm.ColourPatterns)
     np.testing.assert_array_equal(mixed.colour_images()[3], (image + red) / 255)
     with pytest.raises(InputError, match=r"0003\.png: a pattern of several colours"):
-        lm.read_grey(tmp_path / "green" / "pattern_0003.png")
+        read_grey(tmp_path / "green" / "pattern_0003.png")
     with pytest.raises(InputError, match="patterns in 'pink'"):
         lm.write_patterns(tmp_path / "pink", PATTERNS, colour="pink")

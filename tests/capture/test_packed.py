@@ -24,6 +24,7 @@ from lightmatrix.capture.packed import PackedFrames
 from lightmatrix.capture.settings import ReadSettings
 from lightmatrix.cli import main
 from lightmatrix.errors import InputError, OutputError
+from lightmatrix.estimators.plain import PlainEstimator
 from lightmatrix.patterns.pattern_set import PatternSet
 from lightmatrix.simulation.binning import coarse
 
@@ -208,7 +209,7 @@ def test_a_packed_capture_replaces_the_folder_everywhere(folder: Path, name: str
     assert lm.check(folder / name) == lm.check(folder / "capture")
     known = lm.truth(folder / name / "truth.npz")
     assert known.matrix.nnz == lm.truth(folder / "capture" / "truth.npz").matrix.nnz
-    estimator = lm.PlainEstimator(lm.ROMP(max_iterations=2), tile_rows=77)
+    estimator = PlainEstimator(lm.ROMP(max_iterations=2), tile_rows=77)
     one, other = estimator.estimate(reopened), estimator.estimate(original)
     assert (one.sparse != other.sparse).nnz == 0
     assert one.provenance == other.provenance

@@ -24,7 +24,9 @@ from lightmatrix.check.finding import KINDS, join_names
 from lightmatrix.check.survey import Survey
 from lightmatrix.cli import main
 from lightmatrix.patterns.bits import BernoulliPatterns
+from lightmatrix.patterns.hadamard import HadamardPatterns
 from lightmatrix.patterns.pattern_set import ImagePatterns
+from lightmatrix.patterns.stripes import MicroPhasePatterns
 from tests.helpers.surface import CAMERA, PROJECTOR, photographs
 
 K = 32
@@ -119,7 +121,7 @@ def test_a_bright_black_frame() -> None:
 @pytest.mark.parametrize("kind", ["hadamard", "mix", "sparse"])
 def test_other_patterns_are_left_alone(kind: str) -> None:
     patterns = {
-        "hadamard": lm.HadamardPatterns(PROJECTOR, 48, "random", True),
+        "hadamard": HadamardPatterns(PROJECTOR, 48, "random", True),
         "mix": lm.make_patterns("mix", PROJECTOR, 64),
         "sparse": BernoulliPatterns(PROJECTOR, 48, 0.25),
     }[kind]
@@ -165,7 +167,7 @@ def test_names_in_words() -> None:
     assert join_names(list("abcdefg")) == "a, b, c, d, e and 2 more"
 
 
-MICRO = lm.MicroPhasePatterns((64, 64))
+MICRO = MicroPhasePatterns((64, 64))
 
 
 def stack(capture: lm.Capture) -> np.ndarray:

@@ -146,7 +146,7 @@ def test_rows_of_which_many_samples_clip_are_no_curve(seed: int | None) -> None:
 GREY = np.rint(255 * np.random.default_rng(3).random((K, *PROJECTOR))) / 255
 
 
-def findings(camera: float, projector: float) -> list[lm.Finding]:
+def findings(camera: float, projector: float) -> list[Finding]:
     """What is wrong with photographs by a camera and a projector of these gammas."""
     light = photographs(lm.ImagePatterns((GREY**projector).astype(np.float32)), noise=0.001) / 255
     frames = np.rint(255 * light ** (1 / camera)).astype(np.uint8)

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -15,10 +14,7 @@ import pytest
 from numpy.typing import NDArray
 
 import lightmatrix as lm
-from lightmatrix.check.finding import KINDS
-from lightmatrix.check.frame_order import missing_places
-from lightmatrix.check.inverse_pairs import Pairs
-from lightmatrix.check.survey import Survey
+from lightmatrix.check.finding import KINDS, Finding
 from lightmatrix.files.images import decode_image, encode_image
 from lightmatrix.files.stacks import ImageStack
 
@@ -43,13 +39,10 @@ def exchanged(frames: Images, a: int, b: int) -> Images:
     return frames[order]
 
 
-def told(found: list[lm.Finding]) -> list[tuple[str, tuple[int, ...]]]:
+def kinds_and_frames(found: list[Finding]) -> list[tuple[str, tuple[int, ...]]]:
     assert {each.kind for each in found} <= set(KINDS)
     assert all(each.message and each.advice for each in found)
     return [(each.kind, each.frames) for each in found]
-
-
-# ---- the real board
 
 
 @pytest.fixture(scope="module")
@@ -97,26 +90,4 @@ def test_faults_of_the_real_board_are_named(
     patterns, frames = board
     capture = lm.Capture.from_arrays(patterns, fault(frames), CAMERA)
     # Stripes never tell rows with several footprints.
-    assert told(lm.check(capture)) == [("stripes", ()), *expected]
-
-
-@pytest.mark.parametrize("place", [3, 17])
-def test_the_frame_that_the_board_lacks_is_named(
-    place: int, board: tuple[lm.PatternSet, Images]
-) -> None:
-    patterns, frames = board
-    rest = np.delete(frames, place, axis=0)
-    capture = lm.Capture.from_arrays(patterns.subset(np.arange(41)), rest, CAMERA)
-    survey = Survey.take(capture.patterns, capture.frames, CAMERA)
-    named = missing_places(replace(survey, patterns=patterns))
-    assert place in named
-    # A stripe and its inverse may be told apart by nothing.
-    assert set(named) <= {place, place ^ 1}
-
-
-def test_pairs_are_patterns_and_their_inverses(board: tuple[lm.PatternSet, Images]) -> None:
-    pairs = Pairs.find(board[0])
-    assert pairs is not None
-    assert pairs.pairs == tuple((k, k + 1) for k in range(0, 40, 2))
-    assert set(pairs.others) == {40, 41}
-    assert Pairs.find(lm.BernoulliPatterns((16, 16), 32)) is None
+    assert kinds_and_frames(lm.check(capture)) == [("stripes", ()), *expected]

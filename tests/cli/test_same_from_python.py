@@ -19,8 +19,9 @@ from lightmatrix.cli import patterns as patterns_command
 from lightmatrix.cli.app import STAGES
 from lightmatrix.estimators import settings as estimate_settings
 from lightmatrix.estimators.coherent.estimator import WORTH_IT_UP_TO
+from lightmatrix.judgement.judgement import verdict
 from lightmatrix.patterns import making, mix
-from lightmatrix.planning.plan import USUAL_SIZE
+from lightmatrix.planning.plan import USUAL_SIZE, Advice
 from lightmatrix.resources.memory import memory_bytes
 from lightmatrix.rig import capturing
 from lightmatrix.rig.rig import USUAL_PATIENCE
@@ -199,7 +200,7 @@ def test_estimate_from_two_binned_folders(
 def test_info(work: Path, capsys: pytest.CaptureFixture[str]) -> None:
     printed = _run(f"info {work}/scene.zarr", capsys)
     transport = lm.open(work / "scene.zarr")
-    judged = lm.verdict(transport)
+    judged = verdict(transport)
     assert printed == {
         "verdict": judged.level, "sentence": judged.sentence,
         "verdicts": lm.verdicts(transport).as_dict(),
@@ -425,7 +426,7 @@ def test_export(words: str, work: Path, tmp_path: Path, capsys: pytest.CaptureFi
         )
 
 
-def _as_json(advice: lm.Advice) -> dict[str, Any]:
+def _as_json(advice: Advice) -> dict[str, Any]:
     read: dict[str, Any] = json.loads(json.dumps(advice.as_dict()))
     return read
 

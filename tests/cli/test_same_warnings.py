@@ -11,6 +11,7 @@ import pytest
 import lightmatrix as lm
 from benchmarks import frame_checks
 from lightmatrix.capture.folder import write_capture
+from lightmatrix.check.finding import Finding
 from lightmatrix.cli import main
 from lightmatrix.cli.terminal import as_options
 from lightmatrix.errors import LightMatrixError
@@ -48,7 +49,7 @@ def test_the_same_faults_are_named(
 ) -> None:
     made: list[lm.Capture] = []
 
-    def keep(capture: lm.Capture) -> list[lm.Finding]:
+    def keep(capture: lm.Capture) -> list[Finding]:
         made.append(capture)
         return []
 

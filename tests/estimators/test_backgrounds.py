@@ -10,7 +10,7 @@ from scipy.sparse import csr_array
 
 from lightmatrix.estimators.coherent.row_solver import WALL, Backgrounds
 from lightmatrix.patterns.bits import BernoulliPatterns
-from lightmatrix.transport.matrix import cell_means
+from lightmatrix.transport.operator import cell_means
 
 
 def backgrounds(shape: tuple[int, int], grid: tuple[int, int], count: int = 5) -> Backgrounds:

@@ -18,6 +18,7 @@ from lightmatrix.estimators.colour.mixing import ColourSamples, fit_gains, light
 from lightmatrix.estimators.colour.unmixing import grey_capture, unmixed_capture
 from lightmatrix.judgement.metrics import relative_error
 from lightmatrix.simulation.colour import in_all_primaries
+from lightmatrix.simulation.simulate import SimulatedCapture
 
 SIDE = 16
 SCENE = lm.ProceduralScene((SIDE, SIDE), (SIDE, SIDE)).truth()
@@ -88,14 +89,14 @@ def test_clipped_samples_become_lower_bounds() -> None:
 
 
 @pytest.fixture(scope="module")
-def capture() -> lm.SimulatedCapture:
+def capture() -> SimulatedCapture:
     """Part of 32 photographs by a camera whose channels mix, of which some samples clip."""
     patterns = lm.colour_bernoulli((64, 64), 32)
     return lm.simulate("l_objects", patterns, exposure=0.445).crop((20, 20), (20, 20))
 
 
 def test_channels_share_what_one_projector_three_times_as_wide_does_not(
-    capture: lm.SimulatedCapture,
+    capture: SimulatedCapture,
 ) -> None:
     assert capture.clipped_share > 0.03
     colour = lm.estimate_colour(capture)
@@ -147,7 +148,7 @@ def _part(wide: lm.LightTransport, primary: int) -> lm.LightTransport:
 
 
 def test_grey_captures_are_refused_and_colour_ones_are_not_read_as_grey(
-    capture: lm.SimulatedCapture,
+    capture: SimulatedCapture,
 ) -> None:
     with pytest.raises(InputError, match="three matrices"):
         lm.estimate(capture)

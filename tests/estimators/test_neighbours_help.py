@@ -8,9 +8,12 @@ import pytest
 
 import lightmatrix as lm
 from benchmarks.synthetic_captures import draw
+from lightmatrix.check.finding import Finding
 from lightmatrix.estimators import choice, plain
 from lightmatrix.estimators.choice import check_and_choose, choose_estimator
 from lightmatrix.estimators.coherent import rounds
+from lightmatrix.estimators.coherent.estimator import CoherentEstimator
+from lightmatrix.estimators.plain import PlainEstimator
 from lightmatrix.judgement.metrics import relative_error
 
 SIZE = 24
@@ -29,23 +32,23 @@ def test_independent_speckle_is_estimated_row_by_row() -> None:
 @pytest.mark.parametrize("scene", ["wall", "fibres", "permutation", "glints"])
 def test_neighbours_are_used_where_they_do_no_harm(scene: str) -> None:
     drawn = draw(scene, "random", "none", SIZE, seed=3)
-    assert isinstance(choose_estimator(drawn.capture), lm.CoherentEstimator)
+    assert isinstance(choose_estimator(drawn.capture), CoherentEstimator)
 
 
 def test_settings_come_first() -> None:
     capture = draw("speckle", "random", "none", SIZE, seed=3).capture
     coherent = choose_estimator(capture, lm.EstimateSettings(coherent=True))
-    assert isinstance(coherent, lm.CoherentEstimator)
+    assert isinstance(coherent, CoherentEstimator)
     wall = draw("wall", "random", "none", SIZE, seed=3).capture
     alone = choose_estimator(wall, lm.EstimateSettings(coherent=False))
-    assert isinstance(alone, lm.PlainEstimator)
+    assert isinstance(alone, PlainEstimator)
 
 
 @pytest.mark.parametrize(
-    "whole", [lm.CoherentEstimator(), lm.PlainEstimator(lm.ActiveSet())], ids=["coherent", "plain"]
+    "whole", [CoherentEstimator(), PlainEstimator(lm.ActiveSet())], ids=["coherent", "plain"]
 )
 def test_what_is_only_compared_has_the_same_light(
-    whole: lm.CoherentEstimator | lm.PlainEstimator,
+    whole: CoherentEstimator | PlainEstimator,
 ) -> None:
     capture = draw("wall", "random", "none", SIZE, seed=3).capture
     bare, judged = replace(whole, judged=False).estimate(capture), whole.estimate(capture)
@@ -64,7 +67,7 @@ def test_what_is_tried_is_not_judged(monkeypatch: pytest.MonkeyPatch) -> None:
     for module in (plain, rounds):
         monkeypatch.setattr(module, "with_certainty", refused)
     capture = draw("speckle", "random", "none", SIZE, seed=3).capture
-    assert isinstance(choose_estimator(capture), lm.PlainEstimator)
+    assert isinstance(choose_estimator(capture), PlainEstimator)
 
 
 def test_the_middle_of_the_light_stands_for_a_larger_camera(
@@ -72,7 +75,7 @@ def test_the_middle_of_the_light_stands_for_a_larger_camera(
 ) -> None:
     capture = draw("speckle", "random", "none", SIZE, seed=3).capture
     monkeypatch.setattr(choice, "_TRIED", 144)
-    assert isinstance(choose_estimator(capture), lm.PlainEstimator)
+    assert isinstance(choose_estimator(capture), PlainEstimator)
 
 
 @pytest.mark.parametrize(("coherent", "beside"), [(None, True), (True, False), (False, False)])
@@ -81,7 +84,7 @@ def test_frames_are_checked_while_both_ways_are_tried(coherent: bool | None, bes
     settings = lm.EstimateSettings(coherent=coherent)
     threads: list[threading.Thread] = []
 
-    def check() -> list[lm.Finding]:
+    def check() -> list[Finding]:
         threads.append(threading.current_thread())
         return lm.check(capture)
 
@@ -99,13 +102,13 @@ def test_what_a_check_raises_comes_first(monkeypatch: pytest.MonkeyPatch) -> Non
     settings = lm.EstimateSettings()
     resources = lm.estimate_resources(capture, settings)
 
-    def refuse() -> list[lm.Finding]:
+    def refuse() -> list[Finding]:
         raise lm.InputError("frame 1 and frame 2 look swapped")
 
     def fail(*_: object, **__: object) -> None:
         raise lm.SolverError("no solution")
 
-    monkeypatch.setattr(lm.PlainEstimator, "estimate", fail)
+    monkeypatch.setattr(PlainEstimator, "estimate", fail)
     with pytest.raises(lm.InputError, match="look swapped"):
         check_and_choose(refuse, capture, settings, resources)
     with pytest.raises(lm.SolverError, match="no solution"):
@@ -121,6 +124,6 @@ def test_nothing_is_tried_where_no_frame_can_be_held_out(
     def fail(*_: object) -> None:
         raise AssertionError("an estimate was tried")
 
-    monkeypatch.setattr(lm.PlainEstimator, "estimate", fail)
-    monkeypatch.setattr(lm.CoherentEstimator, "estimate", fail)
-    assert isinstance(choose_estimator(capture), lm.CoherentEstimator)
+    monkeypatch.setattr(PlainEstimator, "estimate", fail)
+    monkeypatch.setattr(CoherentEstimator, "estimate", fail)
+    assert isinstance(choose_estimator(capture), CoherentEstimator)

@@ -1,17 +1,30 @@
-"""What frames held out say of a row's error, against the error itself."""
+"""What frames held out and residuals say of a row's error, and which frames are held out."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
+from scipy.sparse import csr_array
 
+import lightmatrix as lm
+from benchmarks.synthetic_captures import draw
 from lightmatrix.capture.samples import Samples
+from lightmatrix.estimators.coherent import row_errors
 from lightmatrix.estimators.coherent.row_errors import (
+    HeldOut,
+    Predicted,
+    bend,
+    constant_light,
     held_out_frames,
+    only_bounded,
     smooth_misfit,
     squared_misfit,
+    squared_residual,
     without,
 )
+from lightmatrix.judgement.judgement import OwnError
+from lightmatrix.judgement.metrics import relative_error
 from lightmatrix.patterns.bits import BernoulliPatterns
 
 
@@ -88,3 +101,152 @@ def test_every_pixel_gets_the_mean_of_the_known_ones_around(spacing: int) -> Non
     half = spacing // 2
     between = (known[:-1, :-1] + known[1:, 1:]) / 2
     np.testing.assert_allclose(smooth[half::spacing, half::spacing], between, rtol=1e-5)
+
+
+# ---- residuals
+
+COUNT, ROWS = 64, 50
+PATTERNS = lm.BernoulliPatterns((8, 8), COUNT, seed=3)
+SHOWN = PATTERNS.rows(0, COUNT).astype(np.float64)
+DIRECT = np.random.default_rng(0).uniform(0.2, 0.5, (ROWS, 1)) * SHOWN[:, :ROWS].T
+
+
+def samples(values: NDArray[np.float64]) -> lm.Samples:
+    values = np.asarray(values, np.float32)
+    return lm.Samples(np.minimum(values, 1), values >= 1, np.ones(COUNT, np.float32))
+
+
+def predicted(background: NDArray[np.float64]) -> Predicted:
+    return Predicted(
+        DIRECT.astype(np.float32),
+        np.broadcast_to(background, DIRECT.shape).astype(np.float32),
+        SHOWN.mean(axis=1),
+    )
+
+
+def test_light_that_does_not_follow_the_patterns_is_constant() -> None:
+    # The prediction takes a constant 0.1 for a background, which follows the mean of the patterns.
+    mean = SHOWN.mean(axis=1)
+    taken = predicted(0.1 * mean / mean.mean())
+    seen = samples(DIRECT + 0.1)
+    share = constant_light(seen, taken)
+    np.testing.assert_allclose(share, 0.1 / seen.values.mean(axis=1), rtol=1e-3)
+    right = samples(DIRECT + 0.1 * mean / mean.mean())
+    assert np.abs(constant_light(right, taken)).max() < 1e-5
+    # What was not taken for a background cannot be wrong.
+    assert not constant_light(seen, predicted(0 * mean)).any()
+
+
+def test_patterns_of_one_brightness_show_it_by_halos() -> None:
+    local = SHOWN[:, :8].mean(axis=1)
+    taken = Predicted(
+        DIRECT.astype(np.float32),
+        np.broadcast_to(0.1 * local / local.mean(), DIRECT.shape).astype(np.float32),
+        np.full(COUNT, 0.5),
+    )
+    seen = samples(DIRECT + 0.1)
+    np.testing.assert_allclose(
+        constant_light(seen, taken), 0.1 / seen.values.mean(axis=1), rtol=1e-3
+    )
+
+
+@pytest.mark.parametrize("gamma", [1.0, 1.5, 2.2])
+def test_residuals_bend_under_a_curve(gamma: float) -> None:
+    generator = np.random.default_rng(1)
+    light = generator.uniform(0.05, 0.9, (ROWS, COUNT))
+    curved = light ** (1 / gamma)
+    # The best line through the curve.
+    lines = np.stack(
+        [np.polyval(np.polyfit(x, y, 1), x) for x, y in zip(light, curved, strict=True)]
+    )
+    found = bend(samples(curved), Predicted(lines.astype(np.float32), 0 * lines, np.ones(COUNT)))
+    if gamma == 1:
+        assert np.abs(found).max() < 1e-4
+    else:
+        assert found.max() < -0.05
+
+
+def test_rows_are_bounded_if_their_strongest_pixel_always_clips() -> None:
+    pixels = csr_array(np.eye(3, 64) + 0.1)
+    light = SHOWN[:, :3].T * np.array([[2.0], [0.9], [2.0]])
+    seen = samples(light)
+    # The strongest pixel of the last row is seen once.
+    first = int(np.flatnonzero(SHOWN[:, 2])[0])
+    seen.values[2, first], seen.clipped[2, first] = 0.95, False
+    np.testing.assert_array_equal(only_bounded(seen, pixels, PATTERNS), [True, False, False])
+    assert not only_bounded(seen, csr_array((3, 64)), PATTERNS).any()
+
+
+def test_the_residual_ignores_clipped_samples() -> None:
+    seen = samples(np.where(np.arange(COUNT) < 32, 2.0, 0.3) * np.ones((2, 1)))
+    taken = Predicted(
+        np.full((2, COUNT), 0.1, np.float32), np.zeros((2, COUNT), np.float32), np.ones(COUNT)
+    )
+    np.testing.assert_allclose(squared_residual(seen, taken), 0.04, rtol=1e-5)
+
+
+# ---- which frames are held out
+
+BASE = lm.BernoulliPatterns((16, 16), 16, seed=1).rows(0, 16).reshape(16, 16, 16)
+
+
+def images(stack: NDArray[np.float32]) -> lm.ImagePatterns:
+    return lm.ImagePatterns(np.asarray(stack, np.float32))
+
+
+@pytest.mark.parametrize("count", [8, 16, 33, 64, 255])
+def test_random_frames_are_held_out_as_ever(count: int) -> None:
+    held = HeldOut.choose(lm.BernoulliPatterns((16, 16), count, seed=2))
+    np.testing.assert_array_equal(held.frames, held_out_frames(count))
+    np.testing.assert_array_equal(held.judged, held.frames)
+
+
+@pytest.mark.parametrize("times", [2, 4, 8])
+@pytest.mark.parametrize("interleaved", [True, False])
+def test_a_pattern_is_held_out_each_time_it_is_shown(times: int, interleaved: bool) -> None:
+    shown = np.arange(16 * times) // times if interleaved else np.arange(16 * times) % 16
+    held = HeldOut.choose(images(BASE[shown]))
+    assert len(held.judged) >= 2
+    assert len(held.frames) == times * len(held.judged)
+    others = np.delete(shown, held.frames)
+    assert not np.isin(shown[held.judged], others).any()
+
+
+def test_an_inverse_is_held_out_with_its_pattern() -> None:
+    held = HeldOut.choose(images(np.stack([BASE, 1 - BASE], 1).reshape(-1, 16, 16)))
+    assert len(held.frames) == 2 * len(held.judged) == 4
+    assert set(held.frames // 2) == set(held.judged // 2)
+
+
+def test_nothing_is_held_out_where_that_tests_nothing() -> None:
+    lines = np.broadcast_to(BASE[:, :1], BASE.shape)
+    two = np.repeat(BASE[:2], 8, axis=0)
+    for patterns in (images(lines), images(two), lm.BernoulliPatterns((16, 16), 7)):
+        held = HeldOut.choose(patterns)
+        assert not len(held.frames)
+        assert not len(held.judged)
+
+
+@pytest.mark.parametrize("count", [16, 40, 48, 56, 64, 200])
+def test_as_few_are_judged_as_asked(count: int) -> None:
+    held = HeldOut.choose(lm.BernoulliPatterns((16, 16), count, seed=2), judged=4)
+    assert len(held.judged) == min(4, count // 8)
+    assert set(held.judged) <= set(held_out_frames(count))
+
+
+def test_of_many_frames_the_twins_are_still_found(monkeypatch: pytest.MonkeyPatch) -> None:
+    base = lm.BernoulliPatterns((16, 16), 64, seed=1).rows(0, 64).reshape(64, 16, 16)
+    many = images(np.concatenate([base, base]))
+    monkeypatch.setattr(row_errors, "_COMPARED", 32)
+    held = HeldOut.choose(many, judged=4)
+    assert len(held.frames) == 2 * len(held.judged) == 4
+    assert set(held.frames % 64) == set(held.judged % 64)
+
+
+@pytest.mark.parametrize("patterns", ["shown twice", "shown four times", "with inverses"])
+def test_frames_that_repeat_others_do_not_lower_the_stated_error(patterns: str) -> None:
+    case = draw("speckle", patterns, "intact", 16, 0)
+    estimate = lm.estimate(case.capture, check=False)
+    stated = OwnError(estimate).estimated
+    assert stated is not None
+    assert stated > 0.5 * relative_error(estimate, case.truth) > 0.1

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 import lightmatrix as lm
+from lightmatrix.check.curves import FoundResponse
 from lightmatrix.cli import main
 from lightmatrix.patterns.folder import write_patterns
 from tests.helpers.surface import PROJECTOR, photographs
@@ -133,7 +134,7 @@ def test_a_capture_keeps_that_its_projector_is_unknown_until_the_curve_is_given(
     folders = tmp_path / "c/patterns", tmp_path / "c/images"
     assert lm.Capture.from_folders(*folders, settings).projector_unknown
     curve = lm.ProjectorResponse.of_gamma(2.2)
-    found = lm.FoundResponse(lm.Response(), 1, 0, 0, 0, curve).applied_to(opened)
+    found = FoundResponse(lm.Response(), 1, 0, 0, 0, curve).applied_to(opened)
     assert not found.projector_unknown
     assert found.patterns.digest == curve.light_of_patterns(taken.patterns).digest
 

@@ -13,6 +13,7 @@ from PIL import Image
 import lightmatrix as lm
 from experiments.responses import photographed
 from lightmatrix.check.curves import (
+    FoundResponse,
     GammaBend,
     SmoothBends,
     exponent,
@@ -194,7 +195,7 @@ def test_the_command_finds_the_response_of_a_capture_folder(
 
 def test_a_found_curve_is_saved_as_any_other(tmp_path: Path) -> None:
     curve = response(S_CURVE)
-    found = lm.FoundResponse(curve, 1.1, 0.01, 0.1, 2)
+    found = FoundResponse(curve, 1.1, 0.01, 0.1, 2)
     found.save(tmp_path / "curve.json")
     read = lm.Response.parse(str(tmp_path / "curve.json"))
     assert largest_difference(read, curve) < 1e-3

@@ -12,13 +12,14 @@ from scipy.stats import spearmanr
 import lightmatrix as lm
 from experiments import few_patterns, fig6, rigs, shape
 from experiments.measured_scene import THREE_EXPOSURES, MeasuredScene
+from experiments.other_cameras import seen
 from experiments.rigs import rig_capture, rig_truth
 from experiments.uses import compensation_rows, separation_rows
 from lightmatrix.estimators.coherent.estimator import CoherentEstimator
+from lightmatrix.judgement.judgement import verdict
 from lightmatrix.judgement.metrics import relative_error
 from lightmatrix.shape.shape import Shape
 from lightmatrix.simulation import library
-from lightmatrix.simulation.other_cameras import seen
 
 pytestmark = pytest.mark.usefixtures("small_scenes")
 SMALL = few_patterns.Case("gripper", "coherent", 64, 0, size=(32, 32))
@@ -127,7 +128,7 @@ def test_an_impossible_estimate_is_called_doubtful() -> None:
     case = rigs.Case("l_objects", "blur 2", 16, side=SIDE)
     estimate = lm.estimate(rig_capture(case, shuffled))
     assert relative_error(estimate, shuffled.transport()) > 0.3
-    judged = lm.verdict(estimate)
+    judged = verdict(estimate)
     assert judged.level == "doubtful"
     assert "More patterns" in judged.sentence
 

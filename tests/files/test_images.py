@@ -593,7 +593,7 @@ def test_a_store_that_may_not_be_read(tmp_path: Path, forbid: Any, name: str) ->
 def test_a_single_pattern_of_fewer_bits_is_warned_of(tmp_path: Path) -> None:
     lm.write_image(tmp_path / "a.png", np.arange(35, 256, 20, dtype=np.uint16).reshape(3, 4))
     with pytest.warns(lm.LightMatrixWarning, match="16 bits, but no level above 255"):
-        lm.read_grey(tmp_path / "a.png")
+        read_grey(tmp_path / "a.png")
 
 
 def photographs(folder: Path, count: int = 8) -> lm.Capture:

@@ -224,25 +224,23 @@ def test_other_files_are_refused(tmp_path: Path, text: str, message: str) -> Non
 
 
 def test_impossible_rigs_are_refused() -> None:
-    good = np.eye(3, 4)
+    good, shape = np.eye(3, 4), (4, 4)
     other = np.hstack([np.eye(3), [[1], [0], [0]]])
-    make = lm.RigGeometry.from_matrices
-    with pytest.raises(lm.InputError, match="same centre"):
-        make(good, 2 * good, (4, 4), (4, 4))
-    with pytest.raises(lm.InputError, match="singular"):
-        make(np.diag([1, 1, 0, 1])[:3], other, (4, 4), (4, 4))
-    with pytest.raises(lm.InputError, match="not finite"):
-        make(good[:2], other, (4, 4), (4, 4))
-    with pytest.raises(lm.InputError, match="image size"):
-        make(good, other, (4, 0), (4, 4))
+    geometry = lm.RigGeometry.from_matrices(good, other, shape, shape)
+    for camera, projector, size, message in (
+        (good, 2 * good, shape, "same centre"),
+        (np.diag([1, 1, 0, 1])[:3], other, shape, "singular"),
+        (good[:2], other, shape, "not finite"),
+        (good, other, (4, 0), "image size"),
+    ):
+        with pytest.raises(lm.InputError, match=message):
+            lm.RigGeometry.from_matrices(camera, projector, size, shape)
+    turn = 2 * np.eye(3)
     with pytest.raises(lm.InputError, match="no rotation"):
-        lm.RigGeometry.from_intrinsics(
-            np.eye(3), np.eye(3), 2 * np.eye(3), [1, 0, 0], (4, 4), (4, 4)
-        )
-    geometry = make(good, other, (4, 4), (4, 4))
+        lm.RigGeometry.from_intrinsics(np.eye(3), np.eye(3), turn, [1, 0, 0], shape, shape)
     with pytest.raises(lm.InputError, match="1 camera pixels and 2"):
         geometry.triangulate([[1, 2]], [[1, 2], [1, 2]])
     with pytest.raises(lm.InputError, match="blocks of 5 x 5"):
         geometry.scaled(camera=5)
     with pytest.raises(lm.InputError, match="crop"):
-        geometry.cropped((2, 0), (4, 4))
+        geometry.cropped((2, 0), shape)

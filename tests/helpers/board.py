@@ -10,6 +10,7 @@ from scipy.sparse import csr_array
 from scipy.spatial.transform import Rotation
 
 import lightmatrix as lm
+from lightmatrix.simulation.simulate import SimulatedCapture
 
 BOARD, SQUARE = (7, 5), 25.0
 # Turns about x, y and z in degrees, and the place of the board's middle.
@@ -46,7 +47,7 @@ def board_capture(
     *,
     noise: float = 0.004,
     squares: bool = True,
-) -> lm.SimulatedCapture:
+) -> SimulatedCapture:
     """8-bit photographs of the board, or of a blank sheet, under patterns."""
     angles, middle = pose
     turn = Rotation.from_euler("xyz", angles, degrees=True).as_matrix()

@@ -63,7 +63,7 @@ def test_an_estimate_with_clipped_single_responses_is_not_called_good(
 ) -> None:
     brightest = float(transport.dense_rows(np.arange(30)).max())
 
-    def judged(exposure: object) -> lm.Verdict:
+    def judged(exposure: object) -> Verdict:
         known = {"estimated_error": np.full(30, 0.01)}
         made = {"capture_description": {"exposure": exposure}}
         return verdict(replace(transport, diagnostics=known, provenance=made))
@@ -179,9 +179,9 @@ def test_no_error_is_stated_where_it_cannot_be_known(
     assert error is not None
     assert relative_error(estimate, case.truth) > max(0.05, 1.2 * error)
     assert OwnError(estimate).stated is None
-    verdict = lm.verdict(estimate)
-    assert verdict.level == "doubtful"
-    assert reason in verdict.sentence
+    judged = verdict(estimate)
+    assert judged.level == "doubtful"
+    assert reason in judged.sentence
 
 
 @pytest.mark.parametrize(
@@ -202,7 +202,7 @@ def test_intact_captures_state_about_the_true_error(scene: str, patterns: str) -
     stated, true = OwnError(estimate).stated, relative_error(estimate, case.truth)
     assert stated is not None
     assert true / 2 < stated < 2 * true
-    assert lm.verdict(estimate).level in ("good", "fair")
+    assert verdict(estimate).level in ("good", "fair")
 
 
 @pytest.mark.parametrize(
@@ -229,7 +229,7 @@ def test_a_wrong_estimate_is_doubtful(
     kinds = {finding.kind for finding in lm.check(case.capture)}
     estimate = lm.estimate(case.capture, check=False)
     assert relative_error(estimate, case.truth) > 0.25
-    assert lm.verdict(estimate).with_findings(kinds).level == "doubtful"
+    assert verdict(estimate).with_findings(kinds).level == "doubtful"
 
 
 def _half_dark(size: int, generator: np.random.Generator) -> synthetic_captures.Floats:
@@ -242,7 +242,7 @@ def test_pixels_one_by_one_are_not_tested() -> None:
     case = draw("wall", "one pixel", "intact", 16, 5)
     estimate = lm.estimate(case.capture, check=False)
     assert relative_error(estimate, case.truth) < 0.05
-    assert lm.verdict(estimate).level == "not tested"
+    assert verdict(estimate).level == "not tested"
 
 
 def test_rows_that_are_only_bounded_raise_the_stated_error() -> None:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -12,7 +11,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from lightmatrix.cli import main
-from lightmatrix.errors import InputError
 from lightmatrix.files.images import write_image
 from lightmatrix.patterns.bits import BernoulliPatterns
 from lightmatrix.planning.exposure_advice import (
@@ -245,44 +243,32 @@ def test_dark_and_clipped_white_frames_are_refused(
 
 
 @pytest.mark.parametrize(
-    "line",
+    ("words", "message"),
     [
-        "plan nowhere.png",
-        "plan l_objects --size 0",
-        "plan l_objects --black 3",
-        "plan l_objects --exposure 20",
-        "plan l_objects --size 64 --noise -1",
-        "plan l_objects --size 64 --shortest 0",
-        "plan l_objects --size 64 --error 2",
-        "plan nowhere.npz",
+        ("nowhere.png", "no such file"),
+        ("nowhere.png", "a photograph of a white pattern, a scene, or a T.npz"),
+        (".", "is a folder"),
+        ("nowhere.npz", "nowhere.npz"),
+        ("l_objects --size 0", "0"),
+        ("l_objects --black 3", "black with a scene"),
+        ("l_objects --exposure 20", "exposure with a scene"),
+        ("l_objects --size 64 --noise -1", "a noise of -1"),
+        ("l_objects --size 64 --noise nan", "a noise of nan"),
+        ("l_objects --size 64 --shortest 0", "a shortest exposure of 0"),
+        ("l_objects --size 64 --error 2", "an error of 2"),
+        ("T.npz --size 32", "64 x 64"),
     ],
 )
-def test_bad_plans_have_one_message(line: str, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(line.split()) == 2
-    assert capsys.readouterr().err.startswith("error: ")
-
-
-def test_a_truth_of_another_size_is_refused(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+def test_bad_plans_have_one_message(
+    words: str,
+    message: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
+    monkeypatch.chdir(tmp_path)
     truth("metal").save(tmp_path / "T.npz")
-    assert main(["plan", str(tmp_path / "T.npz"), "--size", "32"]) == 2
-    assert "64 x 64" in capsys.readouterr().err
-
-
-def test_bad_numbers_are_refused() -> None:
-    white = _white(np.ones(10))
-    bad: tuple[dict[str, Any], ...] = ({"noise": np.nan}, {"noise": 2.0}, {"shortest": -1.0})
-    for arguments in bad:
-        with pytest.raises(InputError):
-            advise_exposures(white, **arguments)
-
-
-def test_unreadable_photographs_are_named(
-    capsys: pytest.CaptureFixture[str], tmp_path: Path
-) -> None:
-    for place, problem in ((tmp_path / "nowhere.png", "no such file"), (tmp_path, "is a folder")):
-        assert main(["plan", str(place)]) == 2
-        message = " ".join(capsys.readouterr().err.split())
-        assert problem in message
-        assert "a photograph of a white pattern, a scene, or a T.npz" in message
+    assert main(["plan", *words.split()]) == 2
+    error = " ".join(capsys.readouterr().err.split())
+    assert error.startswith("error: ")
+    assert message in error

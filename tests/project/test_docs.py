@@ -18,6 +18,7 @@ import lightmatrix as lm
 from lightmatrix.cli import main
 from lightmatrix.cli.app import STAGES, app
 from lightmatrix.simulation.procedural import ProceduralScene
+from lightmatrix.simulation.simulate import SimulatedCapture
 
 ROOT = Path(__file__).parents[2]
 
@@ -122,7 +123,7 @@ def _of_each_colour(line: str) -> list[str]:
     return [green, *(others.replace("$colour", colour) for colour in ("red", "blue"))]
 
 
-def _in_colour(capture: lm.SimulatedCapture) -> None:
+def _in_colour(capture: SimulatedCapture) -> None:
     """Replace the grey photographs by some of three channels."""
     lm.write_patterns("patterns", capture.patterns)
     for k in range(capture.count):

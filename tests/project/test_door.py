@@ -3,17 +3,23 @@
 from __future__ import annotations
 
 import doctest
+import re
 import subprocess
 import sys
 from dataclasses import fields, is_dataclass
 from pathlib import Path
 from types import ModuleType
+from typing import Any
 
 import numpy as np
 import pytest
+from docs_site import returned_classes
 
 import lightmatrix as lm
 from lightmatrix.estimators.choice import choose_estimator
+from lightmatrix.estimators.coherent.estimator import CoherentEstimator
+from lightmatrix.estimators.multiscale import MultiScaleEstimator
+from lightmatrix.estimators.plain import PlainEstimator
 from lightmatrix.patterns import making
 
 HEAVY = ("numpy", "scipy", "matplotlib", "zarr", "rich", "typer", "PIL")
@@ -76,7 +82,23 @@ def test_tab_shows_the_names_and_nothing_else() -> None:
 @pytest.mark.filterwarnings("ignore::lightmatrix.errors.LightMatrixWarning")
 @pytest.mark.parametrize("name", NAMES)
 def test_every_name_has_an_example_that_runs(name: str) -> None:
-    thing = getattr(lm, name)
+    _run_example(name, getattr(lm, name))
+
+
+def test_classes_of_results_have_examples_that_run() -> None:
+    for each in {each for name in NAMES for each in returned_classes(getattr(lm, name))}:
+        if "Examples\n" in (each.__doc__ or ""):
+            _run_example(each.__name__, each)
+
+
+def test_help_begins_with_names_that_are_there() -> None:
+    first = re.findall(r"^    (\w+)  ", lm.__doc__ or "", flags=re.MULTILINE)
+    assert set(first) <= set(NAMES)
+    assert len(first) >= 20
+    assert len(NAMES) <= 115
+
+
+def _run_example(name: str, thing: Any) -> None:
     assert thing.__doc__, name
     if name in PLAIN:
         return
@@ -179,13 +201,13 @@ def test_no_photograph_with_numbers_out_of_range(name: str, value: object) -> No
 
 def test_a_chosen_estimator_is_the_one_that_was_asked_for() -> None:
     few = lm.simulate("metal", lm.BernoulliPatterns((64, 64), 8))
-    assert isinstance(choose_estimator(few), lm.CoherentEstimator)
+    assert isinstance(choose_estimator(few), CoherentEstimator)
     for settings in ({"coherent": False}, {"signed": True}, {"solver": "romp"}):
-        assert isinstance(choose_estimator(few, lm.EstimateSettings(**settings)), lm.PlainEstimator)
+        assert isinstance(choose_estimator(few, lm.EstimateSettings(**settings)), PlainEstimator)
     scaled = choose_estimator(few, lm.EstimateSettings(multi_scale=True))
-    assert isinstance(scaled, lm.MultiScaleEstimator)
+    assert isinstance(scaled, MultiScaleEstimator)
     many = lm.simulate("metal", lm.BernoulliPatterns((64, 64), 257))
-    assert isinstance(choose_estimator(many), lm.PlainEstimator)
+    assert isinstance(choose_estimator(many), PlainEstimator)
 
 
 @pytest.mark.filterwarnings("ignore::lightmatrix.errors.LightMatrixWarning")

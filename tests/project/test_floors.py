@@ -157,3 +157,21 @@ def test_no_circles() -> None:
 
     for name in graph:
         visit(name, ())
+
+
+def test_only_the_command_names_options() -> None:
+    """Messages outside `cli/` name parameters, which the command shows as its options."""
+    named = []
+    for file in ROOT.rglob("*.py"):
+        tree = ast.parse(file.read_text())
+        # Docstrings may name an option, and so may lines of a command that are shown to be typed,
+        # which the advice of `plan` consists of.
+        bare = {id(node.value) for node in ast.walk(tree) if isinstance(node, ast.Expr)}
+        for node in ast.walk(tree):
+            if not isinstance(node, ast.Constant) or not isinstance(node.value, str):
+                continue
+            option = re.search(r"(^|[ (`])--[a-z]", node.value) and "lightmatrix " not in node.value
+            ours = file.parent.name == "cli" or file.name == "plan.py"
+            if option and id(node) not in bare and not ours:
+                named.append(f"{file.name}:{node.lineno}: {node.value}")
+    assert named == []

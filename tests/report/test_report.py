@@ -16,6 +16,7 @@ from browser import installed, opened
 from playwright.sync_api import Browser
 
 import lightmatrix as lm
+from lightmatrix.check.finding import Finding
 from lightmatrix.cli import main
 from lightmatrix.pictures import maps
 from lightmatrix.report import elements
@@ -25,24 +26,25 @@ from lightmatrix.report.facts import Facts
 from lightmatrix.report.make import recommendations
 from lightmatrix.simulation.binning import coarse
 from lightmatrix.simulation.procedural import ProceduralScene
+from lightmatrix.simulation.simulate import SimulatedCapture
 
 NOISE = 0.003
 
 
 @pytest.fixture(scope="module")
-def capture() -> lm.SimulatedCapture:
+def capture() -> SimulatedCapture:
     truth = ProceduralScene((20, 24), (16, 16), seed=1, bounces=3).truth()
     return lm.simulate(truth, lm.BernoulliPatterns((16, 16), 40), exposure=0.9, noise=NOISE)
 
 
 @pytest.fixture(scope="module")
-def estimate(capture: lm.SimulatedCapture) -> lm.LightTransport:
+def estimate(capture: SimulatedCapture) -> lm.LightTransport:
     return lm.estimate(capture)
 
 
 @pytest.fixture(scope="module")
 def written(
-    capture: lm.SimulatedCapture, estimate: lm.LightTransport,
+    capture: SimulatedCapture, estimate: lm.LightTransport,
     tmp_path_factory: pytest.TempPathFactory,
 ) -> Path:  # fmt: skip
     """A report with every optional part, and a title that must not be read as markup."""
@@ -139,7 +141,7 @@ def test_links_come_before_thumbnails(written: Path) -> None:
 
 
 def test_the_numbers_are_those_of_the_estimate(
-    written: Path, capture: lm.SimulatedCapture, estimate: lm.LightTransport
+    written: Path, capture: SimulatedCapture, estimate: lm.LightTransport
 ) -> None:
     numbers = json.loads((written / "report.json").read_text())
     assert numbers["relative_error"] == lm.evaluate(estimate, capture.truth).relative_error
@@ -149,7 +151,7 @@ def test_the_numbers_are_those_of_the_estimate(
 
 
 def test_uses_of_large_and_of_dark_matrices_are_a_sentence(
-    capture: lm.SimulatedCapture, estimate: lm.LightTransport, monkeypatch: pytest.MonkeyPatch
+    capture: SimulatedCapture, estimate: lm.LightTransport, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     facts = Facts(estimate, capture, None, "")
     assert {element.kind for element in uses.uses(facts).elements} == {"text", "gallery"}
@@ -176,7 +178,7 @@ def test_an_estimate_without_diagnostics_has_a_report_too(tmp_path: Path) -> Non
     capture = lm.Capture.from_arrays(patterns, frames, sensor, mask=mask).bin(camera=2)
     estimate = lm.estimate(capture, solver="romp", iterations=2)
     bare = replace(estimate, diagnostics={}, provenance={})
-    finding = lm.Finding("order", (2, 4), "two frames look swapped", "swap them")
+    finding = Finding("order", (2, 4), "two frames look swapped", "swap them")
     numbers = lm.report(tmp_path / "report", bare, capture, findings=[finding])
     assert numbers["findings"] == ["order"]
     assert numbers["verdict"] == "not tested"
@@ -188,7 +190,7 @@ def test_an_estimate_without_diagnostics_has_a_report_too(tmp_path: Path) -> Non
 
 
 def test_a_capture_of_another_rig_is_refused(
-    capture: lm.SimulatedCapture, estimate: lm.LightTransport, tmp_path: Path
+    capture: SimulatedCapture, estimate: lm.LightTransport, tmp_path: Path
 ) -> None:
     with pytest.raises(lm.InputError, match=r"the estimate's camera shape is \(20, 24\), the cap"):
         lm.report(tmp_path / "report", estimate, capture.bin(camera=2))
@@ -196,7 +198,7 @@ def test_a_capture_of_another_rig_is_refused(
 
 
 def test_estimate_writes_a_report(
-    capture: lm.SimulatedCapture, tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
+    capture: SimulatedCapture, tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:  # fmt: skip
     capture.save(tmp_path / "capture")
@@ -255,7 +257,7 @@ class _Known:
         return self.matrix
 
 
-def test_the_second_estimate_does_not_see_the_frames(capture: lm.SimulatedCapture) -> None:
+def test_the_second_estimate_does_not_see_the_frames(capture: SimulatedCapture) -> None:
     estimator = _Known(capture.truth.transport())
     tested = report_facts.validate(capture, estimator)
     assert isinstance(tested, report_facts.Validation)
@@ -276,7 +278,7 @@ def test_the_second_estimate_does_not_see_the_frames(capture: lm.SimulatedCaptur
     assert tested.mean_error > 10 * tested.error
 
 
-def test_an_estimate_that_needs_every_frame_is_not_tested(capture: lm.SimulatedCapture) -> None:
+def test_an_estimate_that_needs_every_frame_is_not_tested(capture: SimulatedCapture) -> None:
     class Refusing:
         def estimate(self, capture: lm.Capture, *, progress: Any = None) -> lm.LightTransport:
             raise lm.InputError("too few patterns")
@@ -286,7 +288,7 @@ def test_an_estimate_that_needs_every_frame_is_not_tested(capture: lm.SimulatedC
 
 
 def test_large_cameras_are_tested_on_a_part(
-    capture: lm.SimulatedCapture, monkeypatch: pytest.MonkeyPatch
+    capture: SimulatedCapture, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(report_facts, "MOST_ROWS", 100)
     seen: list[lm.Capture] = []
@@ -347,7 +349,7 @@ def _facts(capture: lm.Capture, transport: lm.LightTransport, **more: Any) -> Fa
 
 
 def test_each_problem_has_a_recommendation(
-    capture: lm.SimulatedCapture, estimate: lm.LightTransport
+    capture: SimulatedCapture, estimate: lm.LightTransport
 ) -> None:
     def advice(transport: lm.LightTransport, of: lm.Capture = capture, **more: Any) -> str:
         return " ".join(recommendations(_facts(of, transport, **more)))

@@ -161,7 +161,7 @@ def test_the_projectors_gamma_is_found_and_used(tmp_path: Path) -> None:
         ("{}/s.npy --exposure 1,2", "2 exposures for 7 photographs"),
         ("{}/s.npy --exposure 1,1,1,2,2,2,2", "photographs of 2 exposures from 1 to 2"),
         ("{}/s.npy --exposure 8,4,2,1,0.5,0.25,0.125", "is darker than"),
-        ("{}/s.npy --exposure {t} --clip 300", "correct --black or --clip"),
+        ("{}/s.npy --exposure {t} --clip 300", "correct black or clip"),
         ("{}/s.npy --exposure {t} --levels 0,255", "--levels does not go with a camera's curve"),
         ("{}/s.npy --exposure {t} --projector", "--exposure does not go with --projector"),
         ("{}/dark.npy --exposure {t}", "neither dark nor clipped at two exposures"),

@@ -50,14 +50,15 @@ _FILL = ctypes.CFUNCTYPE(
 def _library() -> Any:
     """Aravis below PyGObject, whose own `set_fill_pattern` crashes."""
     library = ctypes.CDLL("libaravis-0.8.so.0")
-    library.arv_gv_fake_camera_get_fake_camera.restype = ctypes.c_void_p
-    library.arv_gv_fake_camera_get_fake_camera.argtypes = [ctypes.c_void_p]
-    library.arv_fake_camera_set_fill_pattern.restype = None
-    library.arv_fake_camera_set_fill_pattern.argtypes = [ctypes.c_void_p, _FILL, ctypes.c_void_p]
-    library.arv_fake_camera_get_payload.restype = ctypes.c_size_t
-    library.arv_fake_camera_get_payload.argtypes = [ctypes.c_void_p]
-    library.arv_buffer_get_data.restype = ctypes.c_void_p
-    library.arv_buffer_get_data.argtypes = [ctypes.c_void_p, ctypes.POINTER(ctypes.c_size_t)]
+    pointer, size = ctypes.c_void_p, ctypes.c_size_t
+    for name, returned, arguments in (
+        ("arv_gv_fake_camera_get_fake_camera", pointer, [pointer]),
+        ("arv_fake_camera_set_fill_pattern", None, [pointer, _FILL, pointer]),
+        ("arv_fake_camera_get_payload", size, [pointer]),
+        ("arv_buffer_get_data", pointer, [pointer, ctypes.POINTER(size)]),
+    ):
+        function = getattr(library, name)
+        function.restype, function.argtypes = returned, arguments
     return library
 
 
@@ -80,15 +81,8 @@ def _alone() -> IO[bytes]:
 class GigECamera:
     """Serves frames over GigE Vision until it is closed.
 
-    Parameters
-    ----------
-    photograph : callable
-        Called in the camera's thread with the exposure time in seconds; gives a (rows, cols)
-        uint16 image.
-    shape : (rows, cols)
-        Of its images.
-    bytes_per_pixel : int
-        In the pixel format that the client chooses; 2 for Mono16.
+    `photograph` is called in the camera's thread with the exposure time in seconds, and gives a
+    uint16 image of `shape` (rows, cols).
     """
 
     def __init__(
@@ -149,36 +143,24 @@ class GigECamera:
 class ScreenRig:
     """Photographs a screen through a light transport matrix: clip(e T p + noise).
 
-    Parameters
-    ----------
-    matrix : (rows * cols of the camera, rows * cols of the projector) csr_array
-        T in camera full scale per unit of projector pixel, at an exposure of `UNIT_EXPOSURE`.
-    camera, projector : (rows, cols)
-        Shapes. A screen that is larger than the projector's shape shows it in blocks.
-    noise : float
-        Standard deviation, in camera full scale.
-    left, top : int
-        The corner of the screen on the display.
-    size : (rows, cols)
-        Of the screen in its own pixels.
+    T is in camera full scale per unit of projector pixel, at an exposure of `UNIT_EXPOSURE`. Camera
+    and projector have `sides` (rows, cols); the screen shows each projector pixel in a block, from
+    a corner (`left`, `top`) of the display on.
     """
 
     def __init__(
         self,
         matrix: csr_array,
-        camera: tuple[int, int],
-        projector: tuple[int, int],
-        *,
-        noise: float = 0.003,
-        left: int = 0,
-        top: int = 0,
-        size: tuple[int, int] | None = None,
-        seed: int = 0,
+        sides: tuple[int, int],
+        cell: int,
+        left: int,
+        top: int,
+        noise: float,
     ) -> None:
-        self._matrix, self._camera, self._projector = matrix, camera, projector
-        self._noise, self._random = noise, np.random.default_rng(seed)
-        self._size = size or projector
-        self._area = {"left": left, "top": top, "height": self._size[0], "width": self._size[1]}
+        self._matrix, self._sides, self._cell = matrix, sides, cell
+        self._noise, self._random = noise, np.random.default_rng(0)
+        height, width = cell * sides[0], cell * sides[1]
+        self._area = {"left": left, "top": top, "height": height, "width": width}
         import mss
 
         # Loaded and tried here: in the camera's thread it would take the time of a frame.
@@ -192,11 +174,9 @@ class ScreenRig:
             # In the thread that photographs: a connection to the screen belongs to one.
             self._screen = self._grabber()
         pixels = np.asarray(self._screen.grab(self._area))[..., 1]
-        rows, cols = self._projector
-        down, across = self._size[0] // rows, self._size[1] // cols
-        blocks = pixels[: rows * down, : cols * across].reshape(rows, down, cols, across)
+        blocks = pixels.reshape(self._sides[0], self._cell, self._sides[1], self._cell)
         pattern = blocks.mean((1, 3)).ravel() / 255
         light = exposure / UNIT_EXPOSURE * (self._matrix @ pattern)
         light = light + self._noise * self._random.standard_normal(len(light))
         samples = np.clip(np.rint(light * _FULL), 0, _FULL)
-        return samples.astype(np.uint16).reshape(self._camera)
+        return samples.astype(np.uint16).reshape(self._sides)

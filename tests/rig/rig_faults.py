@@ -42,28 +42,14 @@ _PATIENCE = 120.0
 
 @dataclass
 class Outcome:
-    """What became of a run.
+    """What became of a run."""
 
-    Parameters
-    ----------
-    seed : int
-    kills, full_disks : int
-        Ends of the capture before its own.
-    real_disk : bool
-        Whether there was a disk of its own to fill, or files were limited in size instead.
-    again : Counter
-        Photographs that were taken again, by reason.
-    left_out : int
-        Patterns that were named as without a frame.
-    wrong : list of str
-        Frames that are not those of their patterns.
-    """
-
-    seed: int
+    # Ends of the capture before its own.
     kills: int = 0
     full_disks: int = 0
-    real_disk: bool = False
+    # Photographs that were taken again, by reason.
     again: Counter[str] = field(default_factory=Counter)
+    # Patterns that were named as without a frame, and frames that are not those of their patterns.
     left_out: int = 0
     wrong: list[str] = field(default_factory=list)
 
@@ -120,7 +106,7 @@ def run(folder: Path, seed: int, *, count: int = 40, kills: int = 3) -> Outcome:
 
 
 def _run(folder: Path, disk: SmallDisk | None, seed: int, count: int, kills: int) -> Outcome:
-    outcome = Outcome(seed, real_disk=disk is not None)
+    outcome = Outcome()
     draw = np.random.default_rng([seed, 15])
     context = multiprocessing.get_context("forkserver")
     context.set_forkserver_preload(["lightmatrix.rig.capturing", "tests.rig.faulty_rig"])
@@ -157,17 +143,11 @@ def _run(folder: Path, disk: SmallDisk | None, seed: int, count: int, kills: int
     else:
         outcome.wrong.append("did not end")
         return outcome
-    _judge(folder, outcome)
-    return outcome
-
-
-def _judge(folder: Path, outcome: Outcome) -> None:
-    """Hold each frame against what its pattern gives."""
     capture = Capture.open(folder / "capture")
-    provenance = capture.provenance
-    outcome.again.update(provenance["photographed_again"])
-    outcome.left_out = len(provenance["left_out"])
-    outcome.wrong += wrong_frames(capture, rig_of(outcome.seed))
+    outcome.again.update(capture.provenance["photographed_again"])
+    outcome.left_out = len(capture.provenance["left_out"])
+    outcome.wrong += wrong_frames(capture, rig_of(seed))
+    return outcome
 
 
 def wrong_frames(capture: Capture, rig: Rig) -> list[str]:
@@ -194,27 +174,20 @@ def main() -> int:
     parser.add_argument("--first", type=int, default=0)
     parser.add_argument("--kills", type=int, default=20)
     options = parser.parse_args()
-    again: Counter[str] = Counter()
-    kills = full = left_out = 0
-    wrong: list[str] = []
+    total = Outcome()
     for seed in range(options.first, options.first + options.count):
         with tempfile.TemporaryDirectory() as folder:
             # Every other one lives longer, and meets more faults in one life.
             most = options.kills if seed % 2 else seed // 2 % (options.kills + 1)
             outcome = run(Path(folder), seed, kills=most)
-        again += outcome.again
-        kills += outcome.kills
-        full += outcome.full_disks
-        left_out += outcome.left_out
-        wrong += [f"run {seed}: {what}" for what in outcome.wrong]
-        state = ", ".join(outcome.wrong) or "right"
-        print(f"{seed}: {outcome.kills} kills, {sum(outcome.again.values())} again, {state}")
-        sys.stdout.flush()
-    print(f"{options.count} runs, {kills} kills, {full} full disks, {left_out} patterns left out")
-    for reason, number in again.most_common():
-        print(f"  {number} x {reason}")
-    print(f"{len(wrong)} wrong" + "".join(f"\n  {what}" for what in wrong))
-    return 1 if wrong else 0
+        total.again += outcome.again
+        total.kills += outcome.kills
+        total.full_disks += outcome.full_disks
+        total.left_out += outcome.left_out
+        total.wrong += [f"run {seed}: {what}" for what in outcome.wrong]
+        print(f"run {seed}: {outcome}", flush=True)
+    print(f"{options.count} runs: {total}")
+    return 1 if total.wrong else 0
 
 
 if __name__ == "__main__":

@@ -28,33 +28,16 @@ from lightmatrix.rig.rig import open_rig
 SETTLE, EXPOSURE = 0.05, 0.02
 NOISE = 0.003 * 4095
 _RIG = "virtual:procedural,real=0,fps=0"
-# Pictures before the first pattern, which are black or white.
-_FIRST = 40
-# The first share of the pictures comes late. The picture before it then has a share of the exposure
-# between the second and the third.
-_RATE, _LEAST, _MOST = 0.2, 0.001, 0.3
 # Patterns of each capture.
 _COUNT = 40
-# Limits of the classes of shares that are counted by themselves.
-_CLASSES = (0.001, 0.005, 0.01, 0.02, 1.0)
-# Light of another picture may add up to this many standard deviations of the noise: as much as the
-# noise passes now and then, more must not.
-_HARM = 1.5
 
 
 class Mixed(NamedTuple):
-    """What a photograph has of a picture that was to be gone.
+    """What a photograph has of a picture that was to be gone."""
 
-    Parameters
-    ----------
-    share : float
-        Share of the exposure that shows the other picture.
-    light : float
-        What it adds to a sample or takes away (root mean square), in standard deviations of the
-        noise.
-    """
-
+    # Share of the exposure that shows the other picture.
     share: float
+    # What it adds to a sample or takes away (root mean square), in deviations of the noise.
     light: float
 
 
@@ -71,8 +54,9 @@ def come_within(seed: int) -> Iterator[dict[bytes, Mixed]]:
         nonlocal shown
         when = show(self, image)
         shown += 1
-        if shown > _FIRST and draw.random() < _RATE:
-            share = np.exp(draw.uniform(np.log(_LEAST), np.log(_MOST)))
+        # The first forty pictures, before the first pattern, are black or white.
+        if shown > 40 and draw.random() < 0.2:
+            share = np.exp(draw.uniform(np.log(0.001), np.log(0.3)))
             _, light = self._light._shown.pop()
             # The exposure begins a moment after the trigger.
             self._light._shown.append((when + SETTLE + 1e-4 + share * EXPOSURE, light))
@@ -129,7 +113,7 @@ def main() -> int:
         kept += remaining
         left_out += without
         print(f"{seed}: {len(some)} mixed photographs, {len(remaining)} kept", flush=True)
-    for least, most in pairwise(_CLASSES):
+    for least, most in pairwise((0.001, 0.005, 0.01, 0.02, 1.0)):
         total, remained = (
             sum(least <= one.share < most for one in photographs) for photographs in (met, kept)
         )
@@ -139,7 +123,8 @@ def main() -> int:
     worst = max((one.light for one in kept), default=0.0)
     print(f"the most that was kept: {worst:.2f} standard deviations of the noise")
     print(f"{left_out} patterns left out")
-    return int(worst > _HARM or left_out > 0)
+    # The noise itself passes 1.5 standard deviations now and then; no more must be left.
+    return int(worst > 1.5 or left_out > 0)
 
 
 if __name__ == "__main__":

@@ -14,13 +14,7 @@ _PLENTY = 64 << 20
 
 @dataclass
 class SmallDisk:
-    """A mounted disk.
-
-    Parameters
-    ----------
-    folder : Path
-        Where it is mounted.
-    """
+    """A mounted disk."""
 
     folder: Path
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 import signal
 import subprocess
 import sys
@@ -19,13 +18,13 @@ import pytest
 import lightmatrix as lm
 from lightmatrix.cli import main
 from lightmatrix.rig.devices.virtual import VirtualCamera
-from lightmatrix.rig.photograph import Drift
 from lightmatrix.rig.rig import ProjectedPatterns
 from lightmatrix.rig.session import Step
 from tests.helpers.systems import SIGNALS
 
 from .faulty_rig import USUAL, faulty_rig
 from .rig_faults import run, wrong_frames
+from .small_disk import small_disk
 
 QUIET = "virtual:procedural,size=24,real=0"
 
@@ -55,22 +54,15 @@ class _StopError(Exception):
     pass
 
 
-def _stop_after(frames: int) -> Any:
+def _stop_after(frames: int, **arguments: Any) -> None:
+    """Begin a capture, and stop it."""
+
     def progress(step: Step) -> None:
         if step.done == frames:
             raise _StopError
 
-    return progress
-
-
-def _again(fault: str, **settings: Any) -> int:
-    """Number of photographs that were repeated because of a fault."""
-    capture = _capture(fault, **settings)
-    provenance = capture.provenance
-    assert not provenance["left_out"]
-    assert provenance["frames"] == capture.count == provenance["patterns"]
-    assert set(provenance["checks"]) <= {"matched", "confirmed"}
-    return sum(provenance["photographed_again"].values())
+    with pytest.raises(_StopError):
+        _capture(progress=progress, **arguments)
 
 
 def _are_trusted(checks: dict[str, int], count: int = 32) -> None:
@@ -179,7 +171,11 @@ def test_a_camera_whose_exposure_is_set_by_hand(monkeypatch: pytest.MonkeyPatch)
     ],
 )
 def test_faults_are_noticed_and_frames_repeated(fault: str, least: int) -> None:
-    assert _again(fault, settle=0.05) >= least
+    provenance = _capture(fault, settle=0.05).provenance
+    assert not provenance["left_out"]
+    assert provenance["frames"] == provenance["patterns"]
+    assert set(provenance["checks"]) <= {"matched", "confirmed"}
+    assert sum(provenance["photographed_again"].values()) >= least
     _right_frames(fault)
 
 
@@ -188,18 +184,14 @@ def _right_frames(words: str) -> None:
     assert wrong_frames(lm.Capture.open("capture"), faulty_rig(QUIET + words)) == []
 
 
-@pytest.mark.parametrize("count", [8, 14])
-def test_few_frames_predict_nothing_and_are_confirmed_one_by_one(count: int) -> None:
-    capture = _capture(",late=0.15,fps=0", count=count)
+@pytest.mark.parametrize("count", [8, 14, 16])
+def test_what_predicts_nothing_is_confirmed_one_by_one(count: int) -> None:
+    # Few frames, and patterns of single pixels.
+    blocks = lm.make_patterns("blocks", (24, 24), block=(6, 6)) if count == 16 else None
+    fault = ",late=0.15,fps=0,seed=2"
+    capture = _capture(fault, count=count, patterns=blocks)
     assert capture.provenance["checks"] == {"confirmed": count}
-    _right_frames(",late=0.15,fps=0")
-
-
-def test_patterns_of_single_pixels_are_confirmed_one_by_one() -> None:
-    patterns = lm.make_patterns("blocks", (24, 24), block=(6, 6))
-    capture = _capture(",late=0.1,fps=0,seed=2", patterns=patterns)
-    assert capture.provenance["checks"] == {"confirmed": 16}
-    _right_frames(",late=0.1,fps=0,seed=2")
+    _right_frames(fault)
 
 
 def test_patterns_that_always_fail_are_named_and_left_out(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -222,8 +214,7 @@ def test_patterns_that_always_fail_are_named_and_left_out(monkeypatch: pytest.Mo
 
 
 def test_several_failures_in_a_row_end_the_session(monkeypatch: pytest.MonkeyPatch) -> None:
-    with pytest.raises(_StopError):
-        _capture(progress=_stop_after(10))
+    _stop_after(10)
     with monkeypatch.context() as patched:
         patched.setattr("lightmatrix.rig.photograph.copied_rows", lambda data, *_: len(data))
         with pytest.raises(lm.DeviceError, match=r"4 patterns in a row.*is a copy of") as caught:
@@ -262,13 +253,6 @@ def test_a_room_whose_light_varies_is_named() -> None:
         _capture(count=4)
 
 
-def test_drift_is_named() -> None:
-    assert Drift(1.0, 0.01, 0.0).warning() is None
-    assert "did something move" in str(Drift(1.0, 0.2, 0.0).warning())
-    assert "90 % of what it was" in str(Drift(0.9, 0.0, 0.0).warning())
-    assert "room" in str(Drift(1.0, 0.0, 0.05).warning())
-
-
 @pytest.fixture(scope="module")
 def ends_met() -> Iterator[list[int]]:
     """Kills and full disks that captures met; a quick one may finish before it is killed."""
@@ -291,8 +275,7 @@ def test_captures_are_right_despite_kills_full_disks_and_faults(
 
 
 def test_a_capture_that_was_stopped_goes_on() -> None:
-    with pytest.raises(_StopError):
-        _capture(progress=_stop_after(20))
+    _stop_after(20)
     assert not Path("capture").exists()
     kept = {path.name: path.read_bytes() for path in Path("capture.partial").glob("image_*")}
     assert len(kept) == 20
@@ -307,8 +290,7 @@ def test_a_capture_that_was_stopped_goes_on() -> None:
 
 
 def test_a_damaged_frame_is_taken_again() -> None:
-    with pytest.raises(_StopError):
-        _capture(progress=_stop_after(20))
+    _stop_after(20)
     file = Path("capture.partial/image_0003.tif")
     file.write_bytes(file.read_bytes()[:100])
     steps: list[int] = []
@@ -319,8 +301,7 @@ def test_a_damaged_frame_is_taken_again() -> None:
 
 
 def test_frames_of_another_capture_are_not_mixed_in() -> None:
-    with pytest.raises(_StopError):
-        _capture(progress=_stop_after(20))
+    _stop_after(20)
     with pytest.raises(lm.OutputError, match=r"frames of another capture.*different patterns"):
         _capture(seed=1)
     assert _capture(seed=1, overwrite=True).count == 32
@@ -340,8 +321,7 @@ def test_changed_settings_are_named(
     first: dict[str, Any], then: dict[str, Any], words: str
 ) -> None:
     common = {"settle": 0.05, "keep": None}
-    with pytest.raises(_StopError):
-        _capture(progress=_stop_after(2), **{**common, **first})
+    _stop_after(2, **{**common, **first})
     with pytest.raises(lm.OutputError, match="holds frames of another capture") as caught:
         _capture(**{**common, **then})
     assert f"({words})" in caught.value.message
@@ -349,8 +329,7 @@ def test_changed_settings_are_named(
 
 
 def test_a_moved_rig_is_refused() -> None:
-    with pytest.raises(_StopError):
-        _capture(progress=_stop_after(20))
+    _stop_after(20)
     with pytest.raises(lm.DeviceError, match="since the first 20 frames") as caught:
         _capture(",seed=8", settle=0.05)
     assert "overwrite=True" in str(caught.value.hint)
@@ -409,18 +388,15 @@ def test_ctrl_c_keeps_the_frames() -> None:
     # Measuring the rig in real time would take long.
     with lm.open_rig(QUIET) as rig:
         lm.measure_rig(rig, ["settle", "flicker", "response", "linearity"], keep="rig.json")
-    # The capture must be slow enough to be interrupted on any machine.
+    # Shells ignore this signal for programs in their background.
     started = (
-        "import signal\n"
-        # Shells ignore this signal for programs in their background.
-        "signal.signal(signal.SIGINT, signal.default_int_handler)\n"
-        "from lightmatrix.cli import console\n"
-        "console()"
+        "import signal; signal.signal(signal.SIGINT, signal.default_int_handler); "
+        "from lightmatrix.cli import console; console()"
     )
-    command = [sys.executable, "-c", started, "capture"]
-    words = f"--rig {QUIET},real=1,fps=0 -k 40 --exposure 0.01 --settle 0.5 -o capture"
+    # The capture must be slow enough to be interrupted on any machine.
+    words = f"capture --rig {QUIET},real=1,fps=0 -k 40 --exposure 0.01 --settle 0.5 -o capture"
     process = subprocess.Popen(
-        [*command, *words.split()], stderr=subprocess.PIPE, text=True, env={**os.environ}
+        [sys.executable, "-c", started, *words.split()], stderr=subprocess.PIPE, text=True
     )
     deadline = time.monotonic() + 120
     while not Path("capture.partial/image_0002.tif").exists() and time.monotonic() < deadline:
@@ -433,3 +409,29 @@ def test_ctrl_c_keeps_the_frames() -> None:
         settings = lm.CaptureSettings(exposure=0.01, settle=0.5)
         capture = lm.take_capture("capture", rig, count=40, settings=settings)
     assert capture.count == 40
+
+
+def test_a_capture_goes_on_when_a_full_disk_has_room_again(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with small_disk(tmp_path) as disk:
+        if disk is None:
+            pytest.skip("no disk can be mounted: not root, or not allowed")
+        settings = "-k 24 --settle 0.05 --exposure 0.02 --seed 3"
+        files = f"-o {tmp_path / 'capture'} --rig-file {tmp_path / 'rig.json'}"
+        words = f"capture --rig {QUIET},size=16,fps=0 {settings} {files}".split()
+        # None at all, and enough for some frames, twice.
+        kept = []
+        for room in (0, 40 << 10, 24 << 10):
+            disk.leave(room)
+            assert main(words) == 2
+            errors = capsys.readouterr().err
+            assert "No space left on device" in errors
+            assert "Traceback" not in errors
+            assert not (tmp_path / "capture").exists()
+            kept.append(len(list(tmp_path.glob("capture.partial/image_*.tif"))))
+        assert 0 == kept[0] < kept[1] <= kept[2]
+        disk.free()
+        assert main(words) == 0
+        assert lm.Capture.open(tmp_path / "capture").count == 24
+        assert not list(tmp_path.glob("*partial*"))

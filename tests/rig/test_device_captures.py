@@ -7,26 +7,90 @@ triggers, buffers, numbers, files, and a memory that is full after 26 pictures.
 
 from __future__ import annotations
 
-from dataclasses import replace
+import io
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
+from PIL import Image
 
 import lightmatrix as lm
 from lightmatrix.cli import main
+from lightmatrix.files.images import read_image
+from lightmatrix.patterns.projector_curve import ProjectorResponse
 from lightmatrix.rig.devices.base import Frame
 from lightmatrix.rig.devices.dslr import DSLRCamera
+from lightmatrix.rig.devices.folders import SHOWN
 from lightmatrix.rig.devices.gentl import GenTLCamera
-
-from .scenes import ShownScene
+from lightmatrix.rig.rig import Rig
+from lightmatrix.rig.rig_measurements import (
+    CameraLinearity,
+    ExposureAdvice,
+    Flicker,
+    RigMeasurements,
+    SettleTime,
+)
 
 PROJECTOR, CAMERA, COUNT = (12, 16), (108, 144), 12
+_BLACK, _NOISE = 8.0, 1.2
+# Size of a JPEG file: virtual cameras look at it once.
+_JPEG_BYTES = 40_000
 
 
-def _scene(folder: Path, exposure: float) -> ShownScene:
-    return ShownScene(folder / "show", PROJECTOR, CAMERA, exposure)
+@dataclass
+class ShownScene:
+    """A screen that is photographed straight on, each of its pixels in a block of the camera's.
+
+    The screen is that of a folder projector. White is 0.8 of full scale at `exposure` seconds.
+    """
+
+    folder: Path
+    exposure: float
+    photographs: int = 0
+    _surface: NDArray[np.float64] = field(init=False)
+
+    def __post_init__(self) -> None:
+        self._surface = np.random.default_rng(5).uniform(0.4, 0.8, CAMERA)
+
+    def light(self, image: NDArray[np.uint8], exposure: float) -> NDArray[np.float64]:
+        """Levels (rows, cols) without noise."""
+        down, across = (c // p for c, p in zip(CAMERA, PROJECTOR, strict=True))
+        shown = np.kron(image / 255, np.ones((down, across)))
+        return np.minimum(_BLACK + 247 * self._surface * shown * exposure / self.exposure, 255)
+
+    def photograph(self, exposure: float) -> NDArray[np.uint8]:
+        """What is shown now, with noise."""
+        self.photographs += 1
+        levels = self.light(read_image(self.folder / SHOWN), exposure)
+        levels = levels + _NOISE * np.random.default_rng(self.photographs).standard_normal(CAMERA)
+        return np.clip(np.rint(levels), 0, 255).astype(np.uint8)
+
+    def write_jpeg(self, path: Path, exposure: float) -> None:
+        """The same as a file, in place of one that is there."""
+        content = io.BytesIO()
+        grey = self.photograph(exposure)
+        Image.fromarray(np.repeat(grey[..., None], 3, 2)).save(content, "JPEG", quality=98)
+        data = content.getvalue()
+        assert len(data) <= _JPEG_BYTES
+        path.write_bytes(data.ljust(_JPEG_BYTES, b"\0"))
+
+    def known(self, rig: Rig) -> RigMeasurements:
+        """What measuring the rig at length would find."""
+        steps = tuple(range(0, 256, 15))
+        white = self.light(np.full(PROJECTOR, 255, np.uint8), self.exposure)
+        return RigMeasurements(
+            rig.projector.info(),
+            rig.camera.info(),
+            SettleTime(0.02, 0.0, 21, 0),
+            Flicker(0.0, 0.0, 0.001, 0.0),
+            ExposureAdvice((self.exposure,), 0.5, (0.0,), _NOISE / 255, _BLACK),
+            ProjectorResponse(steps, tuple(step / 255 for step in steps), 1.0),
+            CameraLinearity((self.exposure,), (0.7,), 0.0, 1.0),
+            float((white - _BLACK).mean()) / 255 / self.exposure,
+        )
 
 
 def _captured(scene: ShownScene, camera: str, capsys: pytest.CaptureFixture[str]) -> lm.Capture:
@@ -56,7 +120,7 @@ def test_a_capture_by_the_virtual_dslr(
         pytest.skip("this gphoto2 has no virtual camera")
     monkeypatch.chdir(tmp_path)
     # One of its steps; it takes a picture in less time than longer ones would.
-    scene = _scene(tmp_path, 0.0025)
+    scene = ShownScene(tmp_path / "show", 0.0025)
     seen = tmp_path / "seen"
     for folder in (scene.folder, seen):
         folder.mkdir()
@@ -86,7 +150,7 @@ def test_a_capture_by_the_gentl_simulator(
     pytest.importorskip("harvesters", reason="harvesters is missing: make test-install")
     producer = Path(genicam.__file__).parent / "viky.cti"
     monkeypatch.chdir(tmp_path)
-    scene = _scene(tmp_path, 0.02)
+    scene = ShownScene(tmp_path / "show", 0.02)
     made: Any = GenTLCamera._frame
 
     def seen(self: GenTLCamera, buffer: Any) -> Frame:

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from lightmatrix.cli import main
-from lightmatrix.errors import DeviceError, InputError
+from lightmatrix.errors import DeviceError, InputError, MissingExtraError
 from lightmatrix.rig.devices.base import Address
 from lightmatrix.rig.devices.registry import (
     CAMERAS,
@@ -64,6 +64,24 @@ def test_a_rig_of_two_devices_is_opened_and_closed(tmp_path: Path) -> None:
         open_rig(projector=shows)
 
 
+@pytest.mark.parametrize(
+    ("address", "package", "hint"),
+    [
+        ("aravis", "gi", r"gir1\.2-aravis.*\.\[aravis\]"),
+        ("gentl", "harvesters.core", r"\.\[gentl\]"),
+        ("video:/dev/video0,exposure=1", "av", r"\.\[video\]"),
+        ("dslr", "gphoto2", r"\.\[dslr\]"),
+        ("window", "moderngl", r"\.\[window\]"),
+    ],
+)
+def test_a_missing_package(
+    address: str, package: str, hint: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, package, None)
+    with pytest.raises(MissingExtraError, match=hint):
+        (open_projector if address == "window" else open_camera)(address)
+
+
 def test_what_is_there_is_listed(
     two_screens: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -90,14 +108,6 @@ def test_a_list_without_a_display(monkeypatch: pytest.MonkeyPatch) -> None:
     assert window.problem
     assert window.hint
     assert not window.found
-
-
-def test_the_command_line_says_it_in_two_lines(capsys: pytest.CaptureFixture[str]) -> None:
-    words = ["rig", "settle", "--projector", "beamer:1", "--camera", "watch:.,exposure=1"]
-    assert main(words) == 2
-    errors = capsys.readouterr().err
-    assert "beamer:1: no such projector" in errors
-    assert "Traceback" not in errors
 
 
 def test_a_camera_that_gives_no_frames(

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -13,7 +12,7 @@ import pytest
 from numpy.typing import NDArray
 from PIL import Image
 
-from lightmatrix.errors import DeviceError, MissingExtraError
+from lightmatrix.errors import DeviceError
 from lightmatrix.rig.devices.base import Address, Camera
 from lightmatrix.rig.devices.dslr import _seconds, find_dslr, open_dslr
 from lightmatrix.rig.devices.registry import open_camera
@@ -127,9 +126,3 @@ def test_files_that_are_no_photographs(picture: Picture) -> None:
     with pytest.raises(DeviceError, match=r"DSC_1\.JPG came damaged"):
         camera._frame("DSC_1.JPG", b"half of it", 0.0)
     camera.close()
-
-
-def test_a_missing_package(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(sys.modules, "gphoto2", None)
-    with pytest.raises(MissingExtraError, match=r"\.\[dslr\]"):
-        open_dslr(Address("dslr"))

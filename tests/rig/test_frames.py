@@ -1,7 +1,8 @@
-"""The questions that each frame has to answer, one by one."""
+"""The questions that each frame has to answer, one by one; none keeps an earlier pattern."""
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -9,9 +10,11 @@ import pytest
 
 import lightmatrix as lm
 from lightmatrix.rig.devices.base import Frame
-from lightmatrix.rig.pattern_match import choose_samples
+from lightmatrix.rig.pattern_match import choose_samples, fit_mixture
 from lightmatrix.rig.photograph import AveragedFrame, References, Shot, copied_rows, measure_drift
 from lightmatrix.rig.rig_measurements import _possible
+
+from .rig_mixtures import run
 
 SHAPE, TOP, NOISE = (20, 30), 4095.0, 12.0
 
@@ -104,3 +107,49 @@ def test_exposures_that_the_camera_has_and_that_do_not_flicker(
     assert possible == pytest.approx(seconds)
     assert [warning in text for text in warnings if warning] == [True] * (warning is not None)
     assert bool(warnings) == (warning is not None)
+
+
+def test_pictures_that_come_within_the_exposure_leave_less_than_noise_behind() -> None:
+    met, kept, left_out = run(1)
+    assert left_out == 0
+    assert sum(mixed.share > 0.01 for mixed in met) > 8
+    assert all(mixed.light < 1 and mixed.share < 0.01 for mixed in kept)
+
+
+@pytest.mark.parametrize("share", [0.0, 0.03])
+def test_a_share_is_found_with_its_error(share: float) -> None:
+    random = np.random.default_rng(0)
+    own, other, error = 9 + 3 * random.standard_normal((3, 400)) * [[1], [1], [0.1]]
+    error /= 9
+
+    def frame() -> Any:
+        # The prediction is too strong, and the lamp has become weaker.
+        light = (1 - share) * own + share * other + error * random.standard_normal(400)
+        return 0.98 * light - 0.2
+
+    rows = np.repeat(np.arange(40), 10)
+    mixtures = [fit_mixture(frame() - own, other, own, error, rows) for _ in range(300)]
+    shares = np.array([mix.share for mix in mixtures])
+    assert shares.mean() == pytest.approx(share, abs=0.003)
+    assert shares.std() == pytest.approx(mixtures[0].error, rel=0.15)
+    assert not any(mix.torn for mix in mixtures)
+    contrast = float(np.sqrt(((other - own) ** 2).mean()))
+    # A share that adds less light than noise cannot be excluded. A larger one is seen or doubted.
+    assert not any(mix.excluded(0.05 * contrast) for mix in mixtures)
+    excluded = np.mean([mix.excluded(0.07 * contrast) for mix in mixtures])
+    assert excluded > 0.88 if not share else 0.1 < excluded < 0.5
+
+
+def test_two_photographs_that_share_a_little_of_white_or_a_pattern_do_not_agree() -> None:
+    random = np.random.default_rng(1)
+    white, black = 2600 + 900 * random.random(SHAPE), np.zeros(SHAPE)
+    flat = np.full(SHAPE, 64, np.float32)
+    unlit, lit = (replace(_average(x), mean=flat + np.float32(x)) for x in (black, white))
+    references = References(unlit, lit, flat)
+    own, other = (white * random.integers(0, 2, SHAPE) for _ in range(2))
+    for seed in range(20):
+        one, again = _photograph(own, 3 * seed), _photograph(own, 3 * seed + 1)
+        assert references.agree(one, again, 0.01, [other, white, black])
+        for before in (other, white):
+            mixed = _photograph(0.985 * own + 0.015 * before, 3 * seed + 2)
+            assert not references.agree(one, mixed, 0.01, [before])

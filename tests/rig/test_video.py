@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import errno
-import sys
 import time
 from collections.abc import Iterator
 from typing import Any
@@ -11,10 +10,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from lightmatrix.errors import DeviceError, InputError, MissingExtraError
+from lightmatrix.errors import DeviceError, InputError
 from lightmatrix.rig.devices.base import Address, Camera
 from lightmatrix.rig.devices.registry import open_camera
-from lightmatrix.rig.devices.video import open_video
 from lightmatrix.rig.devices.window import open_window
 
 from .contract import CameraContract
@@ -117,9 +115,3 @@ def test_devices_that_others_have(number: int, words: str, monkeypatch: pytest.M
     monkeypatch.setattr(av, "open", refuse)
     with pytest.raises(DeviceError, match=words):
         open_camera("video:/dev/video0,exposure=1")
-
-
-def test_a_missing_package(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(sys.modules, "av", None)
-    with pytest.raises(MissingExtraError, match=r"\.\[video\]"):
-        open_video(Address("video", "/dev/video0", {"exposure": "1"}))

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from lightmatrix.errors import DeviceError, InputError, MissingExtraError
+from lightmatrix.errors import DeviceError, InputError
 from lightmatrix.rig.devices.base import Address, Projector
 from lightmatrix.rig.devices.window import WindowProjector, find_windows, open_window
 
@@ -21,45 +21,24 @@ pytest.importorskip("moderngl", reason="moderngl is missing: make test-install")
 mss = pytest.importorskip("mss", reason="mss is missing: make test-install")
 
 
-@pytest.fixture
-def grab() -> Iterator[Any]:
-    grabbers: list[Any] = []
+class TestWindow(ProjectorContract):
+    """On a single screen, and on the second of two."""
 
-    def _grab(left: int, shape: tuple[int, int]) -> NDArray[np.uint8]:
-        if not grabbers:
-            grabbers.append(mss.MSS())
-        area = {"left": left, "top": 0, "width": shape[1], "height": shape[0]}
-        return np.asarray(grabbers[0].grab(area))[..., 2::-1]
-
-    yield _grab
-    for grabber in grabbers:
-        grabber.close()
-
-
-class TestOneScreen(ProjectorContract):
-    @pytest.fixture
-    def projector(self, screen: str, grab: Any) -> Iterator[WindowProjector]:
-        self._grab = grab
-        window = open_window(Address("window"))
-        assert window.shape == SCREEN
-        yield window
+    @pytest.fixture(params=["screen", "two_screens"])
+    def projector(self, request: pytest.FixtureRequest) -> Iterator[WindowProjector]:
+        request.getfixturevalue(request.param)
+        alone = request.param == "screen"
+        self._left, self._size = (0, SCREEN) if alone else (SCREEN[1], SECOND)
+        window = open_window(Address("window", "" if alone else "1"))
+        assert window.shape == self._size
+        with mss.MSS() as self._grabber:
+            yield window
         window.close()
 
     def shown(self, projector: Projector) -> NDArray[np.uint8]:
-        return self._grab(0, SCREEN)
-
-
-class TestSecondScreen(ProjectorContract):
-    @pytest.fixture
-    def projector(self, two_screens: str, grab: Any) -> Iterator[WindowProjector]:
-        self._grab = grab
-        window = open_window(Address("window", "1"))
-        assert window.shape == SECOND
-        yield window
-        window.close()
-
-    def shown(self, projector: Projector) -> NDArray[np.uint8]:
-        return self._grab(SCREEN[1], SECOND)
+        rows, cols = self._size
+        area = {"left": self._left, "top": 0, "width": cols, "height": rows}
+        return np.asarray(self._grabber.grab(area))[..., 2::-1]
 
 
 def test_the_second_monitor_is_taken_where_there_is_one(two_screens: str) -> None:
@@ -144,9 +123,3 @@ def test_no_display(monkeypatch: pytest.MonkeyPatch) -> None:
     with pytest.raises(DeviceError, match=r"no display.*\(X11: .*; neither DISPLAY nor") as caught:
         open_window(Address("window"))
     assert "DISPLAY=:0" in str(caught.value.hint)
-
-
-def test_a_missing_package(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(__import__("sys").modules, "moderngl", None)
-    with pytest.raises(MissingExtraError, match=r"\.\[window\]"):
-        open_window(Address("window"))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from typing import cast
 
 import numpy as np
 import pytest
@@ -13,11 +14,21 @@ from scipy.sparse import csr_array
 
 import lightmatrix as lm
 from lightmatrix.errors import InputError, OutputError
-from lightmatrix.shape.shape import surface_faces
+from lightmatrix.shape.shape import Shape, ShapeTest, surface_faces
 from lightmatrix.shape.triangulation import find_line_spots, uncut_places
 
 
-def errors(shape: lm.Shape, known: lm.Truth) -> NDArray[np.float64]:
+class Known(lm.Truth):
+    """A scene whose geometry is known."""
+
+    geometry: lm.RigGeometry
+
+
+def truth(scene: str) -> Known:
+    return cast(Known, lm.truth(scene))
+
+
+def errors(shape: Shape, known: lm.Truth) -> NDArray[np.float64]:
     """Distances of the depths from the nearest surface in their pixels, NaN where there is none."""
     within = known.depths_within(4)
     assert within is not None
@@ -34,8 +45,7 @@ def rig(rows: int = 12, cols: int = 16) -> lm.RigGeometry:
 
 @pytest.mark.parametrize("scene", ["corner", "l_objects"])
 def test_depths_of_known_scenes(scene: str) -> None:
-    known = lm.truth(scene)
-    assert known.geometry is not None
+    known = truth(scene)
     shape = lm.triangulate(known.transport(), known.geometry)
     error = errors(shape, known)
     right = error <= 0.01 * 4
@@ -48,8 +58,7 @@ def test_depths_of_known_scenes(scene: str) -> None:
 
 
 def test_normals_of_walls() -> None:
-    known = lm.truth("corner")
-    assert known.geometry is not None
+    known = truth("corner")
     assert known.normals is not None
     shape = lm.triangulate(known.transport(), known.geometry)
     cosine = (shape.normals * known.normals).sum(axis=-1)
@@ -57,8 +66,7 @@ def test_normals_of_walls() -> None:
 
 
 def test_strict_keeps_fewer_points_and_fewer_wrong_ones() -> None:
-    known = lm.truth("metal")
-    assert known.geometry is not None
+    known = truth("metal")
     usual = lm.triangulate(known.transport(), known.geometry)
     strict = lm.triangulate(known.transport(), known.geometry, strict=True)
     assert (usual.kept | ~strict.kept).all()
@@ -68,8 +76,7 @@ def test_strict_keeps_fewer_points_and_fewer_wrong_ones() -> None:
 
 
 def test_codes_feed_the_same_triangulation(tmp_path: Path) -> None:
-    known = lm.truth("corner")
-    assert known.geometry is not None
+    known = truth("corner")
     code = lm.make_patterns("graycode", (64, 64), inverse=True)
     capture = lm.simulate(known, code, exposure=0.5)
     matches = lm.decode(capture, output=tmp_path / "c.npz")
@@ -95,10 +102,10 @@ def test_a_reflection_off_the_line_is_passed_over() -> None:
     np.testing.assert_allclose(shape.place[5, 10], [5, 4.5], atol=1e-5)
     # Disparity 10 - 4.5 = 20 * 1 / depth.
     assert shape.depth[5, 10] == pytest.approx(20 / 5.5, rel=1e-5)
-    assert shape.test[0, 0] == lm.ShapeTest.NO_LIGHT
+    assert shape.test[0, 0] == ShapeTest.NO_LIGHT
     weak = replace(transport, sparse=csr_array(transport.sparse * 1))
     weak.sparse.data[weak.sparse.data == 3] = 12
-    assert lm.triangulate(weak, geometry).test[5, 10] == lm.ShapeTest.WEAK
+    assert lm.triangulate(weak, geometry).test[5, 10] == ShapeTest.WEAK
 
 
 def test_the_brightest_three_by_three_pixels_are_the_spot() -> None:
@@ -137,8 +144,7 @@ def test_spots_that_the_border_cuts_off_move_out_along_the_line() -> None:
 
 
 def test_files(tmp_path: Path) -> None:
-    known = lm.truth("l_objects")
-    assert known.geometry is not None
+    known = truth("l_objects")
     known.geometry.save(tmp_path / "rig.json")
     known.save(tmp_path / "T.npz")
     files = {"output": tmp_path / "cloud.ply", "depth": tmp_path / "depth.tif"}
@@ -159,9 +165,8 @@ def test_files(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("view", ["depth", "normals"])
 def test_views_of_a_shape(view: str, tmp_path: Path) -> None:
-    known = lm.truth("metal")
+    known = truth("metal")
     matrix, geometry = known.transport(), known.geometry
-    assert geometry is not None
     shape = lm.triangulate(matrix, geometry)
     expected = getattr(shape, view)
     assert np.isnan(expected).any()
@@ -175,9 +180,8 @@ def test_views_of_a_shape(view: str, tmp_path: Path) -> None:
 
 
 def test_colours_of_normals_do_not_depend_on_the_frame_of_the_world() -> None:
-    known = lm.truth("corner")
+    known = truth("corner")
     geometry = known.geometry
-    assert geometry is not None
     turn = np.array([[0, 0, 1.0], [1, 0, 0], [0, 1, 0]])
     whole = np.eye(4)
     whole[:3, :3] = turn
@@ -193,8 +197,7 @@ def test_colours_of_normals_do_not_depend_on_the_frame_of_the_world() -> None:
 
 
 def test_binned_captures_scale_the_geometry_and_others_are_refused() -> None:
-    known = lm.truth("corner")
-    assert known.geometry is not None
+    known = truth("corner")
     matrix = known.transport()
     fine = known.geometry
     camera = np.diag([2.0, 2, 1]) @ fine.camera_matrix + np.outer(
@@ -210,8 +213,7 @@ def test_binned_captures_scale_the_geometry_and_others_are_refused() -> None:
 
 
 def test_rows_that_state_an_error_of_all_their_light_give_no_depth() -> None:
-    known = lm.truth("corner")
-    assert known.geometry is not None
+    known = truth("corner")
     plain = known.transport()
     stated = np.full(plain.shape[0], 0.1, np.float32)
     stated[70], stated[71], stated[72] = 1.2, 0.5, np.nan
@@ -221,4 +223,4 @@ def test_rows_that_state_an_error_of_all_their_light_give_no_depth() -> None:
         shape = lm.triangulate(told, known.geometry, strict=strict)
         changed = np.flatnonzero((shape.test != without.test).ravel())
         np.testing.assert_array_equal(changed, uncertain)
-        assert (shape.test.ravel()[changed] == lm.ShapeTest.UNCERTAIN).all()
+        assert (shape.test.ravel()[changed] == ShapeTest.UNCERTAIN).all()

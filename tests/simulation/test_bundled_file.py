@@ -8,12 +8,15 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from bundled_scenes import SAMPLES, write_bundled
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from lightmatrix.errors import InputError
+from lightmatrix.patterns.bits import BernoulliPatterns
 from lightmatrix.simulation import library
-from lightmatrix.simulation.library import read_bundled, write_bundled
+from lightmatrix.simulation.irradiance import irradiance
+from lightmatrix.simulation.library import read_bundled
 from lightmatrix.simulation.procedural import ProceduralScene
 from lightmatrix.simulation.truth import Truth
 
@@ -55,13 +58,6 @@ def test_a_row_without_light_stays_dark(tmp_path: Path) -> None:
     matrix = type(truth.matrix)(rows)
     write_bundled(tmp_path / "scene.npz", replace(truth, matrix=matrix, direct_data=matrix.data))
     assert read_bundled(tmp_path / "scene.npz").matrix[[4]].nnz == 0
-
-
-def test_a_large_matrix_is_refused(tmp_path: Path) -> None:
-    truth = ProceduralScene((1, 1), (2, 2)).truth()
-    huge = type(truth.matrix)((1 << 16, 1 << 16), dtype=np.float32)
-    with pytest.raises(InputError, match="too large for a bundled file"):
-        write_bundled(tmp_path / "scene.npz", replace(truth, matrix=huge))
 
 
 def test_a_damaged_file_is_named(tmp_path: Path) -> None:
@@ -106,7 +102,7 @@ def test_bundled_scenes_are_current(bundled: Truth) -> None:
 
     name = str(bundled.metadata["scene"])
     assert bundled.metadata["scene_version"] == scene(name).version
-    assert bundled.metadata["samples"] == library.BUNDLED_SAMPLES
+    assert bundled.metadata["samples"] == SAMPLES
     assert bundled.metadata["noise_entries"] < 0.01
 
 
@@ -115,3 +111,13 @@ def test_bundled_files_are_small() -> None:
     sizes = {path.stem: path.stat().st_size for path in folder.glob("*.npz")}
     assert sorted(sizes) == sorted(library.BUNDLED)
     assert sum(sizes.values()) <= 12e6
+
+
+def test_the_corner_clips_by_global_light_alone() -> None:
+    truth = library.truth("corner")
+    exposure = 0.99 / float(truth.matrix.max())
+    light = irradiance(truth.matrix, BernoulliPatterns((64, 64), 8))
+    assert (exposure * light >= 1).mean() > 0.1
+    assert (exposure * truth.matrix.sum(axis=1) >= 1).mean() > 0.9
+    # Direct light alone never clips there.
+    assert exposure * truth.direct.max() < 1

@@ -53,18 +53,6 @@ def test_vignetting_darkens_corners_only(truth: Truth) -> None:
     )
 
 
-def test_blur_may_differ_from_row_to_row(truth: Truth) -> None:
-    sigmas = np.where(np.arange(truth.matrix.shape[0]) % 3 == 0, 1.3, 0.0)
-    mixed = realism.varying_defocus(truth, sigmas)
-    for sigma in (0.0, 1.3):
-        rows = np.flatnonzero(sigmas == sigma)
-        whole = realism.defocus(truth, sigma)
-        for actual, expected in ((mixed.matrix, whole.matrix), (mixed.direct, whole.direct)):
-            np.testing.assert_allclose(
-                actual[rows].toarray(), expected[rows].toarray(), rtol=1e-3, atol=2e-3
-            )
-
-
 def test_zero_changes_nothing(truth: Truth) -> None:
     same = realism.vignetting(realism.defocus(truth, 0), 0)
     np.testing.assert_array_equal(same.matrix.toarray(), truth.matrix.toarray())

@@ -7,14 +7,13 @@ import pytest
 from numpy.typing import NDArray
 
 from lightmatrix.errors import InputError
-from lightmatrix.simulation.scenes import l_objects, metal, names, scene
-from lightmatrix.simulation.scenes.shapes import (
+from lightmatrix.simulation.scenes import names, scene
+from lightmatrix.simulation.shapes import (
     Mesh,
     ball,
     bolt,
     box,
     bracket,
-    from_quaternion,
     inset,
     l_block,
     nut,
@@ -155,13 +154,6 @@ def to_faces(points: NDArray[np.float64], mesh: Mesh) -> NDArray[np.float64]:
     from scipy.spatial import cKDTree
 
     return np.asarray(cKDTree(surface_points(mesh, 20_000)).query(points)[0])
-
-
-def test_poses_are_unit_quaternions() -> None:
-    for pose in (*l_objects.POSES, *(pose for _, pose in metal.POSES)):
-        assert np.linalg.norm(pose[3:]) == pytest.approx(1, abs=1e-3)
-        rotation = from_quaternion(pose[3:])
-        np.testing.assert_allclose(rotation @ rotation.T, np.eye(3), atol=1e-12)
 
 
 def test_turning_follows_the_right_hand() -> None:

@@ -12,9 +12,8 @@ import tifffile
 import lightmatrix as lm
 from lightmatrix.simulation.binning import binned
 from lightmatrix.simulation.mitsuba_scene import load_mitsuba, mitsuba_scene
-from lightmatrix.simulation.scenes import names, scene
-from lightmatrix.simulation.scenes.scene import Part, Scene, View, matt
-from lightmatrix.simulation.scenes.shapes import Mesh, ball, sheet
+from lightmatrix.simulation.scenes import Part, Scene, View, matt, names, scene
+from lightmatrix.simulation.shapes import Mesh, ball, sheet
 from lightmatrix.simulation.truth import trace_surface, view_geometry
 
 

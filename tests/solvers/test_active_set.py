@@ -291,7 +291,7 @@ def test_dark_and_fully_clipped_rows() -> None:
 @pytest.mark.parametrize(
     ("shape", "count", "rows", "tile"),
     # The second patterns exceed the caches, so that many rows share a pass.
-    [((20, 30), 64, 300, 47), ((512, 520), 400, 40, 9)],
+    [((20, 30), 64, 300, 47), pytest.param((512, 520), 400, 40, 9, marks=pytest.mark.slow)],
 )
 def test_results_do_not_depend_on_threads_or_tiles(
     shape: tuple[int, int], count: int, rows: int, tile: int

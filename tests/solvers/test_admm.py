@@ -237,7 +237,9 @@ def test_clip_aware_estimates_are_far_better(fidelity: Fidelity) -> None:
     assert np.linalg.norm(aware - x) < 0.25 * np.linalg.norm(blind - x)
 
 
-@pytest.mark.parametrize(("size", "count"), [((32, 32), 128), ((64, 64), 256)])
+@pytest.mark.parametrize(
+    ("size", "count"), [((32, 32), 128), pytest.param((64, 64), 256, marks=pytest.mark.slow)]
+)
 def test_single_and_double_precision_agree(size: tuple[int, int], count: int) -> None:
     double, _ = clipping_problem(rows=4, shape=size, count=count, regularization=0.1)
     single = with_samples(
@@ -253,6 +255,7 @@ def test_single_and_double_precision_agree(size: tuple[int, int], count: int) ->
         assert np.linalg.norm(difference) < 0.01 * np.linalg.norm(two.coefficients.toarray())
 
 
+@pytest.mark.slow
 def test_single_precision_is_safe_at_full_size() -> None:
     """N = 16,384 and K = 1,024: the factor is double, the rows are single; both answers agree."""
     double, _ = clipping_problem(rows=3, shape=(128, 128), count=1024, regularization=0.3)

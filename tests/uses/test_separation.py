@@ -8,11 +8,18 @@ from pathlib import Path
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from scipy.sparse import csr_array
+from scipy.sparse import csr_array, kron
 
 import lightmatrix as lm
 from lightmatrix.simulation.realism import defocus
 from lightmatrix.uses import loading
+from lightmatrix.uses.separation import (
+    Separation,
+    by_pixel,
+    crossing_spots,
+    near_spots,
+    outshone_spots,
+)
 
 SIDE = 40
 
@@ -70,7 +77,7 @@ def _relative(found: NDArray[np.float32], expected: NDArray[np.float32]) -> floa
     return float(np.linalg.norm(found - expected) / np.linalg.norm(expected))
 
 
-def _assert_sums(parts: lm.Separation, transport: lm.LightTransport) -> None:
+def _assert_sums(parts: Separation, transport: lm.LightTransport) -> None:
     for part in (parts.direct, parts.global_):
         assert (part.sparse.data > 0).all()
         assert (part.background >= 0).all()
@@ -144,14 +151,11 @@ def test_rendered_scenes_sharp_and_out_of_focus() -> None:
 def test_channels_share_their_geometry() -> None:
     grey, direct = _scene(30, depth=5, glow=0.1)
     gains = np.array([1.0, 0.5, 0.25], np.float32)
-    rows = np.repeat(np.arange(SIDE**2), 3)
-    scale = csr_array((np.tile(gains, SIDE**2), (np.arange(3 * SIDE**2), rows)))
-    colour = lm.LightTransport(
-        csr_array(scale @ grey.sparse),
-        scale @ grey.background,
-        (SIDE, SIDE, 3),
-        (SIDE, SIDE),
-        (2, 2),
+    colour = replace(
+        grey,
+        sparse=csr_array(kron(grey.sparse, gains[:, None])),
+        background=np.kron(grey.background, gains[:, None]),
+        camera_shape=(SIDE, SIDE, 3),
     )
     parts = lm.separate(colour)
     _assert_sums(parts, colour)
@@ -213,8 +217,9 @@ def test_a_store_is_loaded_or_refused(tmp_path: Path, monkeypatch: pytest.Monkey
     known = lm.truth("l_objects").transport()
     lm.save(tmp_path / "scene.zarr", known)
     stored = lm.StoredTransport.open(tmp_path / "scene.zarr")
-    part = lm.separate(stored).direct.sparse != lm.separate(known).direct.sparse
-    assert part.nnz == 0
+    for source in (stored, tmp_path / "scene.zarr"):
+        part = lm.separate(source).direct.sparse != lm.separate(known).direct.sparse
+        assert part.nnz == 0
     size = sum(array.bytes for array in stored.arrays.values())
     monkeypatch.setattr(loading, "available_bytes", lambda: 4 * size)
     with pytest.raises(lm.InputError, match=r"scene\.zarr: takes .* GiB of memory") as refused:
@@ -243,3 +248,60 @@ def test_files_hold_what_is_returned(tmp_path: Path) -> None:
         lm.separate(transport, output=tmp_path / "s")
     assert len(repr(parts)) < 600
     assert "\n" not in repr(parts)
+
+
+# Spots of neighbouring camera pixels, and those that lie on their epipolar line by chance.
+
+SHAPE = (7, 9)
+
+
+def test_spots_of_each_neighbour_are_compared_once() -> None:
+    random = np.random.default_rng(3)
+    place = random.uniform(0, 4, (63, 2, 2))
+    place[random.random((63, 2)) < 0.2] = np.nan
+    number = np.arange(126).reshape(63, 2).T.reshape(2, *SHAPE)
+    found: set[tuple[int, int]] = set()
+    for here, there, near in near_spots(place, SHAPE, reach=2, radius=1.5):
+        own = np.broadcast_to(number[here][:, None], near.shape)
+        other = np.broadcast_to(number[there], near.shape)
+        pairs = list(zip(own[near].tolist(), other[near].tolist(), strict=True))
+        assert not found.intersection(pairs)
+        found.update(pairs)
+    row, col = np.repeat(np.indices(SHAPE).reshape(2, -1), 2, axis=1)
+    beside = (abs(row[:, None] - row) <= 2) & (abs(col[:, None] - col) <= 2)
+    beside &= (row[:, None] != row) | (col[:, None] != col)
+    flat = place.reshape(-1, 2)
+    beside &= np.linalg.norm(flat[:, None] - flat, axis=2) <= 1.5
+    assert found == set(zip(*(axis.tolist() for axis in beside.nonzero()), strict=True))
+    np.testing.assert_array_equal(by_pixel(number), np.arange(126).reshape(63, 2))
+
+
+def test_a_mirror_image_that_crosses_its_line_is_told_from_a_surface() -> None:
+    row = np.indices(SHAPE)[0].reshape(-1, 1)
+    light = np.ones((63, 1))
+    for sweep, crossing in ((1.8, True), (0.0, False)):
+        # The distance to the line, which lies along the projector's rows, is the sweep's.
+        distance = sweep * (row - 3)
+        relative = np.stack([distance, 0 * distance], axis=-1).astype(float)
+        found = crossing_spots(relative, light, np.abs(distance) < 0.6, SHAPE, 2.3)
+        assert (found.reshape(SHAPE)[3] == crossing).all()
+
+
+def test_faint_light_beside_the_line_does_not_reject_a_spot() -> None:
+    row = np.indices(SHAPE)[0].reshape(-1, 1)
+    distance = 1.8 * (row - 3.0)
+    relative = np.stack([distance, 0 * distance], axis=-1)
+    light = np.where(row == 3, 1.0, 0.3)
+    assert not crossing_spots(relative, light, np.abs(distance) < 0.6, SHAPE, 2.3)[row == 3].any()
+
+
+def test_the_stronger_surface_keeps_a_projector_pixel() -> None:
+    # Two surfaces that claim pixels 10 to 14; the second one only faintly, and 20 by itself.
+    col = np.array([10.0, 11, 12, 13, 14, 10.2, 11.2, 12.2, 20])
+    place = np.stack([np.zeros(9), col], axis=1)
+    parallax = np.array([0.0, 0, 0, 0, 0, 3, 3, 3, 3])
+    light = np.array([1.0, 1, 1, 1, 1, 0.3, 0.3, 0.3, 0.3])
+    doubtful = np.ones(9, bool)
+    found = outshone_spots(place, parallax, light, doubtful)
+    assert found.tolist() == [False] * 5 + [True] * 3 + [False]
+    assert not outshone_spots(place, parallax, light, ~doubtful).any()

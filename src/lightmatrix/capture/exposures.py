@@ -40,9 +40,6 @@ def share_of_white(
     return float(above @ light / (light @ light))
 
 
-# The noise that a camera is assumed to have, and the weights of frames of different exposures.
-
-
 # Standard deviation of a sample's noise where it is not known, as a share of the clip level: that
 # of a decent machine vision camera, about one level of 8 bits. Simulations add as much.
 USUAL_NOISE = 0.003

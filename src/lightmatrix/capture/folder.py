@@ -217,7 +217,7 @@ def _find_images(place: Path, name: str) -> Path:
         raise InputError(
             f"{place}: has no folder {name}/",
             hint="give a folder with patterns/ and images/ (or a stack of each, such as "
-            "images.tif), or --patterns and --images",
+            "images.tif), or patterns and images by themselves",
         )
     if len(sources) > 1:
         raise InputError(

@@ -220,9 +220,6 @@ def cut(frames: Frames, corner: tuple[int, int], shape: tuple[int, int]) -> CutF
 # Samples of one frame that are binned at a time. Chosen by hand: a whole frame of 24 megapixels
 # would take gigabytes for a moment.
 _STRIP = 1 << 20
-# The most frames, and the most bytes of them, that are transposed together. One by one, each frame
-# would touch every page of the array.
-_GROUP_FRAMES, _GROUP_BYTES = 64, 256 << 20
 
 
 @dataclass(frozen=True, eq=False)
@@ -321,7 +318,9 @@ class Reader:
         """Raw levels (M, K): the frames of a camera sample lie side by side, as tiles need them."""
         pixels = int(np.prod(self.frames.shape))
         raw = scratch_array((pixels, self.frames.count), self.frames.dtype)
-        group = max(1, min(_GROUP_FRAMES, _GROUP_BYTES // max(1, pixels * raw.itemsize)))
+        # Up to 64 frames, or 256 MiB of them, are transposed together: one by one, each would touch
+        # every page of the array.
+        group = max(1, min(64, (256 << 20) // max(1, pixels * raw.itemsize)))
         for start in range(0, self.frames.count, group):
             stop = min(start + group, self.frames.count)
             images = [frame.reshape(-1) for frame in in_order(self.frames, start, stop)]

@@ -58,7 +58,8 @@ class Finding:
     Examples
     --------
     >>> import lightmatrix as lm
-    >>> lm.Finding("flicker", (), "the light varies by 5 %", "use a steady lamp").kind
+    >>> from lightmatrix.check.finding import Finding
+    >>> Finding("flicker", (), "the light varies by 5 %", "use a steady lamp").kind
     'flicker'
     """
 

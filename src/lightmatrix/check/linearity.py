@@ -206,8 +206,8 @@ class WindowPower:
 
     `missed` is the share of the samples' variance that predictions miss, under the response that
     the capture states and under the power that was found. `freedom` is how many samples under
-    different patterns a row has left, on average, that do not clip and can be told from the others,
-    less the columns that are removed from it.
+    different patterns a row has left, on average, that do not clip and can be distinguished from
+    the others, less the columns that are removed from it.
     """
 
     power: float

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
@@ -14,9 +14,6 @@ from lightmatrix.cli.options import Json, Overwrite, size
 from lightmatrix.cli.terminal import progress, say, show_json
 from lightmatrix.errors import InputError
 from lightmatrix.files.kinds import GEOMETRY
-
-if TYPE_CHECKING:
-    from lightmatrix import RigCalibration
 
 
 def calibrate(
@@ -72,7 +69,19 @@ def calibrate(
     if as_json:
         show_json({"output": output, **measured.as_dict()})
         return
-    _show(measured, output)
+    for pose in measured.poses:
+        say(
+            f"{pose.name}: {pose.used.sum()} of {len(pose.used)} corners, off by "
+            f"{pose.rms_camera:.2f} camera pixels, {pose.rms_projector:.2f} projector pixels"
+        )
+    count = sum(len(pose.used) for pose in measured.poses)
+    rig = measured.geometry
+    say(
+        f"{output}: {measured.corners} of {count} corners in {len(measured.poses)} poses, RMS "
+        f"{rig.rms['stereo']:.2f} pixels; camera and projector are {rig.baseline:.4g} "
+        f"{rig.units or 'units'} apart"
+    )
+    say(f"use it with: lightmatrix triangulate scene.zarr --geometry {output}")
 
 
 def _without_board(
@@ -115,25 +124,8 @@ def _without_board(
 
 def _length(option: str, text: str) -> tuple[float, str | None]:
     """A length such as 24mm as number and unit."""
-    match = re.fullmatch(r"\s*([0-9.]+(?:e-?\d+)?)\s*([a-zA-Zµ]*)\s*", text, flags=re.ASCII)
-    try:
-        if match is not None:
-            return float(match[1]), match[2] or None
-    except ValueError:
-        pass
-    raise InputError(f"{option} {text}", hint="give a length such as 24mm")
-
-
-def _show(measured: RigCalibration, output: Path) -> None:
-    rms, count = measured.geometry.rms, sum(len(pose.used) for pose in measured.poses)
-    for pose in measured.poses:
-        say(
-            f"{pose.name}: {pose.used.sum()} of {len(pose.used)} corners, off by "
-            f"{pose.rms_camera:.2f} camera pixels, {pose.rms_projector:.2f} projector pixels"
-        )
-    say(
-        f"{output}: {measured.corners} of {count} corners in {len(measured.poses)} poses, RMS "
-        f"{rms['stereo']:.2f} pixels; camera and projector are {measured.geometry.baseline:.4g} "
-        f"{measured.geometry.units or 'units'} apart"
-    )
-    say(f"use it with: lightmatrix triangulate scene.zarr --geometry {output}")
+    number = r"(?:\d+\.?\d*|\.\d+)(?:e-?\d+)?"
+    match = re.fullmatch(rf"\s*({number})\s*([a-zA-Zµ]*)\s*", text, flags=re.ASCII)
+    if match is None:
+        raise InputError(f"{option} {text}", hint="give a length such as 24mm")
+    return float(match[1]), match[2] or None

@@ -104,7 +104,11 @@ def compensate(
     several = bool(green or blue or beside)
     if cancel_global:
         other = several or video or with_rig or refine is not None or black or mask or resize
-        _check_alone(bool(other) or common["brightness"] is not None or gamma != 1)
+        if other or common["brightness"] is not None or gamma != 1:
+            raise InputError(
+                "--cancel-global with options of other compensations",
+                hint="it takes SCENE.zarr and, if not white, a pattern",
+            )
     else:
         _check(wanted, video, with_rig, refine, several=several, black=black)
     summary: dict[str, Any] = {"output": output}
@@ -145,14 +149,6 @@ def _brightness(text: str) -> float | None:
         raise InputError(f"a brightness of {text!r}", hint="write auto, or a number") from None
 
 
-def _check_alone(others: bool) -> None:
-    if others:
-        raise InputError(
-            "--cancel-global with options of other compensations",
-            hint="it takes SCENE.zarr and, if not white, a pattern",
-        )
-
-
 def _check(
     wanted: Path | None,
     video: Path | None,
@@ -183,16 +179,6 @@ def _check(
 
 
 def _show(summary: dict[str, Any], *, cancelled: bool) -> None:
-    reasons = {
-        "too_dark": "too dark",
-        "too_bright": "too bright",
-        "shadow": "in shadow",
-        "masked": "masked",
-    }
-    rest = ", ".join(
-        f"{100 * summary[key]:.1f} % {text}" for key, text in reasons.items() if summary.get(key)
-    )
-    rest = f"; {rest}" if rest else ""
     if cancelled:
         say(f"{summary['output']}: the camera sees direct light, within 5 % of the light of white")
     else:
@@ -201,7 +187,14 @@ def _show(summary: dict[str, Any], *, cancelled: bool) -> None:
     if "frames" in summary:
         say(f"{summary['frames']} frames; {100 * summary['reached']:.1f} % of the pixels reached")
         return
-    say(f"{100 * summary['reached']:.1f} % of the camera pixels are reached{rest}")
+    reasons = {"too_dark": "too dark", "too_bright": "too bright", "shadow": "in shadow"}
+    rest = [
+        f"{100 * summary[key]:.1f} % {text}"
+        for key, text in {**reasons, "masked": "masked"}.items()
+        if summary.get(key)
+    ]
+    share = f"{100 * summary['reached']:.1f} % of the camera pixels are reached"
+    say("; ".join([share, ", ".join(rest)] if rest else [share]))
     for step, decibels in enumerate(summary.get("photographed_psnr", ())):
         say(f"photograph {step}: {decibels:.1f} dB")
     if summary["clipped"]:

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import typer
 
 import lightmatrix as lm
+from lightmatrix.check.finding import Finding
 from lightmatrix.cli.claims import claim, say_what_is_kept
 from lightmatrix.cli.options import (
     ADMM_ITERATIONS,
@@ -33,9 +34,9 @@ if TYPE_CHECKING:
         ColourTransport,
         EstimateSettings,
         LightTransport,
-        ResourceEstimate,
         Verdicts,
     )
+    from lightmatrix.estimators.resource_estimate import ResourceEstimate
 
 # What is written where no other name is given.
 _OUTPUT = Path("scene.zarr")
@@ -281,7 +282,7 @@ def estimate(
                 # The report solves a small part of the camera, for which this process suffices.
                 estimator=replace(settings, workers=None, cluster=None),
                 title=output.name,
-                findings=[lm.Finding(**each) for each in findings],
+                findings=[Finding(**each) for each in findings],
                 viewer=viewer,
                 geometry=rig,
                 overwrite=overwrite,

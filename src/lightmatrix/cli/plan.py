@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
@@ -18,11 +18,6 @@ from lightmatrix.cli.options import (
 )
 from lightmatrix.cli.source import level_or_file
 from lightmatrix.cli.terminal import progress, say, show_columns, show_json
-
-if TYPE_CHECKING:
-    from lightmatrix import Advice
-
-_NAMES = {"plain": "row by row"}
 
 
 def plan(
@@ -87,22 +82,20 @@ def plan(
         return
     if not advice.simulated and shape is None:
         say(f"for a projector of {USUAL_SIZE}; give the size of yours with --size")
-    _show_exposures(advice, advice.simulated or exposure is not None)
-    _show_errors(advice)
-    _show_commands(advice)
-
-
-def _show_exposures(advice: Advice, in_own_unit: bool) -> None:
     if advice.white_is_clipped:
         say(
             f"{100 * advice.white_clipped_share:.1f} % of the white frame is clipped, so its "
             "brightest light is unknown. Better take it again with a shorter exposure.",
             style="yellow",
         )
-    unit = "exposure" if in_own_unit else "exposure (white frame = 1)"
+    in_own_unit = advice.simulated or exposure is not None
     show_columns(
         "Exposures",
-        (unit, "frames", "samples that will clip"),
+        (
+            "exposure" if in_own_unit else "exposure (white frame = 1)",
+            "frames",
+            "samples that will clip",
+        ),
         [
             (f"{e.exposure:g}", str(e.frames), f"{100 * e.clipped_share:.1f} %")
             for e in advice.exposures
@@ -115,9 +108,6 @@ def _show_exposures(advice: Advice, in_own_unit: bool) -> None:
             "Dim the projector or close the aperture.",
             style="yellow",
         )
-
-
-def _show_errors(advice: Advice) -> None:
     show_columns(
         "\nError to expect",
         ("frames", "patterns", "estimate", "of T", "of relit images"),
@@ -125,7 +115,8 @@ def _show_errors(advice: Advice) -> None:
             (
                 f"{e.frames} " + ("*" if e.frames == advice.frames else " "),
                 "mix" if e.frames >= FEWEST_MIXED else "all fine",
-                _NAMES.get(e.estimator, e.estimator) + ("" if e.measured else " (about)"),
+                ("row by row" if e.estimator == "plain" else e.estimator)
+                + ("" if e.measured else " (about)"),
                 _range(e.relative_error),
                 _range(e.relighting_error),
             )
@@ -138,9 +129,6 @@ def _show_errors(advice: Advice) -> None:
         "and the projector in focus. If it is blurred by 1 or 2 of its pixels, expect about 2 or 4 "
         "times the error of coherent estimates."
     )
-
-
-def _show_commands(advice: Advice) -> None:
     say("\nCommands")
     for line in advice.commands:
         say(f"  {line}")

@@ -54,11 +54,9 @@ def relight(
         return
     note = f"; {100 * clipped:.1f} % of it is above full scale" if clipped else ""
     if clipped and output.suffix.lower() == ".png":
-        note += f" and cut off; --exposure {_rounded_down(exposure / peak):g} keeps it all"
+        # Rounded down to two digits.
+        keeps = exposure / peak
+        unit = 10.0 ** (math.floor(math.log10(keeps)) - 1)
+        most = float(f"{math.floor(keeps / unit) * unit:.2g}")
+        note += f" and cut off; --exposure {most:g} keeps it all"
     say(f"{output}{note}")
-
-
-def _rounded_down(value: float) -> float:
-    """A positive number rounded down to two digits."""
-    unit = 10.0 ** (math.floor(math.log10(value)) - 1)
-    return float(f"{math.floor(value / unit) * unit:.2g}")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import Annotated, Literal
 
 import typer
 
@@ -13,13 +13,7 @@ from lightmatrix.cli.source import level_or_file, numbers
 from lightmatrix.cli.terminal import say, show_json
 from lightmatrix.errors import InputError
 
-if TYPE_CHECKING:
-    from lightmatrix import CameraResponse, ProjectorResponse
-
 Method = Literal["debevec", "robertson"]
-# Warnings name a misfit, or a difference between channels, above these shares of full light.
-# Estimates would be off by as much.
-_MISFIT, _CHANNELS = 0.02, 0.03
 
 
 def response(
@@ -86,7 +80,7 @@ def response(
     if projector:
         _refuse("--projector", {"--exposure": exposure, "--black": black})
         grey = None if levels is None else numbers(levels, "--levels")
-        measured = lm.projector_response(
+        ramp = lm.projector_response(
             photographs,
             [grey] if isinstance(grey, float) else grey,
             response=camera,
@@ -95,10 +89,14 @@ def response(
             picture=picture,
             overwrite=overwrite,
         )
-        _show_projector(measured, output, picture, as_json)
+        if as_json:
+            show_json({"output": output, "picture": picture, "gamma": ramp.gamma})
+            return
+        say(f"{output}: the projector's gamma is about {ramp.gamma:.2f}")
+        say(f"use it with: lightmatrix estimate ... --projector-response {output}")
         return
     _refuse("a camera's curve", {"--levels": levels, "--response": camera})
-    camera_curve = lm.camera_response(
+    measured = lm.camera_response(
         photographs,
         None if exposure is None else numbers(exposure, "--exposure"),
         method=method,
@@ -108,29 +106,6 @@ def response(
         picture=picture,
         overwrite=overwrite,
     )
-    _show_camera(camera_curve, output, picture, as_json)
-
-
-def _refuse(what: str, options: dict[str, str | None]) -> None:
-    unfit = [name for name, value in options.items() if value is not None]
-    if unfit:
-        hint = "leave it out" if what == "--projector" else "add --projector, or leave it out"
-        raise InputError(f"{unfit[0]} does not go with {what}", hint=hint)
-
-
-def _show_projector(
-    measured: ProjectorResponse, output: Path, picture: Path | None, as_json: bool
-) -> None:
-    if as_json:
-        show_json({"output": output, "picture": picture, "gamma": measured.gamma})
-        return
-    say(f"{output}: the projector's gamma is about {measured.gamma:.2f}")
-    say(f"use it with: lightmatrix estimate ... --projector-response {output}")
-
-
-def _show_camera(
-    measured: CameraResponse, output: Path, picture: Path | None, as_json: bool
-) -> None:
     if as_json:
         show_json({"output": output, "picture": picture, **measured.as_dict()})
         return
@@ -138,17 +113,25 @@ def _show_camera(
         f"{output}: the camera's gamma is about {measured.gamma:.2f}; the curve is known to "
         f"{100 * max(measured.uncertainty, measured.misfit):.1f} % of full light"
     )
-    if not measured.misfit <= _MISFIT:
+    # Estimates would be off by as much.
+    if not measured.misfit <= 0.02:
         say(
             f"its light is up to {100 * measured.misfit:.0f} % off growing with the exposure: did "
             "the scene, the light or a setting of the camera (ISO, aperture, white balance, "
             "contrast) change between the photographs?",
             style="yellow",
         )
-    if measured.channels is not None and measured.channels > _CHANNELS:
+    if measured.channels is not None and measured.channels > 0.03:
         say(
             f"the curves of the channels differ by up to {100 * measured.channels:.0f} % of full "
             "light, and one for all is a compromise: turn colour enhancement and white balance off",
             style="yellow",
         )
     say(f"use it with: lightmatrix estimate ... --response {output}")
+
+
+def _refuse(what: str, options: dict[str, str | None]) -> None:
+    unfit = [name for name, value in options.items() if value is not None]
+    if unfit:
+        hint = "leave it out" if what == "--projector" else "add --projector, or leave it out"
+        raise InputError(f"{unfit[0]} does not go with {what}", hint=hint)

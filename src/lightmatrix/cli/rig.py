@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -50,58 +50,50 @@ def list_(as_json: Json = False) -> None:
                 say("             none is found")
 
 
-def _settle(part: Mapping[str, Any]) -> Iterator[str]:
-    yield (
-        f"settled after {1000 * part['seconds']:.1f} ms; {part['late']} of {part['changes']} "
-        "changes came later"
-    )
-
-
-def _exposure(part: Mapping[str, Any]) -> Iterator[str]:
-    for seconds, clipped in zip(part["seconds"], part["clipped"], strict=True):
-        yield f"{1000 * seconds:.3g} ms, {100 * clipped:.1f} % of its samples will clip"
-    yield (
-        f"patterns with {100 * part['density']:.0f} % lit; noise "
-        f"{100 * part['noise']:.2f} % of the clip level, black level {part['pedestal']:.1f}"
-    )
-
-
-def _response(part: Mapping[str, Any]) -> Iterator[str]:
-    yield f"the projector's gamma is {part['gamma']:.2f}; grey patterns are corrected by it"
-
-
-def _linearity(part: Mapping[str, Any]) -> Iterator[str]:
-    yield (
-        f"off a straight line by {100 * part['deviation']:.1f} % at most; level goes with the "
-        f"exposure to the power of {part['exponent']:.3f}"
-    )
-
-
-def _flicker(part: Mapping[str, Any]) -> Iterator[str]:
-    if part["frequency"]:
-        yield (
-            f"flickers by {100 * part['amplitude']:.1f} % at {part['frequency']:g} Hz: exposures "
-            f"are made multiples of {1000 / part['frequency']:.2f} ms"
-        )
-    else:
-        yield f"no flicker noticed; brightness varies by {100 * part['spread']:.2f} %"
-    yield f"the room's light varies by {100 * part['room']:.2f} % of white"
-
-
-# Each part of a rig that a command measures, with its help text and the lines that describe it.
-_PARTS: dict[str, tuple[str, Callable[[Mapping[str, Any]], Iterator[str]]]] = {
-    "settle": ("Measure the shortest safe delay between showing and exposing.", _settle),
-    "exposure": ("Choose exposures from a white picture.", _exposure),
-    "response": ("Measure the projector's light for each grey value.", _response),
-    "linearity": ("Test whether twice the exposure gives twice the level.", _linearity),
-    "flicker": ("Test whether the projector or the room flickers.", _flicker),
+# Each part of a rig that a command measures, with its help text.
+_PARTS = {
+    "settle": "Measure the shortest safe delay between showing and exposing.",
+    "exposure": "Choose exposures from a white picture.",
+    "response": "Measure the projector's light for each grey value.",
+    "linearity": "Test whether twice the exposure gives twice the level.",
+    "flicker": "Test whether the projector or the room flickers.",
 }
 
 
-def _add_command(part: str) -> None:
-    text, describe = _PARTS[part]
+def _lines(name: str, part: Mapping[str, Any]) -> Iterator[str]:
+    """What was measured of a part, in words."""
+    if name == "settle":
+        yield (
+            f"settled after {1000 * part['seconds']:.1f} ms; {part['late']} of {part['changes']} "
+            "changes came later"
+        )
+    elif name == "exposure":
+        for seconds, clipped in zip(part["seconds"], part["clipped"], strict=True):
+            yield f"{1000 * seconds:.3g} ms, {100 * clipped:.1f} % of its samples will clip"
+        yield (
+            f"patterns with {100 * part['density']:.0f} % lit; noise "
+            f"{100 * part['noise']:.2f} % of the clip level, black level {part['pedestal']:.1f}"
+        )
+    elif name == "response":
+        yield f"the projector's gamma is {part['gamma']:.2f}; grey patterns are corrected by it"
+    elif name == "linearity":
+        yield (
+            f"off a straight line by {100 * part['deviation']:.1f} % at most; level goes with the "
+            f"exposure to the power of {part['exponent']:.3f}"
+        )
+    else:
+        if part["frequency"]:
+            yield (
+                f"flickers by {100 * part['amplitude']:.1f} % at {part['frequency']:g} Hz: "
+                f"exposures are made multiples of {1000 / part['frequency']:.2f} ms"
+            )
+        else:
+            yield f"no flicker noticed; brightness varies by {100 * part['spread']:.2f} %"
+        yield f"the room's light varies by {100 * part['room']:.2f} % of white"
 
-    @app.command(part, help=text)
+
+def _add_command(part: str) -> None:
+    @app.command(part, help=_PARTS[part])
     def command(
         rig: RigName = None,
         projector: ProjectorName = None,
@@ -117,7 +109,7 @@ def _add_command(part: str) -> None:
         if as_json:
             show_json({"rig_file": rig_file, part: measured})
             return
-        for line in describe(measured):
+        for line in _lines(part, measured):
             say(line)
         for warning in measured.get("warnings", ()):
             say(warning, style="yellow")

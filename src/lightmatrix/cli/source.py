@@ -19,7 +19,8 @@ from lightmatrix.errors import InputError
 from lightmatrix.files.reading import read_text
 
 if TYPE_CHECKING:
-    from lightmatrix import Capture, Finding, ReadSettings
+    from lightmatrix import Capture, ReadSettings
+    from lightmatrix.check.finding import Finding
 
 _EACH = "one number; or one per frame, as a,b,c or a text file"
 

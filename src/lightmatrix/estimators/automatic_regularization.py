@@ -20,22 +20,20 @@ from lightmatrix.solvers.regularization import (
 # The regularization is chosen from 32 stretches of 64 rows, spread evenly over the capture. The
 # values are chosen by hand: 2,048 rows suffice for a 0.99 quantile and are read in an instant.
 _STRETCHES, _STRETCH = 32, 64
-# The share of the rows that may be brighter than the level that samples reach, such as glints and
-# hot pixels. Chosen by hand.
-_BRIGHTER = 0.01
 
 
 def reached_level(capture: Capture) -> float:
     """The level that samples reach at exposure 1, at most that at which the longest frames clip.
 
-    It is the 0.99 quantile over camera samples of the largest value under any pattern. Estimates
-    scale with their samples only if the regularization does.
+    It is a quantile over camera samples of the largest value under any pattern. Estimates scale
+    with their samples only if the regularization does.
     """
     values, _, weights = _spread(capture)
     largest = np.where(weights > 0, values, 0).max(axis=1, initial=0)
     if not len(largest):
         return capture.reference_level
-    return float(min(np.quantile(largest, 1 - _BRIGHTER), capture.reference_level))
+    # Glints and hot pixels may be brighter than this quantile. Chosen by hand.
+    return float(min(np.quantile(largest, 0.99), capture.reference_level))
 
 
 def automatic_regularization(capture: Capture) -> float:

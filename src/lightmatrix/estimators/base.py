@@ -30,10 +30,6 @@ from lightmatrix.transport.checkpoint import ROWS, Checkpoint
 from lightmatrix.transport.matrix import LightTransport
 from lightmatrix.transport.sparse_rows import SparseRows
 
-# Entries of a row of T by which the free disk space is checked before an estimate. Most rows have
-# more, so the check refuses only what cannot fit.
-_FEW_ENTRIES = 16
-
 
 @dataclass(frozen=True)
 class Plan:
@@ -63,7 +59,8 @@ class Plan:
         """Bytes that tiles and output take on disk, with few entries in each row."""
         cells = self.background_grid[0] * self.background_grid[1]
         # The tiles are kept until the compressed output is complete.
-        return (6 * cells + 8 * _FEW_ENTRIES + 40) * self.work.capture.rows
+        # Most rows of T have more than 16 entries, so the check refuses only what cannot fit.
+        return (6 * cells + 8 * 16 + 40) * self.work.capture.rows
 
 
 class Estimator(ABC):

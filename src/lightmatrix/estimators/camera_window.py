@@ -9,12 +9,6 @@ from lightmatrix.capture.capture import Capture
 
 # `window_of_levels` takes 64 x 64 camera pixels, enough for the 2,000 rows that tell a response.
 _SIDE = 64
-# Its frames tell how bright the camera's pixels are. Chosen by hand: a few light everything.
-_FRAMES = 8
-# Its window has the most even distribution of light over ten levels of brightness, of pixels above
-# 15 % of the brightest, and at least half the light of the brightest window. Chosen on `gripper` at
-# 128 x 128: of its brightest window an S-curve was taken for a gamma, at 17 times the error.
-_LEVELS, _DIMMEST, _ENOUGH_LIGHT = 10, 0.15, 0.5
 
 
 def window_of_light(
@@ -56,19 +50,24 @@ def window_of_levels(capture: Capture, side: int = _SIDE) -> Capture:
     high, wide = min(rows, side), min(cols, side)
     if (high, wide) == (rows, cols):
         return capture
-    frames = np.linspace(0, capture.count - 1, min(_FRAMES, capture.count)).astype(int)
+    # Its frames tell how bright the camera's pixels are. Chosen by hand: a few light everything.
+    frames = np.linspace(0, capture.count - 1, min(8, capture.count)).astype(int)
     some = capture.select(frames)
     spread = np.concatenate([tile.values.std(axis=1) for _, tile in some.tiles()])
     image = spread.reshape(rows, cols, -1).mean(axis=2)
     # A few bright pixels shall not decide, nor dark ones count.
     most = float(np.quantile(image, 0.95))
-    levels = np.linspace(_DIMMEST, 1, _LEVELS + 1)[:-1] * most
+    # The window has the most even distribution of light over ten levels of brightness, of pixels
+    # above 15 % of the brightest, and at least half the light of the brightest window. Chosen on
+    # `gripper` at 128 x 128: of its brightest window an S-curve was taken for a gamma, at 17 times
+    # the error.
+    levels = np.linspace(0.15, 1, 11)[:-1] * most
     level = np.digitize(image, levels) - 1
-    light = np.stack([_sums(np.where(level == k, image, 0), high, wide) for k in range(_LEVELS)])
+    light = np.stack([_sums(np.where(level == k, image, 0), high, wide) for k in range(10)])
     whole = light.sum(axis=0)
     shares = light / np.maximum(whole, 1e-12)
     entropy = -(shares * np.log(np.maximum(shares, 1e-12))).sum(axis=0)
-    entropy[whole < _ENOUGH_LIGHT * whole.max()] = -1
+    entropy[whole < 0.5 * whole.max()] = -1
     top, left = np.unravel_index(int(entropy.argmax()), entropy.shape)
     return capture.window(slice(int(top), int(top) + high), slice(int(left), int(left) + wide))
 

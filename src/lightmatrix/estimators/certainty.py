@@ -27,14 +27,6 @@ from lightmatrix.transport.sparse_rows import SparseRows
 # The diagnostic: 1 where the strongest projector pixel is certain, 0 where it is not, NaN for rows
 # that were not looked at.
 CERTAIN = "certain"
-# Rows of an estimate, evenly spread, that are looked at. Their share of certain rows has a standard
-# error of at most 1.6 %.
-SAMPLED = 1024
-# The least probability of a certain pixel: the usual level of confidence.
-_PROBABLE = 0.95
-# The least share of a row that no single pixel explains: a noise of 1 % of the row's contrast. It
-# is a hundred times what single precision loses, and pixels that are not twins differ by far more.
-_LEAST_MISFIT = 1e-4
 
 Misfits = NDArray[np.float32]
 
@@ -52,7 +44,9 @@ def with_certainty(
     `cell_means` (B, K) are the means of the patterns over the cells of the rows' background. None:
     it has one cell.
     """
-    step = max(1, total // SAMPLED)
+    # Rows of an estimate, evenly spread, that are looked at. Their share of certain rows has a
+    # standard error of at most 1.6 %.
+    step = max(1, total // 1024)
     index = np.arange(start, start + rows.count)
     chosen = np.flatnonzero(index % step == step // 2)
     certain = np.full(rows.count, np.nan, np.float32)
@@ -109,7 +103,10 @@ def _probable(
         np.square(correlations, out=correlations)
         correlations *= -inverse[part]
         correlations += 1
-        return np.maximum(correlations, _LEAST_MISFIT, out=correlations)
+        # The least share of a row that no single pixel explains: a noise of 1 % of the row's
+        # contrast. It is a hundred times what single precision loses, and pixels that are not twins
+        # differ by far more.
+        return np.maximum(correlations, 1e-4, out=correlations)
 
     def least(some: slice, part: slice, correlations: NDArray[np.float32]) -> tuple[slice, Misfits]:
         return some, misfits(some, part, correlations).min(axis=1)
@@ -136,7 +133,8 @@ def _probable(
     for some, of_all, of_window in patterns.correlations(rows, likelihoods):
         whole[some] += of_all
         near[some] += of_window
-    return np.asarray(near >= _PROBABLE * whole)
+    # The least probability of a certain pixel: the usual level of confidence.
+    return np.asarray(near >= 0.95 * whole)
 
 
 def _beyond_error(

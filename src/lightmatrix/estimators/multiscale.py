@@ -32,13 +32,6 @@ from lightmatrix.solvers.regularization import column_length
 from lightmatrix.transport.checkpoint import Span
 from lightmatrix.transport.sparse_rows import SparseRows
 
-# The number of blocks with the highest scores that are kept in any case, if they have light. Chosen
-# by hand: a spot may touch four blocks, and its halo more.
-_LEAST_KEPT = 8
-# The least factor by which the regularization falls at a coarser scale. Chosen by hand: where the
-# patterns hardly vary over a block, the regularization would vanish.
-_LEAST_SCALE = 1e-3
-
 
 @dataclass(frozen=True, eq=False)
 class Scale:
@@ -68,7 +61,9 @@ def scales(patterns: PatternSet, coarsest: int, regularization: float) -> list[S
     while block > 1:
         coarse = patterns.coarse((block, block))
         shorter = column_length(coarse) / length if length > 0 else 1.0
-        coarser.append(Scale(block, coarse, regularization * max(shorter, _LEAST_SCALE)))
+        # The least factor by which the regularization falls at a coarser scale. Chosen by hand:
+        # where the patterns hardly vary over a block, the regularization would vanish.
+        coarser.append(Scale(block, coarse, regularization * max(shorter, 1e-3)))
         block //= 2
     return [*coarser, Scale(1, patterns, regularization)]
 
@@ -86,7 +81,9 @@ def active_blocks(
     # Each row counts by its shares, as bright rows know no more about the places than dark ones.
     score = size.T @ np.divide(1, total, out=np.zeros_like(total), where=total > 0)
     wanted = (score >= share * score.max()) & ((score > 0) | (share == 0))
-    count = max(int(wanted.sum()), min(_LEAST_KEPT, int((score > 0).sum())))
+    # The number of blocks with the highest scores that are kept in any case, if they have light.
+    # Chosen by hand: a spot may touch four blocks, and its halo more.
+    count = max(int(wanted.sum()), min(8, int((score > 0).sum())))
     if not score.any():
         count = len(candidates)
     active = np.zeros(grid, bool)
@@ -148,8 +145,9 @@ class MultiScaleEstimator(Estimator):
     Examples
     --------
     >>> import lightmatrix as lm
+    >>> from lightmatrix.estimators.multiscale import MultiScaleEstimator
     >>> capture = lm.simulate("metal", lm.BernoulliPatterns((64, 64), 8))
-    >>> lm.MultiScaleEstimator(lm.ROMP(max_iterations=2)).estimate(capture).camera_shape
+    >>> MultiScaleEstimator(lm.ROMP(max_iterations=2)).estimate(capture).camera_shape
     (64, 64)
     """
 

@@ -47,8 +47,9 @@ class PlainEstimator(Estimator):
     Examples
     --------
     >>> import lightmatrix as lm
+    >>> from lightmatrix.estimators.plain import PlainEstimator
     >>> capture = lm.simulate("metal", lm.BernoulliPatterns((64, 64), 8))
-    >>> lm.PlainEstimator(lm.ROMP(max_iterations=2)).estimate(capture).camera_shape
+    >>> PlainEstimator(lm.ROMP(max_iterations=2)).estimate(capture).camera_shape
     (64, 64)
     """
 

@@ -41,12 +41,6 @@ class _Bytes:
     sample: float
 
 
-_SMALL = _Bytes(2700, 35, 26, 1500, 6)
-# Where light grows from few seeds, spots are kept in half precision.
-_LARGE = _Bytes(1700, 13, 12, 100, 12)
-_ROW_BY_ROW = _Bytes(100, 19, 28, 400, 9)
-
-
 @dataclass(frozen=True)
 class _Size:
     """How large an estimate is."""
@@ -89,9 +83,12 @@ class _Size:
     @property
     def memory(self) -> int:
         """Bytes of memory at its peak."""
-        each, values = _ROW_BY_ROW, self.pixels * self.count
+        each, values = _Bytes(100, 19, 28, 400, 9), self.pixels * self.count
         if self.coherent:
-            each = _LARGE if self.seed_spacing > GROWTH.near_seeds else _SMALL
+            each = _Bytes(2700, 35, 26, 1500, 6)
+            if self.seed_spacing > GROWTH.near_seeds:
+                # Where light grows from few seeds, spots are kept in half precision.
+                each = _Bytes(1700, 13, 12, 100, 12)
             values = self.pixels * (self.count + 64)
         elif self.active_set:
             # The active set keeps this many values of patterns and no more.

@@ -32,18 +32,9 @@ from lightmatrix.estimators.unknown_response import (
 from lightmatrix.patterns.colour import ColourPatterns
 from lightmatrix.patterns.projector_curve import ProjectorResponse
 
-# The search estimates T of a window of at most 45 x 45 camera pixels, about the 2,000 rows that a
-# step uses. Windows of 64 x 64 gave the same gammas to 0.4 %, for 1.7 times the time.
-_SIDE = 45
 # The search ends after six estimates, or when an estimate changes neither gamma by 1.5 %: the next
 # change would be a tenth of it. One to three estimates were needed on simulated captures.
 _MOST_ESTIMATES, _SMALL = 6, 0.015
-# Fewer frames determine no gamma, as they determine none of the camera's.
-_FEWEST_FRAMES = 12
-# A gamma whose standard error is above 2.5 % is not determined.
-_MOST_ERROR = 0.025
-# The uncertainty is twice the standard error, and at least 0.5 %, as that of the camera's gamma.
-_LEAST_UNCERTAINTY = 0.005
 
 
 def find_projector_response(
@@ -93,12 +84,15 @@ def find_projector_response(
     settings = settings or EstimateSettings()
     whole = open_capture(capture)
     _refuse_other_patterns(whole)
-    if whole.count < _FEWEST_FRAMES:
+    # Fewer frames determine no gamma, as they determine none of the camera's.
+    if whole.count < 12:
         raise _undetermined()
     camera = camera or whole.decoder.response.name == AUTOMATIC
     stated = whole.decoder.response
     start, gamma = _start(whole, camera)
-    part, estimates = window_of_levels(with_response(whole, start), _SIDE), 0
+    # The search estimates T of a window of at most 45 x 45 camera pixels, about the 2,000 rows that
+    # a step uses. Windows of 64 x 64 gave the same gammas to 0.4 %, for 1.7 times the time.
+    part, estimates = window_of_levels(with_response(whole, start), 45), 0
     while True:
         read = with_projector(part, ProjectorResponse.of_gamma(gamma))
         transport = choose_estimator(read, settings).estimate(read)
@@ -115,10 +109,13 @@ def find_projector_response(
             break
         if estimates == _MOST_ESTIMATES:
             raise _undetermined()
-    if last.errors.max() > _MOST_ERROR:
+    # A gamma whose standard error is above 2.5 % is not determined.
+    if last.errors.max() > 0.025:
         raise _undetermined()
     response = part.decoder.response
-    uncertainty = [max(2 * float(error), _LEAST_UNCERTAINTY) for error in last.errors]
+    # The uncertainty is twice the standard error, and at least 0.5 %, as that of the camera's
+    # gamma.
+    uncertainty = [max(2 * float(error), 0.005) for error in last.errors]
     return FoundResponse(
         response,
         exponent(response),
@@ -149,7 +146,7 @@ def find_responses(capture: Capture, settings: EstimateSettings) -> FoundRespons
 def _refuse_other_patterns(capture: Capture) -> None:
     """Refuse patterns from which no gamma of the projector can be found."""
     patterns = capture.patterns
-    hint = "leave out --projector-response auto"
+    hint = 'leave out projector_response="auto"'
     if isinstance(patterns, ColourPatterns):
         raise InputError("the projector's gamma cannot be found from patterns in colour", hint=hint)
     if patterns.as_bits() is not None:
@@ -157,8 +154,7 @@ def _refuse_other_patterns(capture: Capture) -> None:
     if capture.bin_projector != (1, 1):
         raise InputError(
             "grey values are averaged before their light is known",
-            hint="do not bin the projector, or measure its curve with `lightmatrix response "
-            "--projector`",
+            hint="do not bin the projector, or measure its curve with `projector_response`",
         )
     refuse_pictures(capture)
 
@@ -166,5 +162,5 @@ def _refuse_other_patterns(capture: Capture) -> None:
 def _undetermined() -> InputError:
     return InputError(
         "the photographs do not determine the projector's gamma",
-        hint="measure it with `lightmatrix response --projector`",
+        hint="measure it with `projector_response`",
     )

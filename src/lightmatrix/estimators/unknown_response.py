@@ -42,15 +42,6 @@ _SCANNED = tuple(_SCAN_STEP**k for k in range(-1, 6))
 # A curve replaces a gamma if it differs from it by 0.25 % of full light, and one of its bends by
 # eight standard errors. Chosen on simulated captures: gammas stay gammas, sRGB becomes a curve.
 _CURVED, _CERTAIN = 0.0025, 8.0
-# A curve is looked for once the gamma is right to 5 %: the T of a wrong gamma bends in other ways,
-# too.
-_NEAR = 0.05
-# A curve is looked for only if photographs use half of the levels of their files: those of a camera
-# of 12 bits in files of 16 bits use a sixteenth. Chosen by hand.
-_WIDE = 0.5
-# The uncertainty is twice the standard error, and at least 0.5 % of the gamma: on simulated
-# captures the gamma is off by up to that where the standard error is smaller.
-_LEAST_UNCERTAINTY = 0.005
 
 
 @dataclass(frozen=True, eq=False)
@@ -202,15 +193,21 @@ def refined_response(
     if power is None or bends is None:
         return None
     # A curve says nothing of levels that no photograph reaches; a gamma needs no such levels.
-    curves = curves and float(np.max(capture.decoder.clip)) > _WIDE * capture.decoder.full_scale
+    # A curve is looked for only if photographs use half of the levels of their files: those of a
+    # camera of 12 bits in files of 16 bits use a sixteenth. Chosen by hand.
+    curves = curves and float(np.max(capture.decoder.clip)) > 0.5 * capture.decoder.full_scale
     gamma = GammaBend().bent(response, power.sizes)
     curve = SmoothBends().bent(response, bends.sizes)
     # A gamma looks like the first bend, so only the others tell it from a curve.
     certain = float(np.max(np.abs(bends.sizes[1:]) / np.maximum(bends.errors[1:], 1e-12)))
-    near = abs(float(power.sizes[0])) < _NEAR
+    # A curve is looked for once the gamma is right to 5 %: the T of a wrong gamma bends in other
+    # ways, too.
+    near = abs(float(power.sizes[0])) < 0.05
     differs = largest_difference(curve, gamma) > _CURVED and certain > _CERTAIN
     curved |= curves and near and differs
-    uncertainty = max(2 * float(power.errors[0]), _LEAST_UNCERTAINTY)
+    # The uncertainty is twice the standard error, and at least 0.5 % of the gamma: on simulated
+    # captures the gamma is off by up to that where the standard error is smaller.
+    uncertainty = max(2 * float(power.errors[0]), 0.005)
     return Refined(curve if curved else gamma, uncertainty, curved)
 
 

@@ -17,9 +17,6 @@ from lightmatrix.files.reading import read_json
 from lightmatrix.files.writing import atomic_file
 
 _VERSION = 1
-# Points of a curve: no more than a 16-bit camera has levels. Levels are smaller than the second
-# number, which no device reaches.
-_MOST_POINTS, _MOST_LEVEL = 65_536, 1e9
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,7 +53,7 @@ class CurveFile:
             other = str(content.get("device"))[:20]
             raise InputError(
                 f"{file}: is the response of a {other}, not of a {device}",
-                hint="`lightmatrix response` measures cameras, with --projector projectors",
+                hint="`camera_response` measures cameras, `projector_response` projectors",
             )
         levels, light = _numbers(content.get("levels")), _numbers(content.get("light"))
         if levels is None or light is None or not _is_curve(levels, light):
@@ -76,10 +73,11 @@ def _short(values: Sequence[float] | NDArray[np.float64]) -> list[float]:
 
 def _numbers(values: Any) -> NDArray[np.float64] | None:
     """The numbers of a JSON list; None if it is no such list."""
-    if not isinstance(values, list) or not 2 <= len(values) <= _MOST_POINTS:
+    # A 16-bit camera has no more levels than that.
+    if not isinstance(values, list) or not 2 <= len(values) <= 65_536:
         return None
-    # Compared by type, since Python takes True for a number.
-    if any(type(value) not in (int, float) or abs(value) > _MOST_LEVEL for value in values):
+    # Compared by type, since Python takes True for a number; no device reaches a level of 1e9.
+    if any(type(value) not in (int, float) or abs(value) > 1e9 for value in values):
         return None
     return np.array(values, np.float64)
 

@@ -139,8 +139,9 @@ def read_grey(path: str | Path) -> NDArray[np.float32]:
     Examples
     --------
     >>> import lightmatrix as lm
+    >>> from lightmatrix.files.images import read_grey
     >>> lm.write_image("grey.png", np.array([[0, 51, 255]], np.uint8))
-    >>> lm.read_grey("grey.png")
+    >>> read_grey("grey.png")
     array([[0. , 0.2, 1. ]], dtype=float32)
     """
     image = read_image(path)

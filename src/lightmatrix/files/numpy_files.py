@@ -18,12 +18,8 @@ from lightmatrix.errors import InputError
 from lightmatrix.files.reading import regular_file
 from lightmatrix.resources.memory import check_memory
 
-# Bytes of values that are read at once, so that a stream that ends early costs no more memory.
-_READ_AT_ONCE = 1 << 24
 # The compressions that `numpy.savez` and `savez_compressed` write.
 _METHODS = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
-# Members that an archive may have, far more than any of ours has. Each costs a header to be read.
-_MOST_MEMBERS = 1000
 _SUFFIX = ".npy"
 
 
@@ -98,10 +94,10 @@ def as_float32(values: NDArray[Any]) -> NDArray[np.float32]:
 
 def _read_values(stream: IO[bytes], header: NpyHeader) -> NDArray[Any]:
     """The array that follows a header and ends with the stream."""
-    # Filled piece by piece: a stream that ends early must not cost what it announces.
+    # Filled in pieces of 16 MiB: a stream that ends early must not cost what it announces.
     buffer = bytearray()
     while len(buffer) < header.bytes:
-        piece = stream.read(min(_READ_AT_ONCE, header.bytes - len(buffer)))
+        piece = stream.read(min(1 << 24, header.bytes - len(buffer)))
         if not piece:
             raise ValueError("it ends early")
         buffer += piece
@@ -114,7 +110,8 @@ def _read_values(stream: IO[bytes], header: NpyHeader) -> NDArray[Any]:
 
 def _members(archive: zipfile.ZipFile) -> dict[str, zipfile.ZipInfo]:
     entries = archive.infolist()
-    if len(entries) > _MOST_MEMBERS:
+    # Far more than any of ours has; each costs a header to be read.
+    if len(entries) > 1000:
         raise ValueError(f"an archive of {len(entries)} members")
     members = {}
     for entry in entries:

@@ -3,37 +3,220 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.linalg import rq
 
 from lightmatrix.errors import InputError
 from lightmatrix.files.extras import load_opencv
 from lightmatrix.files.kinds import GEOMETRY, GEOMETRY_FORMAT
 from lightmatrix.files.reading import parse_json, read_json, read_text
 from lightmatrix.files.writing import atomic_file
-from lightmatrix.geometry.projection import (
-    Shape,
-    binned,
-    binned_matrix,
-    centre_of,
-    decomposed,
-    distort,
-    distortion,
-    image_shape,
-    normalised,
-    numbers,
-    points_of,
-    points_on_rays,
-    projected,
-    through_lens,
-    undistort,
-)
 from lightmatrix.reprs import jsonable, short_repr
+
+Shape = tuple[int, int]
+Array = NDArray[np.float64]
+
+# Checks of the numbers that a geometry is made of.
+
+
+def points_of(points: ArrayLike, size: int) -> NDArray[np.float64]:
+    """Points as (n, size) float64."""
+    array = np.asarray(points, np.float64)
+    if array.ndim != 2 or array.shape[1] != size:
+        names = "(col, row)" if size == 2 else "(X, Y, Z)"
+        raise InputError(
+            f"points of shape {array.shape}", hint=f"give an array (n, {size}) of {names}"
+        )
+    return array
+
+
+def numbers(values: ArrayLike, shape: tuple[int, ...], what: str) -> NDArray[np.float64]:
+    """An array of finite float64 of a shape."""
+    size = " x ".join(map(str, shape))
+    try:
+        array = np.array(values, np.float64)
+    except (TypeError, ValueError) as error:
+        raise InputError(f"the {what} holds no numbers", hint=f"give {size} numbers") from error
+    if array.shape != shape or not np.isfinite(array).all():
+        raise InputError(
+            f"the {what} has shape {array.shape}, or is not finite",
+            hint=f"give {size} finite numbers",
+        )
+    return array
+
+
+def distortion(values: ArrayLike, device: str) -> NDArray[np.float64]:
+    """Five coefficients; OpenCV leaves out those at the end that are 0."""
+    given = np.ravel(np.asarray(values))
+    if len(given) > 5 and not np.any(given[5:]):
+        given = given[:5]
+    if len(given) > 5:
+        raise InputError(
+            f"the {device}'s distortion has {len(given)} coefficients",
+            hint="calibrate with OpenCV's model of five: k1, k2, p1, p2, k3",
+        )
+    return numbers(np.append(given, np.zeros(5 - len(given))), (5,), f"{device}'s distortion")
+
+
+def image_shape(shape: Any, device: str) -> Shape:
+    """Rows and columns as whole numbers of at least 1."""
+    try:
+        rows, cols = (int(size) for size in shape)
+        whole = (rows, cols) == tuple(shape)
+    except (TypeError, ValueError, OverflowError):
+        rows = cols = 0
+        whole = False
+    if not whole or min(rows, cols) < 1:
+        raise InputError(
+            f"an image size of {shape} of the {device}", hint="give (rows, cols) in pixels"
+        )
+    return rows, cols
+
+
+# Lens distortion, after Brown (1971), with OpenCV's five coefficients.
+#
+# A point at (x, y) on the plane of distance 1 in front of an ideal lens, r^2 = x^2 + y^2, is seen
+# at
+#
+# x' = x (1 + k1 r^2 + k2 r^4 + k3 r^6) + 2 p1 x y + p2 (r^2 + 2 x^2)
+# y' = y (1 + k1 r^2 + k2 r^4 + k3 r^6) + p1 (r^2 + 2 y^2) + 2 p2 x y
+
+
+def distort(points: NDArray[np.float64], lens: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Where points (n, 2) as (x, y) on the plane of distance 1 are seen through the lens (5,)."""
+    if not lens.any():
+        return points
+    return _seen(points, lens)[0]
+
+
+def undistort(points: NDArray[np.float64], lens: NDArray[np.float64]) -> NDArray[np.float64]:
+    """The points (n, 2) that the lens (5,) shows at `points`, by Newton's method.
+
+    NaN where there is none, as beyond the field of view of a barrel distortion.
+    """
+    if not lens.any():
+        return points
+    ideal = points.copy()
+    # Overflow and singular steps end as NaN.
+    with np.errstate(all="ignore"):
+        # Each step doubles the correct digits, so that strong distortions converge in about six.
+        for _ in range(12):
+            seen, (xx, xy, yx, yy) = _seen(ideal, lens)
+            dx, dy = (points - seen).T
+            determinant = xx * yy - xy * yx
+            step = np.column_stack([yy * dx - xy * dy, xx * dy - yx * dx]) / determinant[:, None]
+            ideal = ideal + step
+            if not (np.abs(step) > 1e-9).any():
+                break
+        error, (xx, xy, yx, yy) = _seen(ideal, lens)
+        # The lens leads back to within a thousandth of a pixel at a focal length of 10,000 pixels.
+        # Where the determinant is negative, it has folded the image over.
+        good = np.abs(error - points).max(axis=1) < 1e-7
+        good &= (xx * yy - xy * yx > 0) & (xx + yy > 0)
+    return np.where(good[:, None], ideal, np.nan)
+
+
+def through_lens(
+    bend: Callable[[Array, Array], Array],
+    points: ArrayLike,
+    intrinsics: NDArray[np.float64],
+    lens: NDArray[np.float64],
+) -> NDArray[np.float64]:
+    """Pixels (n, 2) after a lens function that works on the plane of distance 1."""
+    pixels = points_of(points, 2)
+    if not lens.any():
+        return pixels
+    inverse = np.linalg.inv(intrinsics)
+    plane = bend(pixels @ inverse[:2, :2].T + inverse[:2, 2], lens)
+    return np.asarray(plane @ intrinsics[:2, :2].T + intrinsics[:2, 2])
+
+
+def _seen(
+    points: NDArray[np.float64], lens: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], tuple[NDArray[np.float64], ...]]:
+    """Distorted points and the four derivatives dx'/dx, dx'/dy, dy'/dx, dy'/dy."""
+    k1, k2, p1, p2, k3 = lens
+    x, y = points.T
+    square = x * x + y * y
+    radial = 1 + square * (k1 + square * (k2 + square * k3))
+    # Derivative of `radial` by the square of the radius.
+    slope = k1 + square * (2 * k2 + square * 3 * k3)
+    seen = np.column_stack(
+        [
+            x * radial + 2 * p1 * x * y + p2 * (square + 2 * x * x),
+            y * radial + p1 * (square + 2 * y * y) + 2 * p2 * x * y,
+        ]
+    )
+    mixed = 2 * x * y * slope + 2 * p1 * x + 2 * p2 * y
+    xx = radial + 2 * x * x * slope + 2 * p1 * y + 6 * p2 * x
+    yy = radial + 2 * y * y * slope + 6 * p1 * y + 2 * p2 * x
+    return seen, (xx, mixed, mixed, yy)
+
+
+# Projection matrices: their scale, and the lens, rotation and place that they consist of.
+
+
+def normalised(matrix: ArrayLike, device: str) -> NDArray[np.float64]:
+    """A projection matrix (3, 4) scaled so that its third row gives the distance along the axis."""
+    whole = numbers(matrix, (3, 4), f"{device}'s projection matrix")
+    values = np.linalg.svd(whole[:, :3], compute_uv=False)
+    # A device at an infinite distance has no depth.
+    if not values[-1] > 1e-12 * values[0]:
+        raise InputError(
+            f"the {device}'s projection matrix has no centre: its left 3 x 3 part is singular",
+            hint="give the matrix of a perspective camera, K [R | t]",
+        )
+    # The determinant of K R is positive, so its sign tells front from back.
+    return whole * (np.sign(np.linalg.det(whole[:, :3])) / np.linalg.norm(whole[2, :3]))
+
+
+def decomposed(
+    matrix: NDArray[np.float64],
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+    """K (3, 3), R (3, 3) and t (3,) of a normalised projection matrix K [R | t]."""
+    intrinsics, rotation = rq(matrix[:, :3])
+    signs = np.where(np.diag(intrinsics) < 0, -1.0, 1.0)
+    intrinsics, rotation = intrinsics * signs, rotation * signs[:, None]
+    translation = np.linalg.solve(intrinsics, matrix[:, 3])
+    return intrinsics / intrinsics[2, 2], rotation, translation * intrinsics[2, 2]
+
+
+def centre_of(matrix: NDArray[np.float64]) -> NDArray[np.float64]:
+    """The centre (3,) of a device: the point that it projects nowhere."""
+    return np.asarray(np.linalg.solve(matrix[:, :3], -matrix[:, 3]))
+
+
+def binned_matrix(
+    matrix: NDArray[np.float64], block: tuple[float, float], corner: Shape = (0, 0)
+) -> NDArray[np.float64]:
+    """The matrix (3, ...) for pixels cut from a corner (row, col), then binned by a block.
+
+    The centre of the first block of b pixels lies at (b - 1) / 2, so that pixel centres stay at
+    whole numbers. A block of 1 / n divides each pixel into n.
+    """
+    (down, across), (row, col) = block, corner
+    change = np.array(
+        [
+            [1 / across, 0, ((1 - across) / 2 - col) / across],
+            [0, 1 / down, ((1 - down) / 2 - row) / down],
+            [0, 0, 1],
+        ]
+    )
+    return change @ matrix
+
+
+def projected(matrix: NDArray[np.float64], points: ArrayLike) -> NDArray[np.float64]:
+    """Undistorted pixels (n, 2) as (col, row) of points (n, 3); NaN behind the device."""
+    image = points_of(points, 3) @ matrix[:, :3].T + matrix[:, 3]
+    with np.errstate(all="ignore"):
+        return np.where(image[:, 2:] > 0, image[:, :2] / image[:, 2:], np.nan)
+
 
 # Files of a rig's geometry: our own, in JSON, and those of OpenCV's FileStorage.
 
@@ -60,23 +243,6 @@ _NAMES = {
     "rms": "rms stereoerror stereorms rmsstereo",
 }
 _NEEDED = ("camera_intrinsics", "projector_intrinsics", "rotation", "translation")
-_FIELDS = {
-    "camera_matrix",
-    "projector_matrix",
-    "camera_shape",
-    "projector_shape",
-    "camera_distortion",
-    "projector_distortion",
-    "units",
-    "rms",
-}
-
-
-def write_geometry(path: Path, content: dict[str, Any], *, overwrite: bool) -> None:
-    """Write the fields of a geometry as a JSON file."""
-    whole = {"format": GEOMETRY_FORMAT, "version": VERSION, **content}
-    with atomic_file(path, GEOMETRY, overwrite=overwrite) as temporary:
-        temporary.write_text(json.dumps(whole, indent=2) + "\n", encoding="utf-8")
 
 
 def read_geometry(
@@ -87,8 +253,13 @@ def read_geometry(
     start = text.lstrip()[:64]
     if start.startswith("{") and "opencv-matrix" not in text:
         content = parse_json(text, str(file))
-        if not (isinstance(content, dict) and not content.get("format") and _known(content)):
-            return _own(file)
+        known = " ".join(_NAMES.values()).split()
+        if (
+            not isinstance(content, dict)
+            or content.get("format")
+            or not any(_plain(name) in known for name in content)
+        ):
+            return checked_fields(read_json(file, GEOMETRY_FORMAT, VERSION), str(file))
         values = {name: _array(value) for name, value in content.items()}
     elif start.startswith(("<?xml", "<opencv_storage", "%YAML", "---", "{")):
         values = _opencv_values(file, text)
@@ -97,34 +268,26 @@ def read_geometry(
     return _arguments(file, values, camera_shape, projector_shape)
 
 
-def _own(file: Path) -> dict[str, Any]:
-    """The fields in a file of our own."""
-    return checked_fields(read_json(file, GEOMETRY_FORMAT, VERSION), str(file))
-
-
 def checked_fields(content: Any, file: str) -> dict[str, Any]:
     """The fields of a geometry in an object of JSON, in which others are ignored."""
     if not isinstance(content, dict):
         raise InputError(f"{file}: holds no geometry of a rig", hint="write it again")
-    fields = {name: value for name, value in content.items() if name in _FIELDS}
-    missing = sorted(_FIELDS - {"units", "rms"} - set(fields))
+    names = set(RigGeometry.__dataclass_fields__)
+    fields = {name: value for name, value in content.items() if name in names}
+    missing = sorted(names - {"units", "rms"} - set(fields))
     if missing:
         raise InputError(
             f"{file}: lacks {', '.join(missing)}",
             hint="write it again with `lightmatrix calibrate`",
         )
     units, rms = fields.get("units"), fields.get("rms", {})
-    if not isinstance(units, str | None) or not _is_numbers(rms):
+    named = isinstance(rms, dict) and all(type(value) in (int, float) for value in rms.values())
+    if not isinstance(units, str | None) or not named:
         raise InputError(
             f'{file}: "units" is no text, or "rms" holds no numbers',
             hint="write it again with `lightmatrix calibrate`",
         )
     return fields
-
-
-def _is_numbers(rms: Any) -> bool:
-    """Whether this is an object whose values are numbers."""
-    return isinstance(rms, dict) and all(type(value) in (int, float) for value in rms.values())
 
 
 def _not_a_geometry(file: Path) -> InputError:
@@ -137,12 +300,6 @@ def _not_a_geometry(file: Path) -> InputError:
 
 def _plain(name: str) -> str:
     return name.lower().replace("_", "").replace("-", "")
-
-
-def _known(content: dict[str, Any]) -> bool:
-    """Whether an object of JSON names at least one thing that a calibration holds."""
-    known = " ".join(_NAMES.values()).split()
-    return any(_plain(name) in known for name in content)
 
 
 def _array(value: Any) -> NDArray[Any] | None:
@@ -212,11 +369,6 @@ def _arguments(
     return found
 
 
-# Camera and projector stand apart if their centres differ by more than this share of their larger
-# distance to the origin; less is rounding.
-_LEAST_BASELINE = 1e-9
-
-
 @dataclass(frozen=True, eq=False)
 class RigGeometry:
     """The geometry of a projector-camera rig.
@@ -277,8 +429,9 @@ class RigGeometry:
             object.__setattr__(self, f"{device}_matrix", matrix)
             object.__setattr__(self, f"{device}_distortion", lens)
             object.__setattr__(self, f"{device}_shape", shape)
+        # Less than 1e-9 of the distance to the origin is rounding.
         centres = np.stack([centre_of(self.camera_matrix), centre_of(self.projector_matrix)])
-        if np.linalg.norm(centres[1] - centres[0]) <= _LEAST_BASELINE * np.abs(centres).max():
+        if np.linalg.norm(centres[1] - centres[0]) <= 1e-9 * np.abs(centres).max():
             raise InputError(
                 "camera and projector have the same centre, so depth cannot be measured",
                 hint="check that the two projection matrices differ and share one world frame",
@@ -311,13 +464,8 @@ class RigGeometry:
         RigGeometry
             Errors are those of the class.
         """
-        return cls(
-            np.asarray(camera),
-            np.asarray(projector),
-            camera_shape,
-            projector_shape,
-            units=units,
-        )
+        whole = np.asarray(camera), np.asarray(projector)
+        return cls(*whole, camera_shape, projector_shape, units=units)
 
     @classmethod
     def from_intrinsics(
@@ -483,8 +631,19 @@ class RigGeometry:
                 f"{len(seen)} camera pixels and {len(lit)} projector pixels",
                 hint="give one projector pixel for each camera pixel",
             )
-        centre, rays = self.camera_centre, self.camera_rays(seen)
-        points = points_on_rays(centre, rays, self.projector_matrix, lit)
+        # The image of a ray on the projector is a + s b for the depth s.
+        centre, rays, matrix = self.camera_centre, self.camera_rays(seen), self.projector_matrix
+        a = matrix @ np.append(centre, 1)
+        b = rays @ matrix[:, :3].T
+        line = np.cross(a, b)
+        with np.errstate(all="ignore"):
+            away = (lit * line[:, :2]).sum(axis=1) + line[:, 2]
+            foot = lit - (away / (line[:, :2] ** 2).sum(axis=1))[:, None] * line[:, :2]
+            # (a + s b) is a multiple of (foot, 1): two equations for s, both exact.
+            left = b[:, :2] - foot * b[:, 2:]
+            right = foot * a[2] - a[:2]
+            depth = (left * right).sum(axis=1) / (left**2).sum(axis=1)
+            points = centre + depth[:, None] * rays
         return np.where(np.isfinite(points).all(axis=1, keepdims=True), points, np.nan)
 
     def depth(self, points: ArrayLike) -> NDArray[np.float64]:
@@ -510,15 +669,19 @@ class RigGeometry:
         InputError
             If a block is smaller than 1 pixel or larger than the image.
         """
-        seen = binned(self.camera_matrix, self.camera_shape, camera, "camera")
-        lit = binned(self.projector_matrix, self.projector_shape, projector, "projector")
-        return replace(
-            self,
-            camera_matrix=seen[0],
-            camera_shape=seen[1],
-            projector_matrix=lit[0],
-            projector_shape=lit[1],
-        )
+        changed: dict[str, Any] = {}
+        for device, factor in (("camera", camera), ("projector", projector)):
+            shape = getattr(self, f"{device}_shape")
+            block = (factor, factor) if isinstance(factor, int) else factor
+            small = (shape[0] // max(block[0], 1), shape[1] // max(block[1], 1))
+            if min(block) < 1 or min(small) < 1:
+                raise InputError(
+                    f"{device} blocks of {block[0]} x {block[1]} pixels of {shape[0]} x {shape[1]}",
+                    hint="use blocks of at least 1 pixel that fit into the image",
+                )
+            changed[f"{device}_shape"] = small
+            changed[f"{device}_matrix"] = binned_matrix(getattr(self, f"{device}_matrix"), block)
+        return replace(self, **changed)
 
     def cropped(self, corner: Shape, shape: Shape) -> RigGeometry:
         """The geometry for photographs of which a rectangle from corner (row, col) is cut out."""
@@ -540,7 +703,9 @@ class RigGeometry:
         OutputError
             If the file exists and `overwrite` is not set, or cannot be written.
         """
-        write_geometry(Path(path), self.as_dict(), overwrite=overwrite)
+        content = {"format": GEOMETRY_FORMAT, "version": VERSION, **self.as_dict()}
+        with atomic_file(path, GEOMETRY, overwrite=overwrite) as part:
+            part.write_text(json.dumps(content, indent=2) + "\n", encoding="utf-8")
 
     @classmethod
     def load(

@@ -1,4 +1,4 @@
-"""How far to trust an estimate: `lm.verdict` judges T, `lm.verdicts` its uses as well.
+"""How far to trust an estimate: `verdict` judges T, `lm.verdicts` its uses as well.
 
 T is judged by the errors that an estimate states of its own rows. Photographs held out of an
 estimate do not show what is wrong with all photographs alike, nor what none of them shows. The
@@ -11,7 +11,7 @@ different questions: stripes settle the first where they say nothing of the othe
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Iterator, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, Literal, Self
@@ -86,7 +86,8 @@ class Verdict:
     Examples
     --------
     >>> import lightmatrix as lm
-    >>> print(lm.Verdict("good", 0.012, ("100 % of the rows converged.",)))
+    >>> from lightmatrix.judgement.judgement import Verdict
+    >>> print(Verdict("good", 0.012, ("100 % of the rows converged.",)))
     Good. Estimated error of T: 1.2 %. 100 % of the rows converged.
     """
 
@@ -201,7 +202,8 @@ def verdict(transport: LightTransport) -> Verdict:
     Examples
     --------
     >>> import lightmatrix as lm
-    >>> print(lm.verdict(lm.truth("metal").transport()))
+    >>> from lightmatrix.judgement.judgement import verdict
+    >>> print(verdict(lm.truth("metal").transport()))
     Not tested. The matrix has no diagnostics.
     """
     return verdict_by_rows(transport).with_findings(stored_findings(transport))
@@ -347,11 +349,6 @@ class OwnError:
     transport: LightTransport
 
     @cached_property
-    def doubts(self) -> list[str]:
-        """Why no error of T can be stated, in sentences; none for most estimates."""
-        return [*self._doubts()]
-
-    @cached_property
     def stated(self) -> float | None:
         """The relative error of T that the estimate states.
 
@@ -390,34 +387,37 @@ class OwnError:
         total = float(self._energies.sum())
         return float(self._energies[bounded > 0].sum()) / total if bounded.size and total else 0.0
 
-    def _doubts(self) -> Iterator[str]:
-        transport = self.transport
+    @cached_property
+    def doubts(self) -> list[str]:
+        """Why no error of T can be stated, in sentences; none for most estimates."""
+        transport, doubts = self.transport, list[str]()
         light = np.asarray(transport.sparse.sum(axis=1), float).ravel()
         light = light + transport.background.sum(axis=1, dtype=float)
         constant = _mean(_diagnostic(transport, "constant_light"), light)
         if constant > DOUBTFUL.constant:
-            yield (
+            doubts.append(
                 f"About {100 * constant:.0f} % of the light does not follow the patterns: an "
                 "electronic pedestal, light of the room, or a projector whose black is not dark. "
                 "Take a photograph under a black pattern, and state it as the black frame."
             )
         if _mean(_diagnostic(transport, "bend"), self._energies) < DOUBTFUL.bent:
-            yield (
+            doubts.append(
                 "Bright samples are darker than T predicts: the camera does not seem linear in "
                 "light. State its response, or take raw photographs."
             )
         glints = _glints(transport)
         if glints:
             pixels = "1 camera sample clips" if glints == 1 else f"{glints} camera samples clip"
-            yield (
+            doubts.append(
                 f"{pixels} in most photographs, and none shows how bright it is: a glint, or a "
                 "hot pixel. Mask it, or add photographs of shorter exposure."
             )
         elif self._bounded_share > DOUBTFUL.bounded:
-            yield (
+            doubts.append(
                 "Most of the light comes from camera pixels that clip whenever the projector pixel "
                 "that they see is lit. Add photographs of shorter exposure."
             )
+        return doubts
 
 
 def _glints(transport: LightTransport) -> int:

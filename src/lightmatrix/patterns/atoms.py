@@ -21,11 +21,6 @@ from lightmatrix.errors import InputError
 from lightmatrix.patterns.pattern_set import PatternSet
 from lightmatrix.resources.threads import computed_once
 
-# Standard deviations that a kernel reaches to each side; beyond lies 0.3 % of a Gaussian.
-_REACH = 3.0
-# Pixels of a spot are left out if they are fainter than this share of its middle. Chosen by hand:
-# smaller values store more non-zeros, larger ones change the shape of the spot.
-_FAINTEST = 1e-3
 # Rows whose spots become pixels at a time, which bounds memory: the widest spot has 500 pixels.
 _EXPANDED_ROWS = 4096
 
@@ -166,7 +161,9 @@ class AtomPatterns(PatternSet):
         spot = self.spots[plane]
         both = np.concatenate([spot[:0:-1], spot])
         whole = np.outer(both, both)
-        down, right = np.nonzero(whole >= _FAINTEST)
+        # Pixels of a spot are left out if they are fainter than this share of its middle. Chosen by
+        # hand: smaller values store more non-zeros, larger ones change the shape of the spot.
+        down, right = np.nonzero(whole >= 1e-3)
         # A spot at the border is as bright as one in the middle, and loses what lies beyond.
         light = whole[down, right] / np.float32(whole[down, right].sum())
         row = pixels[:, None] // self.shape[1] + (down - len(spot) + 1)
@@ -200,6 +197,7 @@ class AtomPatterns(PatternSet):
 
 
 def _kernel(size: float) -> NDArray[np.float32]:
-    offsets = np.arange(int(_REACH * size + 0.5) + 1)
+    # Standard deviations that a kernel reaches to each side; beyond lies 0.3 % of a Gaussian.
+    offsets = np.arange(int(3.0 * size + 0.5) + 1)
     kernel = np.exp(-0.5 * (offsets / size) ** 2) if size > 0 else np.ones(1)
     return np.asarray(kernel / (2 * kernel.sum() - kernel[0]), np.float32)

@@ -16,10 +16,6 @@ from lightmatrix.patterns.pattern_set import ImagePatterns, PatternSet
 from lightmatrix.ranges import check_seed
 from lightmatrix.reprs import short_repr
 
-# Grey patterns before the coloured ones, unless stated: half of all, at most 16. From 16 on they
-# show where each camera pixel looks; below 12 they often do not (docs/colour.md).
-MOST_GREY = 16
-
 
 @dataclass(frozen=True, eq=False)
 class ColourPatterns(PatternSet):
@@ -179,7 +175,9 @@ def colour_bernoulli(
     (16, 32)
     """
     check_seed(seed)
-    alike = min(count // 2, MOST_GREY) if grey is None else grey
+    # Grey patterns before the coloured ones, unless stated: half of all, at most 16. From 16 on
+    # they show where each camera pixel looks; below 12 they often do not (docs/colour.md).
+    alike = min(count // 2, 16) if grey is None else grey
     if not 0 <= alike < count:
         raise InputError(
             f"{alike} grey patterns of {count}", hint="leave one at least that is in colour"

@@ -42,7 +42,8 @@ class HadamardPatterns(PatternSet):
     Examples
     --------
     >>> import lightmatrix as lm
-    >>> lm.HadamardPatterns((2, 2), count=4).dense()
+    >>> from lightmatrix.patterns.hadamard import HadamardPatterns
+    >>> HadamardPatterns((2, 2), count=4).dense()
     array([[1., 1., 1., 1.],
            [1., 0., 1., 0.],
            [1., 1., 0., 0.],

@@ -98,8 +98,9 @@ class MixedPatterns(BinaryPatterns):
     Examples
     --------
     >>> import lightmatrix as lm
+    >>> from lightmatrix.patterns.mix import MixedPatterns
     >>> mix = (((16, 16), 0.75), ((4, 4), 0.25))
-    >>> lm.MixedPatterns((16, 16), count=8, mix=mix).kinds
+    >>> MixedPatterns((16, 16), count=8, mix=mix).kinds
     array([0, 0, 1, 0, 0, 0, 1, 0])
     """
 

@@ -75,8 +75,6 @@ def check_grid(shape: tuple[int, int], grid: tuple[int, int]) -> None:
 NEAR = 1
 # Values that differ by less than 2 % are the same.
 SAME = 0.02
-# Mixtures of values that differ by less than this share are the same but for rounding.
-_ROUNDING = 1e-9
 
 
 def varying_axes(images: Iterable[NDArray[np.float32]]) -> tuple[bool, bool]:
@@ -103,7 +101,8 @@ def of_surroundings(mixed: NDArray[np.float64]) -> NDArray[np.float64]:
 def groups(mixed: NDArray[np.float64]) -> NDArray[np.int64]:
     """The number of each pixel's group of pixels of the same mixture, (N,)."""
     order = np.argsort(mixed, kind="stable")
-    step = np.diff(mixed[order]) >= _ROUNDING * max(1.0, float(np.abs(mixed).max()))
+    # Mixtures of values that differ by less than this share are the same but for rounding.
+    step = np.diff(mixed[order]) >= 1e-9 * max(1.0, float(np.abs(mixed).max()))
     group = np.empty(len(mixed), np.int64)
     group[order] = np.concatenate([[0], np.cumsum(step)])
     return group
@@ -133,8 +132,6 @@ _CHUNK_BYTES = 64 << 20
 # Correlations take at most 64 MiB at a time where the fast product is that with all pixels, and are
 # those of 8192 pixels at a time, which caches hold, where it is one of matrices. Chosen by hand.
 _CORRELATION_BYTES, _PIXELS_AT_ONCE = 64 << 20, 1 << 13
-# The most pixels of a projector: sparse matrices number them in 32 bits.
-_MOST_PIXELS = 2**31 - 1
 # The most patterns of a set. Nobody takes so many photographs; a larger number is a typing error.
 _MOST_PATTERNS = 1_000_000
 
@@ -390,7 +387,8 @@ def check_geometry(shape: tuple[int, int], count: int) -> None:
     """Refuse projectors without pixels and sets without patterns."""
     if len(shape) != 2 or min(shape) < 1:
         raise InputError(f"a projector of shape {shape}", hint="give (rows, cols), both at least 1")
-    if shape[0] * shape[1] > _MOST_PIXELS:
+    # The most pixels of a projector: sparse matrices number them in 32 bits.
+    if shape[0] * shape[1] >= 2**31:
         raise InputError(
             f"a projector of {shape[0]} x {shape[1]} pixels", hint="2147483647 in all is the most"
         )

@@ -16,9 +16,6 @@ from lightmatrix.files.curve_file import CurveFile
 from lightmatrix.patterns.colour import ColourPatterns
 from lightmatrix.patterns.pattern_set import ImagePatterns, PatternSet
 
-# Grey values darker than this share of white do not count for the exponent, since noise is a large
-# part of their light. Chosen by hand.
-_FAINT = 0.02
 # The grey value of white.
 _WHITE = 255
 
@@ -66,7 +63,9 @@ class ProjectorResponse:
         grey, share = np.asarray(levels), np.asarray(light, np.float64)
         share = (share - share[0]) / (share[-1] - share[0])
         share = np.maximum.accumulate(np.clip(share, 0, 1))
-        used = (share > _FAINT) & (share < 1)
+        # Grey values darker than this share of white do not count for the exponent, since noise is
+        # a large part of their light. Chosen by hand.
+        used = (share > 0.02) & (share < 1)
         log_light, log_grey = np.log(share[used]), np.log(grey[used] / _WHITE)
         gamma = 1.0
         if used.any():

@@ -162,7 +162,8 @@ class GrayCodePatterns(StripePatterns):
     Examples
     --------
     >>> import lightmatrix as lm
-    >>> patterns = lm.GrayCodePatterns((4, 8), inverse=True)
+    >>> from lightmatrix.patterns.stripes import GrayCodePatterns
+    >>> patterns = GrayCodePatterns((4, 8), inverse=True)
     >>> patterns.count, patterns.images()[4, 0].tolist()
     (12, [0.0, 1.0, 1.0, 0.0, 0.0, 1.0, 1.0, 0.0])
     """
@@ -225,7 +226,8 @@ class PhasePatterns(StripePatterns):
     Examples
     --------
     >>> import lightmatrix as lm
-    >>> lm.PhasePatterns((16, 32), inverse=True).count
+    >>> from lightmatrix.patterns.stripes import PhasePatterns
+    >>> PhasePatterns((16, 32), inverse=True).count
     18
     """
 
@@ -299,7 +301,8 @@ class MicroPhasePatterns(StripePatterns):
     Examples
     --------
     >>> import lightmatrix as lm
-    >>> lm.MicroPhasePatterns((48, 64), period=8).count
+    >>> from lightmatrix.patterns.stripes import MicroPhasePatterns
+    >>> MicroPhasePatterns((48, 64), period=8).count
     14
     """
 

@@ -165,7 +165,7 @@ def _fitted(pattern: NDArray[Any], transport: Relit, resize: bool) -> NDArray[An
     if not resize:
         raise InputError(
             f"a pattern of shape {pattern.shape} for a projector of {wanted[0]} x {wanted[1]}",
-            hint="resize it with --resize, or resize=True",
+            hint="resize it (resize=True)",
         )
     # Shrinking averages over pixels, which keeps the light; enlarging is bilinear.
     shrinks = pattern.shape[0] >= wanted[0] and pattern.shape[1] >= wanted[1]

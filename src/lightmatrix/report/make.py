@@ -120,7 +120,7 @@ def _about_prediction(facts: Facts) -> list[str]:
     return [
         f"{error} Check that the frames follow the patterns, that they are linear in light and "
         f"that the camera did not move. If so, take twice the patterns ({2 * count}), or average "
-        "projector pixels (--bin-projector 2)."
+        "projector pixels (bin_projector=2)."
     ]
 
 
@@ -130,7 +130,7 @@ def _about_convergence(facts: Facts) -> list[str]:
         return []
     return [
         f"{percent(1 - float(np.mean(converged)))} of the rows reached the iteration limit. Raise "
-        "it with --iterations."
+        "the number of iterations."
     ]
 
 
@@ -140,7 +140,7 @@ def _about_the_rig(facts: Facts) -> list[str]:
     if facts.dark_share > _DARK:
         sentences.append(
             f"{percent(facts.dark_share)} of the camera pixels hardly see the projector. A mask "
-            "(--mask), or a camera that sees only the lit part, saves their time."
+            "of them, or a camera that sees only the lit part, saves their time."
         )
     if has_diagnostic(transport, "footprint"):
         size = float(np.nanmedian(transport.diagnostics["footprint"]))

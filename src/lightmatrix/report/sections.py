@@ -175,7 +175,7 @@ def _triangulated(transport: LightTransport, geometry: RigGeometry | None) -> tu
             Text(
                 "With the geometry of the rig, T gives the shape of the scene: "
                 "`lightmatrix calibrate` measures it, `lightmatrix triangulate` uses it, and "
-                "`--geometry` shows depth and normals here."
+                "a report that is given this geometry shows depth and normals here."
             ),
         )
     shape = triangulate(transport, geometry)

@@ -28,8 +28,14 @@ from lightmatrix.rig.photograph import (
 )
 from lightmatrix.rig.rig import ProjectedPatterns, Rig, UnfitRigError
 from lightmatrix.rig.rig_measurements import RigMeasurements, measure_rig
-from lightmatrix.uses.compensation import Compensation, Compensator, compensator
-from lightmatrix.uses.images import Picture, wanted_samples, write_shown
+from lightmatrix.uses.compensation import (
+    Compensation,
+    Compensator,
+    Picture,
+    compensator,
+    wanted_samples,
+    write_shown,
+)
 from lightmatrix.uses.loading import Transport
 
 USUAL_STEPS = 3

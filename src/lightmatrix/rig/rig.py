@@ -181,7 +181,13 @@ def open_rig(
                 hint="give a rig, virtual:l_objects, or a projector and a camera; "
                 "`lightmatrix rig list` names those that are there",
             )
-        opened = _real(projector, camera)
+        # The camera comes first: if another program has it, no window flashes up.
+        first = open_camera(camera)
+        try:
+            opened = Rig(open_projector(projector), first, lambda: open_camera(camera))
+        except BaseException:
+            first.close()
+            raise
     elif projector is not None or camera is not None:
         raise InputError(
             "a rig and a projector or a camera",
@@ -191,16 +197,6 @@ def open_rig(
         opened = _virtual(rig if isinstance(rig, VirtualSettings) else parse_settings(rig))
     opened.patience = patience
     return opened
-
-
-def _real(projector: str, camera: str) -> Rig:
-    # The camera comes first: if another program has it, no window flashes up.
-    opened = open_camera(camera)
-    try:
-        return Rig(open_projector(projector), opened, lambda: open_camera(camera))
-    except BaseException:
-        opened.close()
-        raise
 
 
 def _virtual(settings: VirtualSettings) -> Rig:

@@ -1,15 +1,28 @@
-"""`lm.calibrate_rig`: the geometry of a rig from captures of a board in several poses."""
+"""The geometry of a rig, from captures of a board (`calibrate_rig`) or of any scene.
+
+A board: the projector sees nothing, but each camera pixel knows the projector pixel that lights it.
+Around a corner the board is flat and the lenses are straight enough, so that one homography leads
+from the camera to the projector (Moreno & Taubin 2012). Fitted to many pixels, it takes the corner
+along to a fraction of a pixel. The projector then counts as a second camera (Zhang 2000).
+
+Any scene that is not flat (`self_calibrate`): the matches of camera and projector pixels give the
+fundamental matrix F, with seven numbers. If the camera's K is known, six of them are the
+projector's focal length, its rotation and the direction in which it stands; how far away it stands,
+and so the size of the scene, cannot be known.
+"""
 
 from __future__ import annotations
 
 import warnings
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
+from scipy.optimize import least_squares
+from scipy.spatial.transform import Rotation
 
 from lightmatrix.capture.capture import Capture, open_capture
 from lightmatrix.errors import InputError, LightMatrixWarning
@@ -17,15 +30,99 @@ from lightmatrix.estimators.estimate import estimate
 from lightmatrix.files.extras import load_opencv
 from lightmatrix.files.kinds import GEOMETRY
 from lightmatrix.files.writing import check_output
+from lightmatrix.geometry.matches import fit_fundamental, fit_homography, moved, sampson
 from lightmatrix.geometry.rig_geometry import RigGeometry
 from lightmatrix.patterns.stripes import stripes_of
 from lightmatrix.ranges import check_number
 from lightmatrix.reprs import short_repr
-from lightmatrix.shape.board import BoardCorners, find_corners, light_corners
 from lightmatrix.shape.decode import decode, find_codes
 from lightmatrix.transport.correspondence import Correspondence, correspondence
+from lightmatrix.transport.matrix import LightTransport
+from lightmatrix.transport.store import open_matches
 
-# What calibration needs of a capture: its white image, and the projector pixel each pixel sees.
+Shape = tuple[int, int]
+Progress = Callable[[int, int], None]
+
+
+# The corners of a board in the camera's image, and the projector pixels that light them.
+
+
+@dataclass(frozen=True, eq=False)
+class BoardCorners:
+    """The inner corners (n, 2) of a board, in the order of its rows, as (col, row)."""
+
+    # In the camera's image.
+    camera: NDArray[np.float64]
+    # The projector pixels that light them; NaN where too few pixels around a corner see them.
+    projector: NDArray[np.float64]
+
+    @property
+    def lit(self) -> NDArray[np.bool_]:
+        """The corners whose projector pixel is known, (n,)."""
+        return np.asarray(np.isfinite(self.projector).all(axis=1))
+
+
+def find_corners(white: NDArray[np.float64], board: Shape) -> NDArray[np.float64] | None:
+    """The inner corners (n, 2) of a board of (corners across, down) in a white image, or None."""
+    cv2 = load_opencv("finding a board", "shape")
+    # This quantile becomes white, so that glare does not make the board dark.
+    level = max(float(np.quantile(white, 0.98)), 1e-12)
+    image = np.rint(255 * np.clip(white / level, 0, 1)).astype(np.uint8)
+    flags = cv2.CALIB_CB_ADAPTIVE_THRESH | cv2.CALIB_CB_NORMALIZE_IMAGE
+    try:
+        good, corners = cv2.findChessboardCorners(image, board, flags=flags)
+        if not good:
+            # Slower, and finds boards that are blurred or unevenly lit.
+            flags = cv2.CALIB_CB_NORMALIZE_IMAGE | cv2.CALIB_CB_EXHAUSTIVE
+            good, corners = cv2.findChessboardCornersSB(image, board, flags=flags)
+    except cv2.error:
+        # Images of a few pixels are too small for OpenCV's thresholds.
+        return None
+    if not good:
+        return None
+    places = np.asarray(corners, np.float32).reshape(-1, 1, 2)
+    # The window in which a corner is refined reaches a seventh of a square: larger ones average the
+    # bend of the lens, smaller ones the camera's noise.
+    reach = int(np.clip(0.14 * _side_of(places[:, 0], board), 2, 11))
+    criteria = (cv2.TERM_CRITERIA_COUNT + cv2.TERM_CRITERIA_EPS, 100, 1e-3)
+    refined = cv2.cornerSubPix(image, places, (reach, reach), (-1, -1), criteria)
+    return np.asarray(refined, np.float64).reshape(-1, 2)
+
+
+def _side_of(corners: NDArray[np.floating], board: Shape) -> float:
+    """Median side of the board's squares in the image, in pixels."""
+    across, down = board
+    grid = corners.reshape(down, across, 2)
+    return float(np.median(np.linalg.norm(np.diff(grid, axis=1), axis=2)))
+
+
+def light_corners(
+    corners: NDArray[np.float64], matches: Correspondence, board: Shape
+) -> BoardCorners:
+    """The projector pixels of corners (n, 2), by a homography around each."""
+    # On the five poses of a real board, windows from 12 to 30 pixels gave the same corners to 0.01
+    # pixels.
+    reach = int(np.clip(0.4 * _side_of(corners, board), 4, 30))
+    known = np.asarray(np.isfinite(matches.place).all(axis=2))
+    weight = np.where(known, matches.confidence, 0).astype(np.float64)
+    if matches.uncertainty is not None:
+        with np.errstate(invalid="ignore", divide="ignore"):
+            weight = np.where(known, 1 / (matches.uncertainty**2).sum(axis=2), 0)
+    projector = np.full_like(corners, np.nan)
+    for number, corner in enumerate(corners):
+        col, row = np.rint(corner).astype(int)
+        rows = slice(max(row - reach, 0), row + reach + 1)
+        cols = slice(max(col - reach, 0), col + reach + 1)
+        use = known[rows, cols] & (weight[rows, cols] > 0)
+        if use.sum() < max(16, 0.3 * (2 * reach + 1) ** 2):
+            continue
+        at = np.argwhere(use) + np.array([rows.start, cols.start])
+        target = matches.place[rows, cols][use].astype(np.float64)
+        matrix = fit_homography(
+            at[:, ::-1].astype(np.float64), target[:, ::-1], weight[rows, cols][use]
+        )
+        projector[number] = moved(matrix, corner[None])[0]
+    return BoardCorners(corners, projector)
 
 
 def pose_images(capture: Capture) -> tuple[NDArray[np.float64], Correspondence]:
@@ -33,76 +130,37 @@ def pose_images(capture: Capture) -> tuple[NDArray[np.float64], Correspondence]:
 
     Stripes are decoded; of other patterns, T is estimated.
     """
-    if stripes_of(capture.patterns) is not None:
-        return _white_of_stripes(capture), decode(capture)
-    transport = estimate(capture)
-    white = transport.relight(np.ones(transport.projector_shape, np.float32))
-    return _grey(np.asarray(white, np.float64)), correspondence(transport)
+    if stripes_of(capture.patterns) is None:
+        transport = estimate(capture)
+        image = np.asarray(
+            transport.relight(np.ones(transport.projector_shape, np.float32)), np.float64
+        )
+        matches = correspondence(transport)
+    else:
+        white = find_codes(capture.patterns).white
+        # Without a white frame, the brightest level of each pixel is nearest to it.
+        frames = range(capture.count) if white is None else (white,)
+        image = capture.frames.read(frames[0]).astype(np.float64)
+        for k in frames[1:]:
+            image = np.maximum(image, capture.frames.read(k))
+        matches = decode(capture)
+    return image if image.ndim == 2 else image.mean(axis=2), matches
 
 
-def _white_of_stripes(capture: Capture) -> NDArray[np.float64]:
-    """The white frame, or the brightest level of each pixel in frames of stripes."""
-    white = find_codes(capture.patterns).white
-    if white is not None:
-        return _grey(capture.frames.read(white).astype(np.float64))
-    brightest = capture.frames.read(0).astype(np.float64)
-    for k in range(1, capture.count):
-        brightest = np.maximum(brightest, capture.frames.read(k))
-    return _grey(brightest)
-
-
-def _grey(image: NDArray[np.float64]) -> NDArray[np.float64]:
-    """The mean over a colour camera's channels."""
-    return image if image.ndim == 2 else image.mean(axis=2)
-
-
-# The rig's geometry from the corners of a board in several poses: Zhang's method, for two devices.
-#
-# The projector counts as a second camera. OpenCV calibrates each by itself, then both together.
-# Five poses do not support more than two coefficients of radial distortion, so tangential terms
-# and the third coefficient stay 0.
-
-
-Shape = tuple[int, int]
-# A corner is left out if it is off by more than this multiple of the median, which random errors
-# reach once in 10^10. It is where a board is bent or glares: on the five poses of a real board,
-# whose corner is bent, this leaves 304 of 315 corners, and all others within 0.6 pixels.
-_MOST_OFF = 5.0
-# Rounds of leaving out corners; on real boards four were enough.
-_ROUNDS = 8
-# OpenCV stops when the residual changes by less than this share, or after this many iterations.
-_ITERATIONS, _PRECISION = 200, 1e-9
+# The rig's geometry from the corners of a board in several poses, by OpenCV.
 
 
 @dataclass(frozen=True, eq=False)
 class StereoFit:
-    """What OpenCV finds; residuals belong to all corners, those that were left out too.
+    """What OpenCV finds; residuals belong to all corners, those that were left out too."""
 
-    Parameters
-    ----------
-    camera_intrinsics, projector_intrinsics : (3, 3) float64
-        K of each.
-    camera_distortion, projector_distortion : (5,) float64
-        Coefficients of each lens.
-    rotation, translation : (3, 3) and (3,) float64
-        From the camera's frame to the projector's.
-    normals : (poses, 3) float64
-        Normal of each board in the camera's frame.
-    camera_errors, projector_errors : list of (n, 2) float64
-        Residuals of each pose, in pixels; NaN where a corner has no projector pixel.
-    used : list of (n,) bool
-        The corners that count, by pose.
-    """
-
-    camera_intrinsics: NDArray[np.float64]
-    projector_intrinsics: NDArray[np.float64]
-    camera_distortion: NDArray[np.float64]
-    projector_distortion: NDArray[np.float64]
-    rotation: NDArray[np.float64]
-    translation: NDArray[np.float64]
+    geometry: RigGeometry
+    # (poses, 3): the normal of each board in the camera's frame.
     normals: NDArray[np.float64]
+    # (n, 2) of each pose, in pixels; NaN where a corner has no projector pixel.
     camera_errors: list[NDArray[np.float64]]
     projector_errors: list[NDArray[np.float64]]
+    # (n,) of each pose: the corners that count.
     used: list[NDArray[np.bool_]]
 
 
@@ -122,13 +180,17 @@ def fit_stereo(
     """Fit both devices to all poses, and leave out corners that are far off."""
     used = [pose.lit for pose in poses]
     fit = _fit(poses, points, used, camera_shape, projector_shape)
-    for _ in range(_ROUNDS):
+    # On real boards four rounds were enough.
+    for _ in range(8):
         errors = [
             np.hypot(np.linalg.norm(seen, axis=1), np.linalg.norm(lit, axis=1))
             for seen, lit in zip(fit.camera_errors, fit.projector_errors, strict=True)
         ]
         counted = [each[use] for each, use in zip(errors, used, strict=True)]
-        most = _MOST_OFF * float(np.median(np.concatenate(counted)))
+        # Random errors reach five times the median once in 10^10; where a board is bent or glares,
+        # corners are off by more. On the five poses of a real board, whose corner is bent, this
+        # leaves 304 of 315 corners, and all others within 0.6 pixels.
+        most = 5 * float(np.median(np.concatenate(counted)))
         kept = [use & (each <= most) for each, use in zip(errors, used, strict=True)]
         # A pose needs four corners to be placed at all.
         kept = [keep if keep.sum() >= 4 else use for keep, use in zip(kept, used, strict=True)]
@@ -148,11 +210,13 @@ def _fit(
 ) -> StereoFit:
     """One fit to the corners that count."""
     cv2 = load_opencv("calibrating a rig", "shape")
+    # Five poses do not support more than two coefficients of radial distortion, so tangential terms
+    # and the third coefficient stay 0.
     flags = cv2.CALIB_ZERO_TANGENT_DIST | cv2.CALIB_FIX_K3
-    criteria = (cv2.TERM_CRITERIA_COUNT + cv2.TERM_CRITERIA_EPS, _ITERATIONS, _PRECISION)
     objects = [points[use].astype(np.float32) for use in used]
     seen = [pose.camera[use].astype(np.float32) for pose, use in zip(poses, used, strict=True)]
     lit = [pose.projector[use].astype(np.float32) for pose, use in zip(poses, used, strict=True)]
+    # Each device by itself, then both together.
     first = [
         cv2.calibrateCamera(objects, image, shape[::-1], None, None, flags=flags)[1:3]
         for image, shape in ((seen, camera_shape), (lit, projector_shape))
@@ -167,56 +231,36 @@ def _fit(
         None,
         None,
         flags=flags | cv2.CALIB_USE_INTRINSIC_GUESS,
-        criteria=criteria,
+        criteria=(cv2.TERM_CRITERIA_COUNT + cv2.TERM_CRITERIA_EPS, 200, 1e-9),
     )
     camera, camera_lens, projector, projector_lens, turn, shift = answer[1:7]
-    turns, shifts = answer[9], answer[10]
+
+    def errors(
+        rotation: Any, translation: Any, intrinsics: Any, lens: Any, places: NDArray[np.float64]
+    ) -> NDArray[np.float64]:
+        """How far a device shows the points of the board from where they were found, (n, 2)."""
+        vector = cv2.Rodrigues(rotation)[0]
+        image = cv2.projectPoints(points, vector, translation, intrinsics, lens)[0]
+        return np.asarray(image, np.float64).reshape(-1, 2) - places
+
     normals, camera_errors, projector_errors = [], [], []
-    for pose, vector, place in zip(poses, turns, shifts, strict=True):
+    for pose, vector, place in zip(poses, answer[9], answer[10], strict=True):
         own = cv2.Rodrigues(vector)[0]
         normals.append(own[:, 2])
-        camera_errors.append(_project(cv2, points, own, place, camera, camera_lens) - pose.camera)
+        camera_errors.append(errors(own, place, camera, camera_lens, pose.camera))
         both = turn @ own, turn @ place + shift
-        image = _project(cv2, points, *both, projector, projector_lens)
-        projector_errors.append(image - pose.projector)
-    return StereoFit(
+        projector_errors.append(errors(*both, projector, projector_lens, pose.projector))
+    geometry = RigGeometry.from_intrinsics(
         camera,
         projector,
-        np.resize(camera_lens, 5),
-        np.resize(projector_lens, 5),
         turn,
-        shift.ravel(),
-        np.array(normals),
-        camera_errors,
-        projector_errors,
-        used,
+        shift,
+        camera_shape,
+        projector_shape,
+        camera_distortion=camera_lens,
+        projector_distortion=projector_lens,
     )
-
-
-def _project(
-    cv2: Any,
-    points: NDArray[np.float64],
-    rotation: NDArray[np.float64],
-    translation: NDArray[np.float64],
-    intrinsics: NDArray[np.float64],
-    lens: NDArray[np.float64],
-) -> NDArray[np.float64]:
-    """Where a device shows points (n, 3) of the board, (n, 2)."""
-    image = cv2.projectPoints(points, cv2.Rodrigues(rotation)[0], translation, intrinsics, lens)[0]
-    return np.asarray(image, np.float64).reshape(-1, 2)
-
-
-Progress = Callable[[int, int], None]
-# Each pose gives two equations for the four numbers of K (Zhang 2000); a third pose leaves some for
-# the distortion and for the residuals to mean anything.
-FEWEST_POSES = 3
-# Boards must be turned against each other by this angle, in degrees. Zhang's Fig. 4: the error of
-# the focal length falls steeply with the angle, and is several times its best below 10 degrees.
-_LEAST_TURN = 10.0
-# A pose is left out if fewer than this share of the board's corners are lit or fit the others.
-_LEAST_CORNERS = 0.5
-# A pose is named as bad if its residual is this multiple of the median of all poses.
-_BAD = 3.0
+    return StereoFit(geometry, np.array(normals), camera_errors, projector_errors, used)
 
 
 @dataclass(frozen=True, eq=False)
@@ -384,7 +428,7 @@ def calibrate_rig(
     badly = {
         name: f"only {use.sum()} of {len(use)} corners fit the other poses; did the board move?"
         for name, use in zip(names, fit.used, strict=True)
-        if use.sum() < _LEAST_CORNERS * len(use)
+        if use.sum() < 0.5 * len(use)
     }
     if badly:
         left_out |= badly
@@ -392,17 +436,38 @@ def calibrate_rig(
         corners, names = [corners[k] for k in keep], [names[k] for k in keep]
         _check_count(len(names), left_out)
         fit = fit_stereo(corners, points, *shapes)
-    turn = _largest_turn(fit.normals)
-    if turn < _LEAST_TURN:
+    turn = float(np.degrees(np.arccos(np.abs(fit.normals @ fit.normals.T).clip(0, 1).min())))
+    # Zhang's Fig. 4: the error of the focal length falls steeply with the angle between two boards,
+    # and is several times its best below 10 degrees.
+    if turn < 10:
         raise InputError(
             f"the poses are nearly parallel: their largest angle is {turn:.1f} degrees",
             hint="add poses with the board tilted by 20 to 40 degrees to the left, right, up, down",
         )
-    measured = _measured(fit, corners, names, shapes, units, left_out, turn)
-    _warn(measured)
+    seen = [error[use] for error, use in zip(fit.camera_errors, fit.used, strict=True)]
+    lit = [error[use] for error, use in zip(fit.projector_errors, fit.used, strict=True)]
+    rms = {"camera": _rms(np.concatenate(seen)), "projector": _rms(np.concatenate(lit))}
+    rms["stereo"] = float(np.sqrt((rms["camera"] ** 2 + rms["projector"] ** 2) / 2))
+    geometry = replace(fit.geometry, units=units, rms=rms)
+    used_poses = tuple(
+        BoardPose(name, corner.camera, corner.projector, use, _rms(a), _rms(b))
+        for name, corner, use, a, b in zip(names, corners, fit.used, seen, lit, strict=True)
+    )
+    for name, reason in left_out.items():
+        warnings.warn(f"{name} is left out: {reason}", LightMatrixWarning, stacklevel=2)
+    usual = float(np.median([pose.rms_projector for pose in used_poses]))
+    for pose in used_poses:
+        if pose.rms_projector > 3 * usual:
+            warnings.warn(
+                f"{pose.name} fits badly: its corners are off by {pose.rms_projector:.2f} "
+                f"projector pixels, those of other poses by {usual:.2f}; photograph it again, or "
+                "leave it out",
+                LightMatrixWarning,
+                stacklevel=2,
+            )
     if output is not None:
-        measured.geometry.save(output, overwrite=overwrite)
-    return measured
+        geometry.save(output, overwrite=overwrite)
+    return RigCalibration(geometry, used_poses, left_out, turn)
 
 
 def _all_corners(
@@ -429,7 +494,7 @@ def _all_corners(
         corners = None if places is None else light_corners(places, matches, board)
         if corners is None:
             left_out[name] = f"no board of {board[0]} x {board[1]} inner corners is found"
-        elif corners.lit.mean() < _LEAST_CORNERS:
+        elif corners.lit.mean() < 0.5:
             left_out[name] = (
                 f"the camera sees the board, but the projector lights only {corners.lit.sum()} of "
                 f"its {len(corners.lit)} corners"
@@ -445,52 +510,16 @@ def _all_corners(
 
 
 def _check_count(usable: int, left_out: dict[str, str]) -> None:
-    if usable >= FEWEST_POSES:
+    # Each pose gives two equations for the four numbers of K (Zhang 2000); a third pose leaves some
+    # for the distortion and for the residuals to mean anything.
+    if usable >= 3:
         return
     reasons = "".join(f"; {name}: {reason}" for name, reason in left_out.items())
     raise InputError(
         f"{usable} usable poses{reasons}",
-        hint=f"photograph {FEWEST_POSES} poses at least, better 5 to 10, each tilted differently "
-        "and lit by the projector; a board's size is its inner corners, squares less one",
+        hint="photograph 3 poses at least, better 5 to 10, each tilted differently and "
+        "lit by the projector; a board's size is its inner corners, squares less one",
     )
-
-
-def _largest_turn(normals: NDArray[np.float64]) -> float:
-    """The largest angle between two planes, in degrees."""
-    cosine = np.abs(normals @ normals.T).clip(0, 1)
-    return float(np.degrees(np.arccos(cosine.min())))
-
-
-def _measured(
-    fit: StereoFit,
-    corners: list[BoardCorners],
-    names: list[str],
-    shapes: tuple[tuple[int, int], tuple[int, int]],
-    units: str | None,
-    left_out: dict[str, str],
-    turn: float,
-) -> RigCalibration:
-    """The result, with its residuals."""
-    seen = [error[use] for error, use in zip(fit.camera_errors, fit.used, strict=True)]
-    lit = [error[use] for error, use in zip(fit.projector_errors, fit.used, strict=True)]
-    rms = {"camera": _rms(np.concatenate(seen)), "projector": _rms(np.concatenate(lit))}
-    rms["stereo"] = float(np.sqrt((rms["camera"] ** 2 + rms["projector"] ** 2) / 2))
-    geometry = RigGeometry.from_intrinsics(
-        fit.camera_intrinsics,
-        fit.projector_intrinsics,
-        fit.rotation,
-        fit.translation,
-        *shapes,
-        camera_distortion=fit.camera_distortion,
-        projector_distortion=fit.projector_distortion,
-        units=units,
-        rms=rms,
-    )
-    poses = tuple(
-        BoardPose(name, corner.camera, corner.projector, use, _rms(a), _rms(b))
-        for name, corner, use, a, b in zip(names, corners, fit.used, seen, lit, strict=True)
-    )
-    return RigCalibration(geometry, poses, left_out, turn)
 
 
 def _rms(errors: NDArray[np.float64]) -> float:
@@ -498,17 +527,225 @@ def _rms(errors: NDArray[np.float64]) -> float:
     return float(np.sqrt((errors**2).sum(axis=1).mean()))
 
 
-def _warn(measured: RigCalibration) -> None:
-    """Name the poses that were left out, and those that fit much worse than the others."""
-    for name, reason in measured.left_out.items():
-        warnings.warn(f"{name} is left out: {reason}", LightMatrixWarning, stacklevel=3)
-    usual = float(np.median([pose.rms_projector for pose in measured.poses]))
-    for pose in measured.poses:
-        if pose.rms_projector > _BAD * usual:
-            warnings.warn(
-                f"{pose.name} fits badly: its corners are off by {pose.rms_projector:.2f} "
-                f"projector pixels, those of other poses by {usual:.2f}; photograph it again, or "
-                "leave it out",
-                LightMatrixWarning,
-                stacklevel=3,
-            )
+# The rig's geometry from any scene that is not flat.
+
+
+def self_calibrate(
+    matches: Correspondence | LightTransport | str | Path,
+    camera_intrinsics: ArrayLike | None,
+    *,
+    projector_intrinsics: ArrayLike | None = None,
+    camera_distortion: ArrayLike = (0, 0, 0, 0, 0),
+    baseline: float = 1.0,
+    units: str | None = None,
+    output: str | Path | None = None,
+    overwrite: bool = False,
+) -> RigGeometry:
+    """Find where the projector stands from any scene that is not flat.
+
+    Parameters
+    ----------
+    matches : Correspondence, LightTransport, str or Path
+        What each camera pixel sees, from `decode` or `correspondence`; or T; or a file of either.
+        Of photographs that are neither binned nor cropped.
+    camera_intrinsics : (3, 3) array-like or float
+        K of the camera, from a calibration; or its focal length in pixels, from its data sheet: the
+        focal length divided by the size of a pixel. The axis then passes the middle of the image.
+    projector_intrinsics : (3, 3) array-like, optional
+        K of the projector. None: square pixels, its axis through the middle of its image, and the
+        focal length that fits best. Projectors on tables shift their image upwards, and then need
+        it.
+    camera_distortion : (5,) array-like
+        Coefficients of the camera's lens.
+    baseline : float
+        Distance from the camera to the projector, in `units`. The matches do not tell it: all
+        lengths are proportional to it.
+    units : str, optional
+        Unit of length.
+    output : str or Path, optional
+        A .json file of the geometry to write.
+    overwrite : bool
+        Whether an existing geometry may be replaced.
+
+    Returns
+    -------
+    RigGeometry
+        In the camera's frame; its `rms` holds "epipolar", the distances of matches that fit from
+        their epipolar lines, in pixels.
+
+    Raises
+    ------
+    InputError
+        Without the camera's intrinsics, on too few matches, and on a flat scene.
+    OutputError
+        If the file exists or cannot be written.
+
+    References
+    ----------
+    Hartley & Zisserman 2004, Multiple View Geometry, chapters 9 to 11.
+
+    Examples
+    --------
+    >>> import lightmatrix as lm
+    >>> known = lm.truth("corner")
+    >>> rig = lm.self_calibrate(known.transport(), known.geometry.camera_intrinsics)
+    >>> rig.rms["epipolar"] < 0.3
+    True
+    """
+    if camera_intrinsics is None:
+        raise InputError(
+            "without the camera's intrinsics, shape is known only up to a projective distortion",
+            hint="give camera_intrinsics, calibrate with a board, or divide the focal length by "
+            "the size of a pixel",
+        )
+    check_number("a baseline", baseline, above=True, hint="give a length above 0, such as 1")
+    if output is not None:
+        check_output(output, GEOMETRY, overwrite=overwrite)
+    opened = open_matches(matches)
+    found = correspondence(opened) if isinstance(opened, LightTransport) else opened
+    projector_shape = found.projector_shape
+    if projector_shape is None:
+        raise InputError(
+            "the correspondence does not say the projector's size", hint="set projector_shape"
+        )
+    # Matches of less confidence come from several places at once; chosen by hand.
+    at = np.argwhere(np.isfinite(found.place).all(axis=2) & (found.confidence >= 0.3))
+    if len(at) < 50:
+        raise InputError(
+            f"{len(at)} camera pixels see one place of the projector",
+            hint="at least 50 are needed, better thousands, with stripes or patterns along both "
+            "axes",
+        )
+    # More matches than these cost time and change nothing.
+    at = at[np.random.default_rng(0).permutation(len(at))[:20_000]]
+    seen = at[:, ::-1].astype(np.float64)
+    lit = found.place[at[:, 0], at[:, 1]].astype(np.float64)[:, ::-1]
+    start = np.eye(3) if projector_intrinsics is None else np.asarray(projector_intrinsics, float)
+    # Lends its checks and its lens to the points; where the projector stands is not known yet.
+    rows, cols = found.valid.shape
+    if np.ndim(camera_intrinsics) == 0:
+        focal = float(np.asarray(camera_intrinsics))
+        check_number("a focal length", focal, above=True, hint="give it in pixels, such as 1200")
+        camera_intrinsics = _centred(focal, (rows, cols))
+    camera = RigGeometry.from_intrinsics(
+        camera_intrinsics,
+        start,
+        np.eye(3),
+        (1, 0, 0),
+        (rows, cols),
+        projector_shape,
+        camera_distortion=camera_distortion,
+    )
+    seen = camera.undistort_camera(seen)
+    finite = np.isfinite(seen).all(axis=1)
+    seen, lit = seen[finite], lit[finite]
+    fundamental = fit_fundamental(seen, lit)
+    distance = np.abs(sampson(fundamental, seen, lit))
+    # A scene is flat if a homography explains nearly all matches, but for noise: parallax is what
+    # shows shape.
+    plane = moved(fit_homography(seen, lit, np.ones(len(seen))), seen)
+    noise = max(0.5, 3 * float(np.median(distance)))
+    share = float((np.linalg.norm(plane - lit, axis=1) > noise).mean())
+    if share < 0.05:
+        raise InputError(
+            f"the scene is flat: only {100 * share:.1f} % of the matches show parallax",
+            hint="put objects of different depth into the scene, or calibrate with a board",
+        )
+    fits = distance < max(4.4 * float(np.median(distance)), 0.1)
+    seen, lit = seen[fits], lit[fits]
+    known = None if projector_intrinsics is None else start
+    intrinsics, turn, shift = _pose(
+        fundamental, seen, lit, camera.camera_intrinsics, known, projector_shape
+    )
+    rig = RigGeometry.from_intrinsics(
+        camera.camera_intrinsics,
+        intrinsics,
+        turn,
+        shift * baseline,
+        (rows, cols),
+        projector_shape,
+        camera_distortion=camera_distortion,
+        units=units,
+    )
+    distance = sampson(rig.fundamental_matrix(), seen, lit)
+    rig = replace(rig, rms={"epipolar": float(np.sqrt((distance**2).mean()))})
+    if output is not None:
+        rig.save(output, overwrite=overwrite)
+    return rig
+
+
+def _centred(focal: float, shape: tuple[int, int]) -> NDArray[np.float64]:
+    """K of square pixels and an axis through the middle of an image of (rows, cols)."""
+    rows, cols = shape
+    return np.array([[focal, 0, (cols - 1) / 2], [0, focal, (rows - 1) / 2], [0, 0, 1]])
+
+
+def _pose(
+    fundamental: NDArray[np.float64],
+    seen: NDArray[np.float64],
+    lit: NDArray[np.float64],
+    camera: NDArray[np.float64],
+    projector: NDArray[np.float64] | None,
+    projector_shape: tuple[int, int],
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+    """K of the projector, R and t of length 1, that bring the matches nearest to their lines."""
+    candidates = (
+        # Angles of view from 8 to 90 degrees.
+        [_centred(f * max(projector_shape), projector_shape) for f in np.geomspace(0.5, 7, 60)]
+        if projector is None
+        else [projector]
+    )
+    # The two singular values of an essential matrix are equal.
+    values = [np.linalg.svd(each.T @ fundamental @ camera, compute_uv=False) for each in candidates]
+    start = candidates[int(np.argmin([(a - b) / a for a, b, _ in values]))]
+    turn, shift = _decomposed(start.T @ fundamental @ camera, camera, start, seen, lit)
+
+    def parts(
+        numbers: NDArray[np.float64],
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+        own = (
+            start if projector is not None else _centred(float(np.exp(numbers[6])), projector_shape)
+        )
+        moved_shift = shift + numbers[3:6]
+        return (
+            own,
+            Rotation.from_rotvec(numbers[:3]).as_matrix() @ turn,
+            moved_shift / np.linalg.norm(moved_shift),
+        )
+
+    def distances(numbers: NDArray[np.float64]) -> NDArray[np.float64]:
+        own, rotation, direction = parts(numbers)
+        x, y, z = direction
+        cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
+        matrix = np.linalg.inv(own).T @ cross @ rotation @ np.linalg.inv(camera)
+        return sampson(matrix, seen, lit)
+
+    first = np.zeros(6) if projector is not None else np.append(np.zeros(6), np.log(start[0, 0]))
+    spread = max(float(np.median(np.abs(distances(first)))), 1e-3)
+    best = least_squares(distances, first, loss="soft_l1", f_scale=spread)
+    return parts(best.x)
+
+
+def _decomposed(
+    essential: NDArray[np.float64],
+    camera: NDArray[np.float64],
+    projector: NDArray[np.float64],
+    seen: NDArray[np.float64],
+    lit: NDArray[np.float64],
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """R and t of an essential matrix, of the four solutions the one with most points in front."""
+    left, _, right = np.linalg.svd(essential)
+    left, right = left * np.linalg.det(left), right * np.linalg.det(right)
+    quarter = np.array([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]])
+    size = (1, 1)
+    best: tuple[int, NDArray[np.float64], NDArray[np.float64]] | None = None
+    for turn in (left @ quarter @ right, left @ quarter.T @ right):
+        for shift in (left[:, 2], -left[:, 2]):
+            rig = RigGeometry.from_intrinsics(camera, projector, turn, shift, size, size)
+            points = rig.triangulate(seen, lit)
+            ahead = points @ turn.T + shift
+            count = int(((points[:, 2] > 0) & (ahead[:, 2] > 0)).sum())
+            if best is None or count > best[0]:
+                best = (count, turn, shift)
+    assert best is not None
+    return best[1], best[2]

@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 
 from lightmatrix.capture.capture import Capture, open_capture
 from lightmatrix.capture.exposures import USUAL_NOISE
-from lightmatrix.capture.samples import Samples
 from lightmatrix.errors import InputError
 from lightmatrix.files.kinds import CORRESPONDENCE
 from lightmatrix.files.writing import check_output
@@ -26,35 +25,20 @@ from lightmatrix.transport.npz import write_correspondence
 
 # Grey values that differ by less than one level of 8 bits are the same.
 _LEVEL = 1 / 255
-_AXIS_NAMES = {COLUMNS: "columns", ROWS: "rows"}
 
 
 @dataclass(frozen=True, eq=False)
 class Code:
-    """The values that number the projector's pixels along one axis.
-
-    Parameters
-    ----------
-    axis : COLUMNS or ROWS
-        What the code numbers.
-    frames : (k,) int
-        The patterns of the code; of a code without inverses, white and black too.
-    values : (length, k) float32
-        The value of each projector pixel in each of these patterns.
-    bits : tuple of (int, int)
-        The patterns of each bit and of its inverse, as indices into `frames`; -1 where there is no
-        inverse. Empty if some value is grey.
-    """
+    """The values that number the projector's pixels along one axis, COLUMNS or ROWS."""
 
     axis: int
+    # (k,): the patterns of the code; of a code without inverses, white and black too.
     frames: NDArray[np.int64]
+    # (length, k): the value of each projector pixel in each of these patterns.
     values: NDArray[np.float32]
+    # The patterns of each bit and of its inverse, as indices into `frames`; -1 where there is no
+    # inverse. Empty if some value is grey.
     bits: tuple[tuple[int, int], ...]
-
-    @property
-    def length(self) -> int:
-        """Number of projector pixels along the axis."""
-        return len(self.values)
 
     @cached_property
     def centred(self) -> NDArray[np.float32]:
@@ -92,7 +76,7 @@ def find_codes(patterns: PatternSet) -> Codes:
     if stripes is None:
         raise InputError(
             "these patterns are no stripes: one varies along both rows and columns",
-            hint="estimate T from them: lightmatrix estimate",
+            hint="estimate T from them with `estimate`",
         )
     uniform = np.flatnonzero(stripes.axes == NOTHING)
     levels = [float(stripes.profiles[k][0]) for k in uniform]
@@ -108,7 +92,7 @@ def find_codes(patterns: PatternSet) -> Codes:
         if (stripes.axes == axis).any()
     )
     if not found:
-        raise InputError("no pattern varies", hint="project a code: lightmatrix patterns graycode")
+        raise InputError("no pattern varies", hint="project a code, such as Gray code")
     return Codes(found, white, black)
 
 
@@ -118,9 +102,10 @@ def _code(stripes: Stripes, axis: int, length: int, ends: list[tuple[int, int]])
     values = np.stack([stripes.profiles[k] for k in frames], axis=1)
     distinct = len(np.unique(np.rint(values / _LEVEL), axis=0))
     if distinct < length:
+        lines = "columns" if axis == COLUMNS else "rows"
         raise InputError(
-            f"the {len(frames)} patterns along {_AXIS_NAMES[axis]} tell only {distinct} of "
-            f"{length} {_AXIS_NAMES[axis]} apart",
+            f"the {len(frames)} patterns along {lines} tell only {distinct} of {length} {lines} "
+            "apart",
             hint="is a pattern missing? project the whole code, or bin the projector less",
         )
     bits = _bits(values)
@@ -155,36 +140,19 @@ def _bits(values: NDArray[np.float32]) -> tuple[tuple[int, int], ...]:
 # Which projector pixel along an axis each camera pixel sees, from its samples under the code.
 
 
-# Correlations of camera pixels with projector pixels that are computed at a time: 64 MB, which a
-# matrix product fills fast and the search of its largest values then finds in the cache or near it.
-_CORRELATIONS = 1 << 24
-# The least variance of a word, so that a constant one divides nothing by 0: it has no light.
-_CONSTANT = 1e-12
-
-
 @dataclass(frozen=True, eq=False)
 class Reading:
-    """What m camera pixels see along one axis.
+    """What m camera pixels see along one axis."""
 
-    Parameters
-    ----------
-    pixel : (m,) int64
-        The projector pixel; -1 where the samples are no word of the code.
-    place : (m,) float64
-        The same to fractions of a pixel.
-    light : (m,) float64
-        The direct light: how much brighter a lit projector pixel makes the camera pixel than a dark
-        one, in units of the clip level.
-    explained : (m,) float64
-        Share of the samples' variance that the code explains, in [0, 1].
-    uncertainty : (m,) float64
-        Standard deviation of the place, in projector pixels.
-    """
-
+    # The projector pixel; -1 where the samples are no word of the code. Then to fractions of it.
     pixel: NDArray[np.int64]
     place: NDArray[np.float64]
+    # How much brighter a lit projector pixel makes the camera pixel than a dark one, in units of
+    # the clip level.
     light: NDArray[np.float64]
+    # Share of the samples' variance that the code explains, in [0, 1].
     explained: NDArray[np.float64]
+    # Standard deviation of the place, in projector pixels.
     uncertainty: NDArray[np.float64]
 
 
@@ -212,13 +180,15 @@ def correlate(code: Code, samples: NDArray[np.float32]) -> NDArray[np.int64]:
     constant light (Mirdehghan et al. 2018). Places half way between two pixels are tried too: few
     patterns of short periods resemble them elsewhere better than in their neighbours.
     """
-    centred = np.empty((2 * code.length - 1, samples.shape[1]), np.float32)
+    centred = np.empty((2 * len(code.values) - 1, samples.shape[1]), np.float32)
     centred[::2] = code.centred
     centred[1::2] = (code.centred[1:] + code.centred[:-1]) / 2
     length = np.sqrt((centred**2).sum(axis=1, keepdims=True))
     directions = np.ascontiguousarray((centred / np.maximum(length, 1e-12)).T)
     pixel = np.empty(len(samples), np.int64)
-    step = max(1, _CORRELATIONS // len(centred))
+    # 64 MB of correlations at a time, which a matrix product fills fast and the search of their
+    # largest values then finds in the cache or near it.
+    step = max(1, (1 << 24) // len(centred))
     for start in range(0, len(samples), step):
         part = samples[start : start + step]
         # Columns of `directions` sum to 0, so that the mean of the samples does not matter.
@@ -237,14 +207,15 @@ def refine(code: Code, samples: NDArray[np.float32], pixel: NDArray[np.int64]) -
     centred = code.centred
     own = samples - samples.mean(axis=1, keepdims=True)
     energy = np.einsum("ij,ij->i", own, own).astype(np.float64)
-    square = np.maximum((centred.astype(np.float64) ** 2).sum(axis=1), _CONSTANT)
+    # A constant word has no light, and divides nothing by 0.
+    square = np.maximum((centred.astype(np.float64) ** 2).sum(axis=1), 1e-12)
     product = (centred[:-1].astype(np.float64) * centred[1:]).sum(axis=1)
     here = np.einsum("ij,ij->i", own, centred[known]).astype(np.float64)
     light = here / square[known]
     fit = light * here
     offset = np.zeros(len(pixel))
     for side in (-1, 1):
-        other = np.clip(known + side, 0, code.length - 1)
+        other = np.clip(known + side, 0, len(code.values) - 1)
         there = np.einsum("ij,ij->i", own, centred[other]).astype(np.float64)
         cross = product[np.minimum(np.minimum(known, other), len(product) - 1)]
         determinant = square[known] * square[other] - cross**2
@@ -258,7 +229,9 @@ def refine(code: Code, samples: NDArray[np.float32], pixel: NDArray[np.int64]) -
         light = np.where(better, first + second, light)
         fit = np.where(better, first * here + second * there, fit)
     noise = np.sqrt(np.maximum(energy - fit, 0) / max(1, k - 3))
-    slope = _slopes(centred)[known] * np.maximum(light, 1e-12)
+    # How far the values move per projector pixel.
+    change = np.sqrt((np.gradient(centred.astype(np.float64), axis=0) ** 2).sum(axis=1))
+    slope = np.maximum(change, 1e-6)[known] * np.maximum(light, 1e-12)
     return Reading(
         pixel,
         np.where(pixel >= 0, pixel + offset, np.nan),
@@ -268,26 +241,12 @@ def refine(code: Code, samples: NDArray[np.float32], pixel: NDArray[np.int64]) -
     )
 
 
-def _slopes(centred: NDArray[np.float32]) -> NDArray[np.float64]:
-    """How far the values move per projector pixel, (length,)."""
-    moved = np.gradient(centred.astype(np.float64), axis=0)
-    return np.asarray(np.maximum(np.sqrt((moved**2).sum(axis=1)), 1e-6))
-
-
-Progress = Callable[[int, int], None]
-# A camera pixel sees the projector if its direct light exceeds this share of the clip level: five
-# standard deviations of a decent camera's noise.
-_LEAST_LIGHT = 5 * USUAL_NOISE
-# Camera samples times frames that are decoded at a time: temporary arrays stay below 300 MB.
-_AT_ONCE = 1 << 23
-
-
 def decode(
     capture: Capture | str | Path,
     *,
     output: str | Path | None = None,
     overwrite: bool = False,
-    progress: Progress | None = None,
+    progress: Callable[[int, int], None] | None = None,
 ) -> Correspondence:
     """Decode a capture under stripes: Gray code, phase shifts, micro phase shifts, and others.
 
@@ -344,13 +303,19 @@ def decode(
     place = np.full((count, 2), np.nan, np.float32)
     uncertainty = np.full((count, 2), np.nan, np.float32)
     confidence, light = np.zeros(count, np.float32), np.zeros(count, np.float32)
-    step = channels * max(1, _AT_ONCE // (channels * opened.count))
+    # Temporary arrays of this many camera samples times frames stay below 300 MB.
+    step = channels * max(1, (1 << 23) // (channels * opened.count))
     for start, tile in opened.tiles(step):
-        values, usable = _of_pixels(tile, channels)
+        usable = np.asarray(tile.counted.reshape(-1, channels, opened.count).any(axis=(1, 2)))
+        values = np.asarray(tile.values, np.float32)
+        if channels > 1:
+            values = values.reshape(-1, channels, opened.count).sum(axis=1)
         rows = slice(start // channels, start // channels + len(values))
         readings = {code.axis: _read(code, codes, values) for code in codes.codes}
         for reading in readings.values():
-            usable &= (reading.pixel >= 0) & (reading.light > _LEAST_LIGHT)
+            # A camera pixel sees the projector if its direct light exceeds five standard deviations
+            # of a decent camera's noise.
+            usable &= (reading.pixel >= 0) & (reading.light > 5 * USUAL_NOISE)
         for axis, reading in readings.items():
             pixel[rows, axis] = np.where(usable, reading.pixel, -1)
             place[rows, axis] = np.where(usable, reading.place, np.nan)
@@ -373,15 +338,6 @@ def decode(
     if output is not None:
         write_correspondence(output, result, overwrite=overwrite)
     return result
-
-
-def _of_pixels(tile: Samples, channels: int) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
-    """The samples of each pixel, (m, K), its channels added, and which pixels are not masked."""
-    counted = tile.counted.reshape(-1, channels, tile.values.shape[1]).any(axis=(1, 2))
-    values = np.asarray(tile.values, np.float32)
-    if channels > 1:
-        values = values.reshape(-1, channels, values.shape[1]).sum(axis=1)
-    return values, np.asarray(counted)
 
 
 def _read(code: Code, codes: Codes, values: NDArray[np.float32]) -> Reading:

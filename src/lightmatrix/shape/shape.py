@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import IntEnum
 from pathlib import Path
@@ -18,39 +17,32 @@ from scipy.ndimage import uniform_filter
 from lightmatrix.errors import MissingExtraError
 from lightmatrix.files.kinds import CLOUD, DEPTH, PLY_MARK
 from lightmatrix.files.writing import atomic_file
-from lightmatrix.geometry.projection import decomposed
-from lightmatrix.geometry.rig_geometry import RigGeometry
+from lightmatrix.geometry.rig_geometry import RigGeometry, decomposed
 from lightmatrix.pictures.maps import UNKNOWN, Map
 from lightmatrix.pictures.style import COLOURS, STYLE, panel
 from lightmatrix.pictures.transport import Picture
 from lightmatrix.reprs import short_repr
+from lightmatrix.uses.separation import shifted
 
 # Normals and triangles of a surface of which the depth of each camera pixel is known.
-
-
-# Neighbouring pixels lie on one surface if it need not be inclined by more than this to the image
-# plane, in degrees. Chosen by hand: steeper surfaces reflect little of the projector's light.
-_STEEPEST = 70.0
-# Pixels to both sides whose points a normal is fitted to, and the fewest of them.
-_REACH, _FEWEST = 2, 6
-# Side of the square of pixels over which errors are averaged.
-_AVERAGED = 5
 
 
 def local_mean(values: NDArray[np.float64]) -> NDArray[np.float64]:
     """Mean of the finite values within 5 x 5 pixels, (rows, cols); NaN where there are none."""
     known = np.isfinite(values)
-    shares = uniform_filter(known.astype(np.float64), _AVERAGED, mode="constant")
-    sums = uniform_filter(np.where(known, values, 0.0), _AVERAGED, mode="constant")
+    shares = uniform_filter(known.astype(np.float64), 5, mode="constant")
+    sums = uniform_filter(np.where(known, values, 0.0), 5, mode="constant")
     # Running sums leave rounding errors where nothing is known.
-    least = 0.5 / _AVERAGED**2
+    least = 0.5 / 5**2
     return np.where(shares > least, np.maximum(sums, 0) / np.maximum(shares, least), np.nan)
 
 
-def steepest_step(depth: NDArray[np.floating], geometry: RigGeometry) -> NDArray[np.float64]:
+def _steepest_step(depth: NDArray[np.floating], geometry: RigGeometry) -> NDArray[np.float64]:
     """The largest change of depth from a pixel to the next on one surface, (rows, cols)."""
     focal = float(np.sqrt(np.prod(np.diag(geometry.camera_intrinsics)[:2])))
-    return np.asarray(depth / focal * np.tan(np.radians(_STEEPEST)), np.float64)
+    # Surfaces inclined by more than 70 degrees to the image plane reflect little of the projector's
+    # light. Chosen by hand.
+    return np.asarray(depth / focal * np.tan(np.radians(70)), np.float64)
 
 
 def surface_normals(
@@ -66,23 +58,21 @@ def surface_normals(
     # Relative to the camera, and of size about 1, so that the normal equations stay well scaled.
     scale = float(np.nanmedian(depth)) if np.isfinite(depth).any() else 1.0
     local = (points - centre) / scale
-    limit = steepest_step(depth, geometry)
+    limit = _steepest_step(depth, geometry)
     known = np.nan_to_num(local.astype(np.float64))
     # The products of two coordinates, the coordinates, and 1: what the normal equations sum up.
     pairs = [(i, j) for i in range(3) for j in range(i, 3)]
     terms = [known[..., i] * known[..., j] for i, j in pairs]
     terms += [*np.moveaxis(known, -1, 0), np.ones((rows, cols))]
     sums = np.zeros((len(terms), rows, cols))
-    for down in range(-_REACH, _REACH + 1):
-        for right in range(-_REACH, _REACH + 1):
-            here = _shifted(rows, -down), _shifted(cols, -right)
-            there = _shifted(rows, down), _shifted(cols, right)
-            steps = max(abs(down), abs(right))
-            near = np.abs(depth[there] - depth[here]) <= steps * limit[here]
-            for total, term in zip(sums, terms, strict=True):
-                total[here] += term[there] * near
-    counts = sums[-1]
-    good = counts >= _FEWEST
+    for down, right in np.ndindex(5, 5):
+        here = shifted(rows, 2 - down), shifted(cols, 2 - right)
+        there = shifted(rows, down - 2), shifted(cols, right - 2)
+        steps = max(abs(down - 2), abs(right - 2))
+        near = np.abs(depth[there] - depth[here]) <= steps * limit[here]
+        for total, term in zip(sums, terms, strict=True):
+            total[here] += term[there] * near
+    good = sums[-1] >= 6
     normals = np.full((rows, cols, 3), np.nan)
     if good.any():
         # A trace of the unit matrix keeps points on a line from being singular.
@@ -102,7 +92,7 @@ def surface_faces(depth: NDArray[np.float32], geometry: RigGeometry) -> NDArray[
     They are counter-clockwise as the camera sees them.
     """
     number = np.arange(depth.size).reshape(depth.shape)
-    limit = steepest_step(depth, geometry)
+    limit = _steepest_step(depth, geometry)
     corners = (np.s_[:-1, :-1], np.s_[1:, :-1], np.s_[1:, 1:], np.s_[:-1, 1:])
     faces = []
     for one, two, three in ((0, 1, 2), (0, 2, 3)):
@@ -114,26 +104,17 @@ def surface_faces(depth: NDArray[np.float32], geometry: RigGeometry) -> NDArray[
     return np.concatenate(faces)
 
 
-def _shifted(size: int, by: int) -> slice:
-    """The part of an axis that still lies inside once it is moved back by so many pixels."""
-    return slice(max(0, by), size - max(0, -by))
-
-
 # A shape as pictures: maps of depth and normals, and why pixels have none.
 
 
-# Colours of kept pixels and of the tests that others failed.
-_TESTS = ListedColormap(("#f2f2f2", "#404040", *COLOURS[:4]))
-# The scale of depths leaves out this share of the points at either end. Chosen by eye: a few wrong
-# points must not make all others alike.
-_STRAY = 0.005
 _NORMALS = "Normals: right, up, near as red, green, blue"
 
 
 def depth_map(depth: NDArray[np.floating], units: str | None) -> Map:
     """Depth (rows, cols) as a map over the camera, near surfaces bright."""
     known = depth[np.isfinite(depth)]
-    low, high = np.quantile(known, [_STRAY, 1 - _STRAY]).tolist() if known.size else (0.0, 1.0)
+    # A few wrong points must not make all others alike.
+    low, high = np.quantile(known, [0.005, 0.995]).tolist() if known.size else (0.0, 1.0)
     # A plane that faces the camera has one depth only.
     high = max(high, low + 1e-6 * max(1.0, abs(low)))
     label = f"distance along the camera's axis, {units or 'in the unit of the geometry'}"
@@ -150,32 +131,6 @@ def normal_colours(normals: NDArray[np.floating]) -> NDArray[np.float64]:
     return np.asarray(np.where(known, colours, np.array(UNKNOWN)))
 
 
-def shape_picture(
-    depth: NDArray[np.float32],
-    normals: NDArray[np.float32],
-    test: NDArray[np.uint8],
-    names: list[str],
-    units: str | None,
-) -> Picture:
-    """Maps of depth (rows, cols), normals in the camera's frame, and failed tests by `names`."""
-    rows, cols = depth.shape
-    with mpl.rc_context(STYLE):
-        drawing = Picture(figsize=(11, 1 + 3 * rows / cols), layout="constrained")
-        depths, directions, tests = drawing.subplots(1, 3)
-        shown = depth_map(depth, units)
-        options: dict[str, Any] = {"cmap": shown.colour_map, "norm": shown.norm}
-        options |= {"vmin": None, "vmax": None}
-        image = panel(depths, shown.shown, shown.title, **options)
-        drawing.colorbar(image, ax=depths, label=shown.label, shrink=0.8)
-        panel(directions, normal_colours(normals), _NORMALS)
-        count = len(names)
-        options |= {"cmap": _TESTS, "norm": BoundaryNorm(np.arange(count + 1) - 0.5, count)}
-        image = panel(tests, test, "Which test a pixel failed", **options)
-        bar = drawing.colorbar(image, ax=tests, ticks=range(count), shrink=0.8)
-        bar.set_ticklabels([name.lower().replace("_", " ") for name in names])
-    return drawing
-
-
 def normals_picture(normals: NDArray[np.float32]) -> Picture:
     """Normals (rows, cols, 3) in the camera's frame."""
     with mpl.rc_context(STYLE):
@@ -184,94 +139,16 @@ def normals_picture(normals: NDArray[np.float32]) -> Picture:
     return drawing
 
 
-# A shape as files: points or triangles as PLY, depth as TIFF.
-
-
-# Albedos at this quantile are shown white, as (light) ** (1 / 2.2), which screens undo.
-_WHITE_QUANTILE, _GAMMA = 0.99, 2.2
-
-
-def write_cloud(
-    path: str | Path,
-    points: NDArray[np.float32],
-    normals: NDArray[np.float32],
-    albedo: NDArray[np.float32],
-    uncertainty: NDArray[np.float32],
-    faces: NDArray[np.int64] | None,
-    *,
-    overwrite: bool,
-) -> None:
-    """Write the points (rows, cols, 3) that are known, with triangles of pixel numbers (n, 3)."""
-    known = np.isfinite(points).all(axis=-1).ravel()
-    grey = grey_levels(albedo).ravel()[known]
-    attributes: dict[str, NDArray[Any]] = {}
-    vectors = {("x", "y", "z"): points, ("nx", "ny", "nz"): np.nan_to_num(normals)}
-    for names, vector in vectors.items():
-        for axis, name in enumerate(names):
-            attributes[name] = vector[..., axis].ravel()[known].astype(np.float32)
-    attributes |= dict.fromkeys(("red", "green", "blue"), grey)
-    attributes["uncertainty"] = uncertainty.ravel()[known].astype(np.float32)
-    triangles = None
-    if faces is not None:
-        number = np.cumsum(known) - 1
-        triangles = number[faces]
-    with atomic_file(path, CLOUD, overwrite=overwrite) as part:
-        _fill_ply(part, attributes, triangles)
-
-
-def write_depth(path: str | Path, depth: NDArray[np.float32], *, overwrite: bool) -> None:
-    """Write a depth map (rows, cols) as float32, NaN where there is no depth."""
-    with atomic_file(path, DEPTH, overwrite=overwrite) as part:
-        if part.suffix.lower() == ".npy":
-            np.save(part, depth)
-        else:
-            tifffile.imwrite(part, depth)
-
-
-def grey_levels(albedo: NDArray[np.float32]) -> NDArray[np.uint8]:
-    """Albedo as grey values for a screen, uint8."""
-    bright = float(np.quantile(albedo, _WHITE_QUANTILE)) if albedo.size else 0.0
-    share = np.clip(albedo / max(bright, 1e-12), 0, 1)
-    return np.rint(255 * share ** (1 / _GAMMA)).astype(np.uint8)
-
-
-def _fill_ply(
-    path: Path, attributes: Mapping[str, NDArray[Any]], faces: NDArray[np.integer] | None = None
-) -> None:
-    """Write a PLY file (Turk 1994) in binary.
-
-    It has points, each attribute (n,) float32 or uint8, and triangles (m, 3) between them.
-    """
-    names = {"f4": "float", "u1": "uchar"}
-    columns = {name: np.asarray(values) for name, values in attributes.items()}
-    count = len(next(iter(columns.values())))
-    kinds = [(name, values.dtype.newbyteorder("<")) for name, values in columns.items()]
-    points = np.empty(count, kinds)
-    for name, values in columns.items():
-        points[name] = values
-    lines = ["ply", "format binary_little_endian 1.0", PLY_MARK, f"element vertex {count}"]
-    lines += [f"property {names[kind.str[1:]]} {name}" for name, kind in kinds]
-    if faces is not None:
-        lines += [f"element face {len(faces)}", "property list uchar int vertex_indices"]
-    with path.open("wb") as stream:
-        stream.write(("\n".join([*lines, "end_header"]) + "\n").encode("ascii"))
-        stream.write(points.tobytes())
-        if faces is not None:
-            triangles = np.empty(len(faces), [("count", "u1"), ("corners", "<i4", 3)])
-            triangles["count"] = 3
-            triangles["corners"] = faces
-            stream.write(triangles.tobytes())
-
-
 class ShapeTest(IntEnum):
     """What became of a camera pixel, the values of `Shape.test`.
 
     Examples
     --------
     >>> import lightmatrix as lm
+    >>> from lightmatrix.shape.shape import ShapeTest
     >>> known = lm.truth("metal")
     >>> shape = lm.triangulate(known.transport(), known.geometry)
-    >>> bool((shape.test == lm.ShapeTest.OFF_LINE).any())
+    >>> bool((shape.test == ShapeTest.OFF_LINE).any())
     True
     """
 
@@ -379,16 +256,36 @@ class Shape:
         OutputError
             If the file exists, is not one of ours, or cannot be written.
         """
+        known = self.kept.ravel()
+        # Light at this quantile is shown white, and bent for screens, which undo it.
+        bright = float(np.quantile(self.albedo, 0.99)) if self.albedo.size else 0.0
+        level = 255 * np.clip(self.albedo / max(bright, 1e-12), 0, 1) ** (1 / 2.2)
+        columns: dict[str, NDArray[Any]] = {
+            **dict(zip(("x", "y", "z"), np.moveaxis(self.points, -1, 0), strict=True)),
+            **dict(zip(("nx", "ny", "nz"), np.moveaxis(self.normals, -1, 0), strict=True)),
+            **dict.fromkeys(("red", "green", "blue"), np.rint(level).astype(np.uint8)),
+            "uncertainty": self.uncertainty,
+        }
+        # PLY in binary (Turk 1994).
+        kinds = [
+            (name, "u1" if values.dtype == np.uint8 else "<f4") for name, values in columns.items()
+        ]
+        table = np.empty(int(known.sum()), kinds)
+        for name, values in columns.items():
+            table[name] = np.nan_to_num(values.ravel()[known])
+        lines = ["ply", "format binary_little_endian 1.0", PLY_MARK, f"element vertex {len(table)}"]
+        lines += [f"property {'uchar' if kind == 'u1' else 'float'} {name}" for name, kind in kinds]
         faces = surface_faces(self.depth, self.geometry) if mesh else None
-        write_cloud(
-            path,
-            self.points,
-            self.normals,
-            self.albedo,
-            self.uncertainty,
-            faces,
-            overwrite=overwrite,
-        )
+        if faces is not None:
+            lines += [f"element face {len(faces)}", "property list uchar int vertex_indices"]
+        with atomic_file(path, CLOUD, overwrite=overwrite) as part, part.open("wb") as stream:
+            stream.write(("\n".join([*lines, "end_header"]) + "\n").encode("ascii"))
+            stream.write(table.tobytes())
+            if faces is not None:
+                triangles = np.empty(len(faces), [("count", "u1"), ("corners", "<i4", 3)])
+                triangles["count"] = 3
+                triangles["corners"] = (np.cumsum(known) - 1)[faces]
+                stream.write(triangles.tobytes())
 
     def save_depth(self, path: str | Path, *, overwrite: bool = False) -> None:
         """Write the depth as float32, NaN where there is none: .tif, .tiff or .npy.
@@ -398,13 +295,32 @@ class Shape:
         OutputError
             If the file exists or cannot be written.
         """
-        write_depth(path, self.depth, overwrite=overwrite)
+        with atomic_file(path, DEPTH, overwrite=overwrite) as part:
+            if part.suffix.lower() == ".npy":
+                np.save(part, self.depth)
+            else:
+                tifffile.imwrite(part, self.depth)
 
     def show(self) -> Picture:
         """A Matplotlib figure: maps of depth and normals, and which test a pixel failed."""
-        names = [test.name for test in ShapeTest]
-        units = self.geometry.units
-        return shape_picture(self.depth, self.camera_normals, self.test, names, units)
+        rows, cols = self.depth.shape
+        with mpl.rc_context(STYLE):
+            drawing = Picture(figsize=(11, 1 + 3 * rows / cols), layout="constrained")
+            depths, directions, tests = drawing.subplots(1, 3)
+            shown = depth_map(self.depth, self.geometry.units)
+            options: dict[str, Any] = {"cmap": shown.colour_map, "norm": shown.norm}
+            options |= {"vmin": None, "vmax": None}
+            image = panel(depths, shown.shown, shown.title, **options)
+            drawing.colorbar(image, ax=depths, label=shown.label, shrink=0.8)
+            panel(directions, normal_colours(self.camera_normals), _NORMALS)
+            count = len(ShapeTest)
+            # Colours of kept pixels and of the tests that others failed.
+            colours = ListedColormap(("#f2f2f2", "#404040", *COLOURS[:4]))
+            options |= {"cmap": colours, "norm": BoundaryNorm(np.arange(count + 1) - 0.5, count)}
+            image = panel(tests, self.test, "Which test a pixel failed", **options)
+            bar = drawing.colorbar(image, ax=tests, ticks=range(count), shrink=0.8)
+            bar.set_ticklabels([test.name.lower().replace("_", " ") for test in ShapeTest])
+        return drawing
 
     def mesh(self) -> Any:
         """The surface as a `trimesh.Trimesh`, which writes STL, OBJ and GLB and measures meshes.

@@ -18,54 +18,15 @@ from lightmatrix.geometry.rig_geometry import RigGeometry
 from lightmatrix.shape.shape import Shape, ShapeTest, local_mean, surface_normals
 from lightmatrix.transport.correspondence import Correspondence, pixel_rows
 from lightmatrix.transport.matrix import LightTransport
-from lightmatrix.transport.sparse_rows import row_blocks
 from lightmatrix.transport.store import open_matches
-from lightmatrix.uses.direct_light import camera_pixels
-from lightmatrix.uses.spots import ENTRIES, entries_of, spot_deviation
+from lightmatrix.uses.separation import Spots, blocks_of, camera_pixels, entries_of, spot_deviation
+
+# The middle of a spot lies within this distance of the epipolar line, in projector pixels, and the
+# 3 x 3 pixels around it reach as far. Chosen by hand: one pixel and a half leave room for a spot
+# that lies between pixels.
+_REACH = 1.5
 
 # The brightest spot of each row of T beside its epipolar line: where direct light comes from.
-
-
-# The middle of a spot lies within this distance of the epipolar line, in projector pixels. Chosen
-# by hand: one pixel and a half leave room for a spot that lies between pixels.
-_BAND = 1.5
-# How far the 3 x 3 pixels around a middle reach from it.
-_REACH = 1.5
-# Times that the window is centred on the light within it; it then moves by less than 0.01 pixels.
-_RECENTRED = 4
-# A line tells where it crosses the border if the sine between them is this or more. Chosen by
-# hand: errors of the coordinate then grow threefold at most.
-_STEEP = 0.3
-# Half width of the window of a sharp spot, and what it grows by with the standard deviation of a
-# spot that is out of focus, in projector pixels: 1.5 for one pixel, 2.5 under a blur of 1 pixel.
-# Chosen by hand.
-_LEAST_HALF_WIDTH, _HALF_WIDTH_PER_DEVIATION = 1.5, 2.4
-# Blocks of rows that are searched at the same time. Each takes about 400 MiB.
-_THREADS = 2
-
-
-@dataclass(frozen=True, eq=False)
-class LineSpots:
-    """One spot for each of P camera pixels.
-
-    Parameters
-    ----------
-    place : (P, 2) float64
-        Its centre as row and column of the projector; NaN where there is no light by the line.
-    light : (P,) float64
-        The light within its window.
-    total : (P,) float64
-        The light of the whole row, background included.
-    """
-
-    place: NDArray[np.float64]
-    light: NDArray[np.float64]
-    total: NDArray[np.float64]
-
-
-def window_half_width(deviation: float) -> float:
-    """Half width of the window around spots of this standard deviation, in projector pixels."""
-    return max(_LEAST_HALF_WIDTH, _HALF_WIDTH_PER_DEVIATION * deviation)
 
 
 def find_line_spots(
@@ -75,7 +36,7 @@ def find_line_spots(
     pixels: NDArray[np.float64],
     shape: tuple[int, int],
     half_width: float,
-) -> LineSpots:
+) -> Spots:
     """Find the spot of each row of T, (P, N), beside its line.
 
     Of all 3 x 3 pixels whose middle lies within 1.5 pixels of the line, the brightest are the spot.
@@ -85,25 +46,21 @@ def find_line_spots(
     `lines` (P, 3) are a, b, c with a^2 + b^2 = 1 and a col + b row + c = 0, `pixels` (N, 2) the
     column and row of each projector pixel without distortion.
     """
-    count = int(matrix.shape[0])
-    place = np.full((count, 2), np.nan)
-    light, total = np.zeros(count), np.zeros(count)
+    place = np.full((matrix.shape[0], 2), np.nan)
+    light, total = np.zeros(len(place)), np.zeros(len(place))
     if not matrix.has_sorted_indices:
         matrix = matrix.copy()
         matrix.sort_indices()
 
-    def find(start: int, stop: int) -> None:
-        rows = slice(start, stop)
-        part = csr_array(matrix[rows])
+    def find(rows: slice) -> None:
         place[rows], light[rows], total[rows] = _of_block(
-            part, lines[rows], pixels, shape, half_width
+            csr_array(matrix[rows]), lines[rows], pixels, shape, half_width
         )
 
-    cuts = row_blocks(matrix.indptr, ENTRIES).tolist()
-    with ThreadPoolExecutor(_THREADS) as threads:
-        # `list` raises what a thread raised.
-        list(threads.map(find, cuts[:-1], cuts[1:]))
-    return LineSpots(place, light, total + np.maximum(background, 0))
+    # Each block takes about 400 MiB. `list` raises what a thread raised.
+    with ThreadPoolExecutor(2) as threads:
+        list(threads.map(find, blocks_of(matrix)))
+    return Spots(place, light, total + np.maximum(background, 0))
 
 
 def uncut_places(
@@ -125,7 +82,8 @@ def uncut_places(
         # Columns of `lines` belong to (col, row), those of `place` to (row, col).
         with np.errstate(invalid="ignore", divide="ignore"):
             crossing = -(across * place[:, 1 - axis] + lines[:, 2]) / along
-        steep = np.abs(along) >= _STEEP
+        # Chosen by hand: errors of the coordinate grow threefold at most.
+        steep = np.abs(along) >= 0.3
         outwards = np.where(low, place[:, axis] - crossing, crossing - place[:, axis])
         cut = (low | high) & steep & (outwards > 0) & (outwards <= 1)
         result[cut, axis] = crossing[cut]
@@ -149,17 +107,18 @@ def _of_block(
     ideal_col, ideal_row = np.ascontiguousarray(pixels.T).take(matrix.indices, axis=1)
     across, down, shift = np.ascontiguousarray(lines.T)
     distance = np.abs(across[owner] * ideal_col + down[owner] * ideal_row + shift[owner])
-    near = np.flatnonzero(distance <= _BAND + _REACH + half_width)
+    near = np.flatnonzero(distance <= 2 * _REACH + half_width)
     owner, light, distance = owner[near], light[near], distance[near]
     row, col = row[near], col[near]
-    middle_row, middle_col = _brightest(owner, row, col, light, distance <= _BAND, shape, count)
+    middle_row, middle_col = _brightest(owner, row, col, light, distance <= _REACH, shape, count)
     # The window moves by up to a pixel.
     reach = half_width + _REACH
     inside = np.abs(row - middle_row[owner]) <= reach
     inside &= np.abs(col - middle_col[owner]) <= reach
     owner, row, col, light = owner[inside], row[inside], col[inside], light[inside]
     held = np.zeros(count)
-    for _ in range(_RECENTRED):
+    # The window is centred on the light within it; it then moves by less than 0.01 pixels.
+    for _ in range(4):
         share = np.clip(half_width + 0.5 - np.abs(row - middle_row[owner]), 0, 1)
         share *= np.clip(half_width + 0.5 - np.abs(col - middle_col[owner]), 0, 1)
         share *= light
@@ -206,26 +165,6 @@ def _brightest(
     middle_row[owner[strongest]] = row[strongest]
     middle_col[owner[strongest]] = col[strongest]
     return middle_row, middle_col
-
-
-# A point is kept if its window holds this share of the row's light, or its code explains this share
-# of the variance of its samples.
-_LEAST_SHARE = 0.1
-# And if it lies within this distance of its epipolar line, in projector pixels; strictly, within
-# half of it.
-_FROM_LINE, _FROM_LINE_STRICT = 1.0, 0.5
-# And if the estimate of its row states a smaller relative error than this. A row that is all wrong
-# has an error of 1 or more, as many rows of shadows have. On the scene vase (64 x 64, 32 patterns)
-# 1.6 % of the depths are wrong without this test and 0.3 % with it, for 0.03 % of the right ones.
-_MOST_ERROR, _MOST_ERROR_STRICT = 1.0, 0.3
-# The least error of a place in projector pixels, so that no depth is called exact. Chosen by hand:
-# no estimate of a rendered scene was closer.
-_LEAST_ERROR = 0.01
-
-
-# A code's places this close to the projector's border may be cut off by it: half a pixel, as for a
-# sharp spot of T.
-_CUT_CODE = 0.5
 
 
 @dataclass(frozen=True, eq=False)
@@ -297,12 +236,9 @@ def triangulate(
     >>> shape.depth.shape, bool(shape.kept.mean() > 0.9)
     ((64, 64), True)
     """
-    if output is not None:
-        check_output(output, CLOUD, overwrite=overwrite)
-    if depth is not None:
-        check_output(depth, DEPTH, overwrite=overwrite)
-    if picture is not None:
-        check_output(picture, PICTURE, overwrite=overwrite)
+    for path, kind in ((output, CLOUD), (depth, DEPTH), (picture, PICTURE)):
+        if path is not None:
+            check_output(path, kind, overwrite=overwrite)
     source = open_matches(transport)
     rig = geometry_of(source, geometry)
     grid = rig.camera_shape
@@ -367,10 +303,10 @@ def geometry_of(
         camera_shape, projector_shape = source.confidence.shape, source.projector_shape
     else:
         camera_shape, projector_shape = source.camera_shape[:2], source.projector_shape
-    return fitted_geometry(rig, (camera_shape[0], camera_shape[1]), projector_shape)
+    return _fitted_geometry(rig, (camera_shape[0], camera_shape[1]), projector_shape)
 
 
-def fitted_geometry(
+def _fitted_geometry(
     geometry: RigGeometry, camera_shape: tuple[int, int], projector_shape: tuple[int, int] | None
 ) -> RigGeometry:
     """The geometry, scaled to binned images; an error if no whole factors lead to them."""
@@ -401,7 +337,9 @@ def _spots_of(
     rows, background = pixel_rows(transport)
     shape = transport.projector_shape
     pixels = geometry.undistort_projector(camera_pixels(shape)[:, ::-1])
-    half_width = window_half_width(spot_deviation(transport, rows))
+    # The window reaches 1.5 projector pixels to each side of sharp spots, and 2.5 under a blur of 1
+    # pixel. Chosen by hand.
+    half_width = max(1.5, 2.4 * spot_deviation(transport, rows))
     spots = find_line_spots(rows, background, lines, pixels, shape, half_width)
     # A spot that the projector's border cuts off seems to lie farther inside than it does.
     place = uncut_places(spots.place, lines, shape, half_width - 1)
@@ -430,7 +368,8 @@ def _decoded_places(
             [np.where(known[:, 0], place[:, 0], row), np.where(known[:, 1], place[:, 1], col)]
         )
     else:
-        place = uncut_places(place, lines, geometry.projector_shape, _CUT_CODE)
+        # Places within half a pixel of the border may be cut off, as for a sharp spot of T.
+        place = uncut_places(place, lines, geometry.projector_shape, 0.5)
     confidence = matches.confidence.ravel().astype(np.float64)
     light = confidence if matches.light is None else matches.light.ravel().astype(np.float64)
     return _Places(place, confidence, light, np.zeros(len(place)))
@@ -454,10 +393,23 @@ def _shape(
     along = np.column_stack([-lines[:, 1], lines[:, 0]])
     moved = geometry.depth(geometry.triangulate(camera, seen + 0.1 * along))
     slope = np.abs(moved - depth) / 0.1
-    test = _tested(found, depth, away, geometry, points, strict)
+    axis = geometry.projector_matrix[2]
+    before = (depth > 0) & (points @ axis[:3] + axis[3] > 0)
+    # A row that is all wrong has an error of 1 or more, as many rows of shadows have. On the scene
+    # vase (64 x 64, 32 patterns) 1.6 % of the depths are wrong without the test of errors and 0.3 %
+    # with it, for 0.03 % of the right ones. A spot holds a tenth of the row's light at least, and a
+    # code explains as much of the variance of its samples.
+    from_line, most_error = (0.5, 0.3) if strict else (1.0, 1.0)
+    test = np.full(len(depth), ShapeTest.KEPT, np.uint8)
+    test[~before] = ShapeTest.BEHIND
+    test[~(found.error < most_error)] = ShapeTest.UNCERTAIN
+    test[~(np.abs(away) <= from_line)] = ShapeTest.OFF_LINE
+    test[~(found.share > 0.1)] = ShapeTest.WEAK
+    test[~np.isfinite(found.place).all(axis=1) | ~(found.light > 0)] = ShapeTest.NO_LIGHT
     kept = test == ShapeTest.KEPT
     spread = np.sqrt(local_mean(np.where(kept, away**2, np.nan).reshape(grid))).ravel()
-    uncertainty = slope * np.maximum(spread, _LEAST_ERROR)
+    # No depth is called exact: no estimate of a rendered scene was closer than 0.01 pixels.
+    uncertainty = slope * np.maximum(spread, 0.01)
 
     def mapped(values: NDArray[np.float64], mask: NDArray[np.bool_]) -> NDArray[np.float32]:
         shown = np.where(mask if values.ndim == 1 else mask[:, None], values, np.nan)
@@ -475,29 +427,3 @@ def _shape(
         np.abs(away).astype(np.float32).reshape(grid),
         geometry,
     )
-
-
-def _tested(
-    found: _Places,
-    depth: NDArray[np.float64],
-    away: NDArray[np.float64],
-    geometry: RigGeometry,
-    points: NDArray[np.float64],
-    strict: bool,
-) -> NDArray[np.uint8]:
-    """The first test that each of P camera pixels fails, or KEPT."""
-    matrix = geometry.projector_matrix[2]
-    before = (depth > 0) & (points @ matrix[:3] + matrix[3] > 0)
-    from_line = _FROM_LINE_STRICT if strict else _FROM_LINE
-    most_error = _MOST_ERROR_STRICT if strict else _MOST_ERROR
-    failed = [
-        (ShapeTest.BEHIND, ~before),
-        (ShapeTest.UNCERTAIN, ~(found.error < most_error)),
-        (ShapeTest.OFF_LINE, ~(np.abs(away) <= from_line)),
-        (ShapeTest.WEAK, ~(found.share > _LEAST_SHARE)),
-        (ShapeTest.NO_LIGHT, ~np.isfinite(found.place).all(axis=1) | ~(found.light > 0)),
-    ]
-    test = np.full(len(depth), ShapeTest.KEPT, np.uint8)
-    for reason, failing in failed:
-        test[failing] = reason
-    return test

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lightmatrix.errors import MissingExtraError, warn
-from lightmatrix.simulation.scenes.scene import Part, Scene, View
+from lightmatrix.simulation.scenes import Part, Scene, View
 
 # A libLLVM that the renderer can use, found without risk to this process.
 #

@@ -6,7 +6,6 @@ Blur and vignetting change T itself, so that relighting and estimation see one c
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,15 +16,6 @@ from lightmatrix.errors import InputError
 from lightmatrix.ranges import check_number
 from lightmatrix.simulation.thinning import joined, sparse_rows
 from lightmatrix.simulation.truth import Truth
-
-# A blurred row keeps the entries that hold this share of its sum; the others are gathered (see
-# `thinned`). Chosen by hand: blurred rows have many entries that hold next to nothing.
-_KEEP = 0.9995
-# Dense rows of this many float32 values together (32 MiB) are blurred at once.
-_BLOCK_VALUES = 1 << 23
-# Room light is the white image blurred by this many camera pixels (standard deviation), because it
-# comes from all sides and has no shadow edges. Chosen by hand.
-_AMBIENT_BLUR = 6
 
 
 def check_realism(
@@ -50,33 +40,14 @@ def check_realism(
 
 def defocus(truth: Truth, sigma: float) -> Truth:
     """Blur the projector by a Gaussian of `sigma` >= 0 projector pixels; its border loses light."""
-    return varying_defocus(truth, np.full(truth.matrix.shape[0], float(sigma)))
-
-
-def varying_defocus(truth: Truth, sigmas: NDArray[np.float64]) -> Truth:
-    """Blur the projector differently for each camera sample: `sigmas` (M,) in projector pixels."""
-    widths, group = np.unique(sigmas, return_inverse=True)
-    for sigma in widths:
-        check_realism(truth.projector_shape, blur=float(sigma))
-    if len(widths) == 1 and widths[0] == 0:
+    check_realism(truth.projector_shape, blur=sigma)
+    if sigma == 0:
         return truth
-    parts, order = [], []
-    for number, sigma in enumerate(widths):
-        chosen = np.flatnonzero(group == number)
-        order.append(chosen)
-        parts += _defocused(truth, chosen, float(sigma))
-    matrix, direct_data = joined(parts)
-    if len(widths) == 1:
-        return replace(truth, matrix=matrix, direct_data=direct_data)
-    back = np.argsort(np.concatenate(order), kind="stable")
-    direct = csr_array((direct_data, matrix.indices, matrix.indptr), shape=matrix.shape)
-    return replace(truth, matrix=csr_array(matrix[back]), direct_data=csr_array(direct[back]).data)
-
-
-def _defocused(truth: Truth, chosen: NDArray[np.integer], sigma: float) -> list[Any]:
-    """Some rows, blurred alike, in blocks as `joined` takes them."""
     rows, cols = truth.projector_shape
-    across, along = _blur_matrix(rows, sigma), _blur_matrix(cols, sigma)
+    across, along = (
+        gaussian_filter1d(np.eye(size, dtype=np.float32), sigma, mode="constant", truncate=3)
+        for size in (rows, cols)
+    )
 
     def blurred(part: csr_array) -> NDArray[np.float32]:
         # Two products of large matrices are far faster than many products of small ones.
@@ -84,13 +55,15 @@ def _defocused(truth: Truth, chosen: NDArray[np.integer], sigma: float) -> list[
         twice = once.swapaxes(1, 2).reshape(-1, rows) @ across
         return twice.reshape(-1, cols, rows).swapaxes(1, 2).reshape(-1, rows * cols)
 
-    step = max(1, _BLOCK_VALUES // (rows * cols))
-    direct = truth.direct
-    parts = []
-    for start in range(0, len(chosen), step):
-        block = chosen[start : start + step]
-        parts.append(sparse_rows(blurred(truth.matrix[block]), blurred(direct[block]), _KEEP))
-    return parts
+    # Dense rows of 32 MiB are blurred at once. Of their many entries, those stay that hold nearly
+    # all of the light; the others are gathered (see `thinned`).
+    step = max(1, (1 << 23) // (rows * cols))
+    direct, parts = truth.direct, []
+    for start in range(0, truth.matrix.shape[0], step):
+        part = slice(start, start + step)
+        parts.append(sparse_rows(blurred(truth.matrix[part]), blurred(direct[part]), 0.9995))
+    matrix, direct_data = joined(parts)
+    return replace(truth, matrix=matrix, direct_data=direct_data)
 
 
 def vignetting(truth: Truth, strength: float) -> Truth:
@@ -114,13 +87,7 @@ def ambient(truth: Truth, level: float) -> NDArray[np.float32]:
     """Image of the room's light alone, (M,) float32; its mean is `level` times that under white."""
     check_realism(truth.projector_shape, ambient=level)
     white = np.asarray(truth.matrix.sum(axis=1), np.float64).reshape(*truth.camera_shape[:2], -1)
-    smooth = gaussian_filter1d(
-        gaussian_filter1d(white, _AMBIENT_BLUR, axis=0), _AMBIENT_BLUR, axis=1
-    )
+    # Room light comes from all sides and has no shadow edges, so the white image is blurred by six
+    # camera pixels (standard deviation).
+    smooth = gaussian_filter1d(gaussian_filter1d(white, 6, axis=0), 6, axis=1)
     return np.asarray(level * smooth.ravel(), np.float32)
-
-
-def _blur_matrix(size: int, sigma: float) -> NDArray[np.float32]:
-    if sigma == 0:
-        return np.eye(size, dtype=np.float32)
-    return gaussian_filter1d(np.eye(size, dtype=np.float32), sigma, mode="constant", truncate=3)

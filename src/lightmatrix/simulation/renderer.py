@@ -20,57 +20,32 @@ from lightmatrix.simulation.scenes import scene as find_scene
 from lightmatrix.simulation.thinning import joined, thinned_in_steps
 from lightmatrix.simulation.truth import Truth, view_geometry
 
-# The memory that a rendering needs.
-
-
 # This many paths are traced at once. Chosen by hand: they fill all cores and take about 1 GiB.
 WAVEFRONT = 1 << 20
-# A path in flight holds its ray, throughput and random state (200 bytes) and, at each of at most
-# 20 points, a place, a value and the key by which they are sorted (40 bytes in all).
-_PATH_BYTES = 200
-_POINT_BYTES = 40
-_MAX_POINTS = 20
-# The renderer and the scene take about this much.
-_BASE_BYTES = 256 << 20
-# An entry of the result holds a value, a column and the direct part, 4 bytes each; one of the
-# three exists twice while blocks are joined.
-_ENTRY_BYTES = 16
-# If the wanted share of the light needs too much memory, the message suggests one of these.
-_SMALLER_KEEPS = (0.99, 0.98, 0.95, 0.9, 0.8, 0.5)
 
 
 def needed_bytes(size: tuple[int, int], channels: int = 1, entries: int = 1) -> int:
     """Memory that a rendering needs: the paths in flight, and `entries` for each sparse row."""
-    paths = WAVEFRONT * (_PATH_BYTES + _POINT_BYTES * _MAX_POINTS)
-    return _BASE_BYTES + paths + size[0] * size[1] * channels * entries * _ENTRY_BYTES
+    # A path holds its ray, throughput and random state (200 bytes) and, at each of at most 20
+    # points, a place, a value and their key (40 bytes). The renderer and the scene take 256 MiB.
+    # An entry holds value, column and direct part, one of which exists twice while blocks are
+    # joined.
+    return (256 << 20) + WAVEFRONT * (200 + 20 * 40) + size[0] * size[1] * channels * entries * 16
 
 
 def check_memory(
-    size: tuple[int, int],
-    projector: tuple[int, int],
-    channels: int,
-    entries: int = 1,
-    entries_at: Callable[[float], int] | None = None,
-    keep: float = 1.0,
+    size: tuple[int, int], projector: tuple[int, int], channels: int, entries: int = 1
 ) -> None:
-    """Raise InputError if a rendering would not fit; the hint names a setting that would."""
+    """Raise InputError if a rendering would not fit."""
     available = available_bytes()
     needed = needed_bytes(size, channels, entries)
-    if needed <= available:
-        return
-    hint = "use a smaller --size"
-    if entries_at is not None:
-        hint = "use fewer --spp or a smaller --size"
-        for share in _SMALLER_KEEPS:
-            smaller = needed_bytes(size, channels, entries_at(share))
-            if share < keep and smaller <= available:
-                hint = f"use --keep {share:g} (about {smaller / 2**30:.1f} GiB), or fewer --spp"
-                break
-    raise InputError(
-        f"rendering {size[0]}x{size[1]} camera by {projector[0]}x{projector[1]} projector "
-        f"pixels needs about {needed / 2**30:.1f} GiB, {available / 2**30:.1f} GiB are free",
-        hint=hint,
-    )
+    if needed > available:
+        raise InputError(
+            f"rendering {size[0]}x{size[1]} camera by {projector[0]}x{projector[1]} projector "
+            f"pixels needs about {needed / 2**30:.1f} GiB, {available / 2**30:.1f} GiB are free",
+            hint="use a smaller size"
+            + (", fewer samples, or keep a smaller share of the light" if entries > 1 else ""),
+        )
 
 
 # Light paths from the camera, each vertex of which is connected to the projector.
@@ -302,16 +277,6 @@ def _trace_scalar(
 
 Progress = Callable[[int, int], None]
 
-# The places of one block, camera samples times projector pixels, are numbered in 32 bits.
-_MOST_PLACES = 1 << 32
-# Where the result might not fit into memory, its size is estimated from this many camera pixels
-# that are rendered first, and from their mean number of entries times this margin. Chosen by hand:
-# the pilot pixels cost little beside a rendering of that size.
-_PILOT_PIXELS = 24
-_PILOT_MARGIN = 1.3
-# The scale of T makes a fifth of the rows clip under their strongest single pixel at exposure 1.
-_SCALE_QUANTILE = 0.8
-
 
 def render(
     name: str,
@@ -374,7 +339,17 @@ def render(
     """
     scene = find_scene(name)
     projector = projector_size or size
-    _check(size, projector, samples, keep, colour, seed)
+    for device, shape in (("camera", size), ("projector", projector)):
+        if min(shape) < 1:
+            raise InputError(
+                f"a {device} of {shape[0]} x {shape[1]} pixels", hint="use at least 1 x 1"
+            )
+    check_seed(seed)
+    if samples < 2:
+        raise InputError(f"{samples} samples a pixel", hint="use at least 2, better 1024 or more")
+    if not 0 < keep <= 1:
+        raise InputError(f"keep is {keep}", hint="use a share of the energy such as 0.999")
+    check_memory(size, projector, 3 if colour else 1)
     started = time.perf_counter()
     mi, fast = load_mitsuba(scalar=scalar)
     loaded = LoadedScene(
@@ -386,13 +361,25 @@ def render(
         colour,
         fast,
     )
-    if needed_bytes(size, loaded.channels, _most_entries(loaded, samples)) > available_bytes():
-        _check_by_pilot(loaded, samples, seed, keep)
+    most = min(loaded.pixels, samples * loaded.max_depth)
+    if needed_bytes(size, loaded.channels, most) > available_bytes():
+        # The size of the result is estimated from a few camera pixels, with a margin of 30 %: they
+        # cost little beside a rendering that might not fit.
+        pixels = np.unique(np.linspace(0, size[0] * size[1] - 1, 24).astype(int))
+        pilot = _Rendering(loaded, samples, seed, None)
+        thin = [thinned_in_steps(*pilot.rows(int(pixel), 1), keep)[0] for pixel in pixels]
+        entries = 1.3 * float(np.mean([part.nnz for part in thin])) / loaded.channels
+        check_memory(size, projector, loaded.channels, int(min(most, entries)))
     rendering = _Rendering(loaded, samples, seed, progress)
     matrix, direct = rendering.matrix(keep)
-    scale = _exposure_scale(matrix)
+    # At exposure 1, a fifth of the rows clip under their strongest single pixel.
+    level = float(np.quantile(matrix.max(axis=1).toarray(), 0.8))
+    scale = 1 / level if level > 0 else 1.0
     matrix.data *= scale
     direct *= np.float32(scale)
+    missed, total = rendering.energies.T
+    # The relative noise of the mean of two halves.
+    noise = np.sqrt(missed / np.maximum(total, 1e-30)).tolist()
     metadata = {
         "scene": name,
         "scene_version": scene.version,
@@ -401,57 +388,14 @@ def render(
         "keep": keep,
         "max_depth": scene.max_depth,
         "scale": float(scale),
-        "noise_entries": rendering.noise.entries,
-        "noise_white": rendering.noise.white,
+        "noise_entries": noise[0],
+        "noise_white": noise[1],
         "renderer": f"mitsuba {mi.__version__} {mi.variant()}",
         "seconds": round(time.perf_counter() - started, 1),
     }
     geometry = view_geometry(scene, size, projector)
     camera_shape = (*size, 3) if colour else size
     return Truth(matrix, direct, camera_shape, projector, metadata, geometry)
-
-
-def _check(
-    size: tuple[int, int],
-    projector: tuple[int, int],
-    samples: int,
-    keep: float,
-    colour: bool,
-    seed: int,
-) -> None:
-    for device, shape in (("camera", size), ("projector", projector)):
-        if min(shape) < 1:
-            raise InputError(
-                f"a {device} of {shape[0]} x {shape[1]} pixels", hint="use at least 1x1"
-            )
-    check_seed(seed)
-    if samples < 2:
-        raise InputError(f"{samples} samples a pixel", hint="use at least 2, better 1024 or more")
-    if not 0 < keep <= 1:
-        raise InputError(f"keep is {keep}", hint="use a share of the energy such as 0.999")
-    check_memory(size, projector, 3 if colour else 1)
-
-
-def _check_by_pilot(loaded: LoadedScene, samples: int, seed: int, keep: float) -> None:
-    """Raise InputError if the matrix will not fit, judging by a few camera pixels."""
-    rows, cols = loaded.camera_shape
-    pixels = np.unique(np.linspace(0, rows * cols - 1, _PILOT_PIXELS).astype(int))
-    pilot = _Rendering(loaded, samples, seed, None)
-    rendered = [pilot.rows(int(pixel), 1) for pixel in pixels]
-
-    def entries(share: float) -> int:
-        """Entries of a row if it keeps this share of its light."""
-        counts = [thinned_in_steps(*part, share)[0].nnz / loaded.channels for part in rendered]
-        return int(min(_most_entries(loaded, samples), _PILOT_MARGIN * np.mean(counts)))
-
-    check_memory(
-        loaded.camera_shape, loaded.projector_shape, loaded.channels, entries(keep), entries, keep
-    )
-
-
-def _most_entries(loaded: LoadedScene, samples: int) -> int:
-    """The most entries that a row can have."""
-    return min(loaded.pixels, samples * loaded.max_depth)
 
 
 @dataclass
@@ -462,7 +406,9 @@ class _Rendering:
     samples: int
     seed: int
     progress: Progress | None
-    noise: _Noise = field(default_factory=lambda: _Noise())
+    # Energies of half the difference and of half the sum of the two halves of the samples: of the
+    # entries, and of the white image.
+    energies: NDArray[np.float64] = field(default_factory=lambda: np.zeros((2, 2)))
     paths_done: int = 0
 
     def matrix(self, keep: float) -> tuple[csr_array, NDArray[np.float32]]:
@@ -470,7 +416,8 @@ class _Rendering:
         rows, cols = self.loaded.camera_shape
         total, half = rows * cols, self.samples - self.samples // 2
         # Half the samples of a block of camera pixels make up one wavefront.
-        most = _MOST_PLACES // (self.loaded.channels * self.loaded.pixels)
+        # The places of one block, camera samples times projector pixels, are numbered in 32 bits.
+        most = (1 << 32) // (self.loaded.channels * self.loaded.pixels)
         block = min(total, max(1, min(WAVEFRONT // half, most)))
         return joined(
             [
@@ -482,7 +429,15 @@ class _Rendering:
     def rows(self, first: int, count: int) -> tuple[csr_array, NDArray[np.float32]]:
         """The rows of some camera pixels, and the direct part of each entry."""
         halves = self._sums(first, count, 0), self._sums(first, count, 1)
-        self.noise.add(*halves, self.samples)
+        a: csr_array = halves[0].real / np.float32(self.samples - self.samples // 2)
+        b: csr_array = halves[1].real / np.float32(self.samples // 2)
+        white_a, white_b = np.asarray(a.sum(axis=1)), np.asarray(b.sum(axis=1))
+        for number, (difference, total) in enumerate(
+            (((a - b).data, (a + b).data), (white_a - white_b, white_a + white_b))
+        ):
+            self.energies[number] += [
+                np.square(values, dtype=np.float64).sum() / 4 for values in (difference, total)
+            ]
         both = csr_array((halves[0] + halves[1]) / np.float32(self.samples))
         whole = csr_array((both.data.real.copy(), both.indices, both.indptr), shape=both.shape)
         return whole, both.data.imag.copy()
@@ -504,37 +459,3 @@ class _Rendering:
             if self.progress is not None:
                 self.progress(self.paths_done, rows * cols * self.samples)
         return sums
-
-
-def _exposure_scale(matrix: csr_array) -> float:
-    """The factor that puts the 0.8 quantile over rows of the row maximum at the clip level, 1."""
-    level = float(np.quantile(matrix.max(axis=1).toarray(), _SCALE_QUANTILE))
-    return 1 / level if level > 0 else 1.0
-
-
-class _Noise:
-    """Relative noise of the mean of two halves: of the entries, and of the white image."""
-
-    def __init__(self) -> None:
-        # Energies of half the difference and of half the sum.
-        self._entries = np.zeros(2)
-        self._white = np.zeros(2)
-
-    def add(self, first: csr_array, second: csr_array, samples: int) -> None:
-        """Add the sums (rows, N) over the two halves of the samples."""
-        a = first.real / np.float32(samples - samples // 2)
-        b = second.real / np.float32(samples // 2)
-        white_a, white_b = a.sum(axis=1), b.sum(axis=1)
-        for total, difference, energies in (
-            ((a + b).data, (a - b).data, self._entries),
-            (white_a + white_b, white_a - white_b, self._white),
-        ):
-            energies += [np.square(v, dtype=np.float64).sum() / 4 for v in (difference, total)]
-
-    @property
-    def entries(self) -> float:
-        return float(np.sqrt(self._entries[0] / max(self._entries[1], 1e-30)))
-
-    @property
-    def white(self) -> float:
-        return float(np.sqrt(self._white[0] / max(self._white[1], 1e-30)))

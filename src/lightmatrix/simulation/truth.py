@@ -21,13 +21,11 @@ from lightmatrix.capture.settings import TRUTH as TRUTH_NAME
 from lightmatrix.errors import InputError
 from lightmatrix.files.kinds import TRUTH
 from lightmatrix.files.writing import atomic_file
-from lightmatrix.geometry.projection import binned_matrix
-from lightmatrix.geometry.rig_geometry import RigGeometry
+from lightmatrix.geometry.rig_geometry import RigGeometry, binned_matrix
 from lightmatrix.regions import Region
 from lightmatrix.reprs import short_repr
-from lightmatrix.simulation.scenes import names, scene
-from lightmatrix.simulation.scenes.scene import Scene
-from lightmatrix.simulation.scenes.shapes import Mesh, merge
+from lightmatrix.simulation.scenes import Scene, names, scene
+from lightmatrix.simulation.shapes import Mesh, merge
 from lightmatrix.transport.matrix import LightTransport
 from lightmatrix.transport.npz import VERSION, read_sparse_npz
 
@@ -332,7 +330,7 @@ class Truth:
         if content.background is not None and content.background.any():
             raise InputError(
                 f"{path} holds its background separately, so its matrix is not the whole of T",
-                hint="export it with --dense-background",
+                hint="export it with dense_background=True",
             )
         direct = content.direct_data
         return cls(

@@ -225,7 +225,7 @@ def solve_weighted(
     if not problem.nonnegative:
         raise InputError(
             "penalties from neighbouring rows need light that is not negative",
-            hint="omit --signed, or estimate row by row (--no-coherent)",
+            hint="use signed=False, or estimate row by row (coherent=False)",
         )
     if len(candidates.indptr) != problem.rows + 1:
         raise InputError(

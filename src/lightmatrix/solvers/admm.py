@@ -159,8 +159,6 @@ def _each_by(rows: NDArray[np.float64], matrix: NDArray[np.float64]) -> NDArray[
     return (rows.reshape(len(matrix), -1, rows.shape[1]) @ matrix).reshape(rows.shape)
 
 
-# Limit of Newton steps. Each step passes at least one kink of the function, and most pass many.
-_NEWTON_STEPS = 100
 # Number of rows that are handled at a time in double precision, to save memory.
 _CAPPED_ROWS = 64
 
@@ -195,7 +193,8 @@ def capped_soft_threshold(
 def _rise(z: NDArray[np.float64], cap: NDArray[np.float64], give: float) -> NDArray[np.float64]:
     """The tau of each row with sum max(z - tau, 0) = cap + give tau."""
     tau, left = np.zeros(len(z)), z
-    for _ in range(_NEWTON_STEPS):
+    # Limit of Newton steps. Each step passes at least one kink of the function, and most pass many.
+    for _ in range(100):
         excess = left.sum(axis=1) - cap - give * tau
         step = np.maximum(excess / ((left > 0).sum(axis=1) + give), 0)
         tau += step

@@ -189,8 +189,6 @@ def _level(observed: Observed) -> NDArray[Any]:
 
 # Limit of Newton steps. They converge quadratically, so that a handful are enough.
 _NEWTON_STEPS = 100
-# Newton's method stops at steps below this, relative to 1 + |z|: some thousand times the rounding.
-_CONVERGED = 1e-12
 
 
 class Likelihood(DataTerm):
@@ -279,7 +277,9 @@ def _edge_conjugate(t: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def _converged(step: NDArray[np.float64], z: NDArray[np.float64]) -> bool:
-    return bool((np.abs(step) <= _CONVERGED * (1 + np.abs(z))).all())
+    # Newton's method stops at steps below this, relative to 1 + |z|: some thousand times the
+    # rounding.
+    return bool((np.abs(step) <= 1e-12 * (1 + np.abs(z))).all())
 
 
 class Fidelity(StrEnum):

@@ -17,10 +17,6 @@ from lightmatrix.transport.sparse_rows import SparseRows
 Progress = Callable[[int, int], None]
 S = TypeVar("S")
 
-# Stopped rows stay in the batch until they make up this share of it: removing them copies the
-# state. Chosen by hand.
-_COMPACT_SHARE = 0.2
-
 
 class IterativeSolver(Protocol):
     """A solver that the loop can run. Its states are frozen dataclasses of arrays with M rows."""
@@ -128,7 +124,9 @@ def solve(problem: Problem, solver: Solver, *, progress: Progress | None = None)
                 progress(finished.count, problem.rows)
         if not running.any():
             break
-        if (~running).mean() > _COMPACT_SHARE:
+        # Stopped rows stay in the batch until they make up this share of it: removing them copies
+        # the state. Chosen by hand.
+        if (~running).mean() > 0.2:
             keep = np.flatnonzero(running)
             active, part, state = active[keep], part.take(keep), state_of_rows(state, keep)
             running = np.ones(len(keep), bool)

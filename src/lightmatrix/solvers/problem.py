@@ -262,12 +262,6 @@ def no_rows(problem: Problem) -> SparseRows:
 
 # Bytes of the dense rows that are handled at a time: little beside a tile, and few Python calls.
 CHUNK_BYTES = 128 << 20
-# The gap is relative to the objective, but at least to this share of ||y||^2 / 2, so that rows
-# without light can converge. The compiled solver uses the same share.
-_FLOOR_SHARE = 1e-6
-# Limit of the factor that scales the dual point. Near the optimum the best factor is 1; a much
-# larger one would only magnify the rounding errors in m' theta = 0.
-_LARGEST_SCALING = 2
 
 
 def predictions(
@@ -315,7 +309,9 @@ def relative_gap(
     if not term.convex:
         return primal, np.full(problem.rows, np.nan)
     dual = _dual_value(problem, observed, u, term)
-    floor = _FLOOR_SHARE * (observed.values**2).sum(axis=1) / 2
+    # The gap is relative to the objective, but at least to this share of ||y||^2 / 2, so that rows
+    # without light can converge. The compiled solver uses the same share.
+    floor = 1e-6 * (observed.values**2).sum(axis=1) / 2
     scale = np.maximum(np.maximum(primal, floor), np.finfo(np.float64).tiny)
     return primal, (primal - dual) / scale
 
@@ -358,7 +354,9 @@ def _dual_value(
     # D(s theta) is a parabola in s. Take its top, or the largest feasible scaling below it.
     with np.errstate(divide="ignore", invalid="ignore"):
         top = np.where(quadratic > 0, linear / quadratic, 0)
-    scaling = np.clip(top, 0, np.minimum(limit, _LARGEST_SCALING))
+    # Limit of the factor that scales the dual point. Near the optimum the best factor is 1; a much
+    # larger one would only magnify the rounding errors in m' theta = 0.
+    scaling = np.clip(top, 0, np.minimum(limit, 2))
     return np.asarray(scaling * linear - scaling**2 * quadratic / 2)
 
 

@@ -53,10 +53,6 @@ def column_length(patterns: PatternSet) -> float:
     return float(np.sqrt(max(squares - float((patterns.means**2).sum()), 0.0)))
 
 
-# Prediction errors within 1 % of the least one count as equal to it. Chosen by hand.
-_TIE = 1.01
-
-
 @dataclass(frozen=True)
 class RegularizationPath:
     """Prediction errors of several regularizations on patterns that were held out."""
@@ -110,7 +106,8 @@ def regularization_path(
         result = solver.solve(replace(fit, regularization=float(value)), start=start)
         start = result.rows
         errors[i] = _prediction_error(unseen, result, solver.fidelity)
-    best = values[np.flatnonzero(errors <= _TIE * errors.min())[0]]
+    # Prediction errors within 1 % of the least one count as equal to it. Chosen by hand.
+    best = values[np.flatnonzero(errors <= 1.01 * errors.min())[0]]
     return RegularizationPath(values, errors, held_out, float(best))
 
 

@@ -23,10 +23,6 @@ from lightmatrix.solvers.problem import (
 )
 from lightmatrix.transport.sparse_rows import SparseRows
 
-# Ridge of the least squares, relative to the largest diagonal element. It makes the system regular
-# if columns are equal, and is far below any noise.
-_RIDGE = 1e-10
-
 
 @dataclass(frozen=True)
 class ROMP:
@@ -212,7 +208,9 @@ class _LeastSquares:
         right = np.matmul(weighted.transpose(0, 2, 1), self.y[:, :, None])
         diagonal = np.einsum("rii->ri", gram)
         # Padding and columns without light get a 1, so that their coefficient is 0.
-        diagonal += np.where(diagonal > 0, _RIDGE * diagonal.max(axis=1, keepdims=True), 1)
+        # Ridge of the least squares, relative to the largest diagonal element. It makes the system
+        # regular if columns are equal, and is far below any noise.
+        diagonal += np.where(diagonal > 0, 1e-10 * diagonal.max(axis=1, keepdims=True), 1)
         x = np.linalg.solve(gram, right)[..., 0]
         return (x[:, :-1], x[:, -1]) if background else (x, np.zeros(len(x)))
 

@@ -13,10 +13,6 @@ from lightmatrix.solvers.admm import System, automatic_penalty_x, relative, shri
 from lightmatrix.solvers.fidelity import Fidelity
 from lightmatrix.solvers.problem import Problem
 
-# Residuals of samples are relative to their norm, but at least to this share of lambda, so that
-# rows without light can stop. Chosen by hand, far below any lit row.
-_DARK = 1e-3
-
 
 @dataclass(frozen=True)
 class SaturationADMMState:
@@ -107,7 +103,9 @@ class SaturationADMM:
     def residuals(
         self, problem: Problem, before: SaturationADMMState, after: SaturationADMMState
     ) -> tuple[NDArray[Any], NDArray[Any]]:
-        threshold, dark = 1 / after.penalty_x, _DARK * problem.regularization
+        # Residuals of samples are relative to their norm, but at least to this share of lambda, so
+        # that rows without light can stop. Chosen by hand, far below any lit row.
+        threshold, dark = 1 / after.penalty_x, 1e-3 * problem.regularization
         primal = np.maximum(
             relative(after.x - after.z, threshold, after.x, after.z),
             relative(after.prediction - after.u, dark, after.prediction, after.u),

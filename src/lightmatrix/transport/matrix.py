@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
-from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -12,7 +11,7 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
 from lightmatrix.errors import InputError
-from lightmatrix.patterns.pattern_set import check_grid, grid_cells
+from lightmatrix.patterns.pattern_set import check_grid
 from lightmatrix.regions import Region
 from lightmatrix.reprs import html_table, labelled
 from lightmatrix.transport.operator import TransportOperator
@@ -143,21 +142,6 @@ class LightTransport(TransportOperator):
             **more,
         )
 
-    @property
-    def shape(self) -> tuple[int, int]:
-        """Camera samples and projector pixels (M, N)."""
-        return int(self.sparse.shape[0]), int(self.sparse.shape[1])
-
-    @property
-    def image_shapes(self) -> tuple[tuple[int, ...], tuple[int, ...]]:
-        """The shapes of the camera and of the projector."""
-        return self.camera_shape, self.projector_shape
-
-    @cached_property
-    def pooling(self) -> csr_array:
-        """The operator m: means over the cells of the background grid, (B, N)."""
-        return cell_means(self.projector_shape, self.background_grid)
-
     def multiplied(self, vectors: NDArray[Any]) -> NDArray[Any]:
         """T p for vectors p, (N,) or (N, k)."""
         return np.asarray(self.sparse @ vectors + self.background @ (self.pooling @ vectors))
@@ -263,14 +247,6 @@ class LightTransport(TransportOperator):
         if not dense_background:
             return self.sparse
         return csr_array(self.sparse + csr_array(self.background) @ self.pooling)
-
-
-def cell_means(projector_shape: tuple[int, int], grid: tuple[int, int]) -> csr_array:
-    """The operator m, (B, N) float32: means of a pattern over the B cells of a coarse grid."""
-    cell = grid_cells(projector_shape, grid)
-    sizes = np.bincount(cell, minlength=grid[0] * grid[1])
-    entries = ((1 / sizes[cell]).astype(np.float32), (cell, np.arange(len(cell))))
-    return csr_array(entries, shape=(grid[0] * grid[1], len(cell)))
 
 
 def prediction_error(transport: LightTransport) -> float | None:

@@ -326,8 +326,9 @@ def write_correspondence(
     Examples
     --------
     >>> import lightmatrix as lm
+    >>> from lightmatrix.transport.npz import write_correspondence
     >>> matches = lm.correspondence(lm.truth("metal").transport())
-    >>> lm.write_correspondence("matches.npz", matches)
+    >>> write_correspondence("matches.npz", matches)
     """
     arrays = {name: getattr(matches, name) for name in _MATCHES}
     content: dict[str, Any] = {CORRESPONDENCE_MARK: np.array(VERSION)}
@@ -362,8 +363,9 @@ def read_correspondence(path: str | Path) -> Correspondence:
     Examples
     --------
     >>> import lightmatrix as lm
+    >>> from lightmatrix.transport.npz import write_correspondence
     >>> matches = lm.correspondence(lm.truth("metal").transport())
-    >>> lm.write_correspondence("matches.npz", matches)
+    >>> write_correspondence("matches.npz", matches)
     >>> lm.read_correspondence("matches.npz").projector_shape
     (64, 64)
     """

@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+import math
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.sparse import csr_array
 
 from lightmatrix.errors import InputError
+from lightmatrix.patterns.pattern_set import grid_cells
 from lightmatrix.ranges import check_finite, check_seed, check_unmasked, real_array
 
 
@@ -112,7 +116,26 @@ class Transposed(Operator):
 
 
 class TransportOperator(Operator):
-    """T as an operator; a class that holds T says how it multiplies."""
+    """T as an operator; a class that holds T has the shapes, and says how it multiplies."""
+
+    camera_shape: tuple[int, ...]
+    projector_shape: tuple[int, int]
+    background_grid: tuple[int, int]
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Camera samples and projector pixels (M, N)."""
+        return math.prod(self.camera_shape), math.prod(self.projector_shape)
+
+    @property
+    def image_shapes(self) -> tuple[tuple[int, ...], tuple[int, ...]]:
+        """The shapes of the camera and of the projector."""
+        return self.camera_shape, self.projector_shape
+
+    @cached_property
+    def pooling(self) -> csr_array:
+        """The operator m: means over the cells of the background grid, (B, N)."""
+        return cell_means(self.projector_shape, self.background_grid)
 
     @abstractmethod
     def multiplied_transposed(self, vectors: NDArray[Any]) -> NDArray[Any]:
@@ -278,3 +301,11 @@ def singular_values(
     check_finite("entries of T", image)
     values = np.linalg.svd(image, compute_uv=False)
     return np.asarray(values[: int(count)], np.float64)
+
+
+def cell_means(projector_shape: tuple[int, int], grid: tuple[int, int]) -> csr_array:
+    """The operator m, (B, N) float32: means of a pattern over the B cells of a coarse grid."""
+    cell = grid_cells(projector_shape, grid)
+    sizes = np.bincount(cell, minlength=grid[0] * grid[1])
+    entries = ((1 / sizes[cell]).astype(np.float32), (cell, np.arange(len(cell))))
+    return csr_array(entries, shape=(grid[0] * grid[1], len(cell)))

@@ -20,8 +20,6 @@ from lightmatrix.files.numpy_files import as_float32
 
 # How arrays of diagnostics are named among those of `SparseRows.arrays`.
 _DIAGNOSTIC = "diagnostic_"
-# SciPy's indices count rows and columns in 32 bits.
-_MOST_PIXELS = 1 << 31
 
 
 @dataclass(frozen=True, eq=False)
@@ -156,7 +154,8 @@ def checked_shape(
     if not exact or array.ndim != 1 or len(array) not in lengths or array.dtype.kind not in "iu":
         raise ValueError(f"{name} is no shape")
     shape = tuple(int(n) for n in array)
-    if min(shape) < 1 or pixels(shape) >= _MOST_PIXELS:
+    # SciPy's indices count rows and columns in 32 bits.
+    if min(shape) < 1 or pixels(shape) >= 1 << 31:
         raise ValueError(f"{name} is {' x '.join(map(str, shape))}")
     return shape
 

@@ -21,7 +21,6 @@ from typing import Any, Self
 import numpy as np
 import zarr
 from numpy.typing import NDArray
-from scipy.sparse import csr_array
 
 from lightmatrix.errors import InputError
 from lightmatrix.files.colours import COLOURS, colour_paths
@@ -44,7 +43,7 @@ from lightmatrix.files.zarr_arrays import (
 )
 from lightmatrix.resources.memory import check_memory
 from lightmatrix.transport.correspondence import Correspondence
-from lightmatrix.transport.matrix import ColourTransport, LightTransport, cell_means
+from lightmatrix.transport.matrix import ColourTransport, LightTransport
 from lightmatrix.transport.npz import import_npz, read_correspondence
 from lightmatrix.transport.operator import TransportOperator
 from lightmatrix.transport.sparse_rows import (
@@ -407,24 +406,9 @@ class StoredTransport(TransportOperator):
         return matrix
 
     @property
-    def shape(self) -> tuple[int, int]:
-        """Camera samples and projector pixels (M, N)."""
-        return math.prod(self.camera_shape), math.prod(self.projector_shape)
-
-    @property
-    def image_shapes(self) -> tuple[tuple[int, ...], tuple[int, ...]]:
-        """The shapes of the camera and of the projector."""
-        return self.camera_shape, self.projector_shape
-
-    @property
     def entries(self) -> int:
         """Entries of the sparse part."""
         return int(self._indptr[-1])
-
-    @cached_property
-    def pooling(self) -> csr_array:
-        """The operator m: mean over each cell of the background grid, (B, N)."""
-        return cell_means(self.projector_shape, self.background_grid)
 
     def rows(self, start: int, stop: int) -> SparseRows:
         """The camera samples start to stop, with diagnostics, read from their chunks alone.

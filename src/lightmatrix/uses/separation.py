@@ -1,16 +1,22 @@
-"""`separate`: the direct and the global part of T."""
+"""`separate`: the direct and the global part of T.
+
+The light of a row of T concentrates in spots on the projector. Epipolar geometry and the spots of
+neighbouring camera pixels tell which of them are direct light.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import pairwise
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csr_array
+from scipy.spatial import cKDTree
 
 from lightmatrix.errors import InputError
 from lightmatrix.files.images import read_grey, write_image
@@ -21,26 +27,390 @@ from lightmatrix.transport import store as store
 from lightmatrix.transport.correspondence import pixel_rows
 from lightmatrix.transport.matrix import LightTransport
 from lightmatrix.transport.operator import checked_patterns
-from lightmatrix.uses.direct_light import (
-    DirectSpots,
-    camera_pixels,
-    direct_entries,
-    find_direct_spots,
-    spot_radius,
-)
-from lightmatrix.uses.epipolar import EpipolarGeometry
+from lightmatrix.transport.sparse_rows import footprint_sizes, row_blocks
+from lightmatrix.uses.epipolar import EpipolarGeometry, fit_epipolar, mean_surface, on_surface
 from lightmatrix.uses.loading import Transport, loaded
-from lightmatrix.uses.spots import entries_of, find_spots, spot_deviation
 
-# Light within this distance of the epipolar line counts as epipolar, in projector pixels and in
-# standard deviations of a spot: a line that is one pixel wide, and its blur.
-_LINE = (1.0, 2.0)
-_GAMMA = 2.2
-# Memory that a separation takes, relative to the matrix. A megapixel camera with 29 entries a row
-# and 64 values of background took 4.1 (python -m benchmarks.uses_at_scale).
-_TIMES_ITS_SIZE = 4.1
-# A spot that covers more than this share of the projector is not one. Chosen by hand.
-_LARGEST_SPOT = 0.25
+# Spots that are searched in each row. A pixel on a depth edge sees two surfaces; the third place is
+# for global light that outshines one of them.
+SPOTS = 3
+
+
+@dataclass(frozen=True)
+class _Tuning:
+    """Thresholds, chosen on the scenes of benchmarks/separation_scenes.py.
+
+    Distances are in projector pixels. A pair is a constant, and a part that grows with the standard
+    deviation of a spot.
+    """
+
+    # A row fainter than this share of a bright row's light lies in the projector's shadow.
+    dark: float = 0.02
+    # The geometry is fitted to rows whose strongest spot holds this share of their light, and half
+    # of whose neighbours see light beside it; and to so many rows at least.
+    strong: float = 0.3
+    fewest: int = 16
+    # A neighbour agrees if its spot lies this close to where the mean surface puts it.
+    agreement: tuple[float, float] = (1.3, 1.0)
+    # Spots farther from the epipolar line, or beyond the parallax of good rows by more, are global.
+    from_line: tuple[float, float] = (0.6, 0.5)
+    beyond_parallax: tuple[float, float] = (1.0, 0.5)
+    # A spot is global if fewer of its 24 neighbours agree, or if it holds less of the row's light;
+    # the strongest one, and the others.
+    least_agreement: tuple[float, float] = (0.1, 0.05)
+    least_share: tuple[float, float] = (0.05, 0.02)
+    # Rounds in which spots that were rejected lose their vote on their neighbours.
+    votes: int = 3
+    # A neighbour's spot continues one within this distance, whose place may move by two pixels from
+    # one camera pixel to the next, if it holds this share of its light or more.
+    crossing: tuple[float, float] = (2.0, 1.0)
+    continues: float = 0.5
+    # A spot is global if another surface outshines it at its place, unless it lies within this
+    # share of the allowed distance from the line, or this share of its neighbours agrees.
+    doubtful: float = 0.4
+    certain: float = 0.9
+    # Two spots share a place on the projector if they lie this close to each other. They belong to
+    # two surfaces if their parallax differs by as much.
+    same_place: float = 1.0
+    # The footprint: entries this close to a direct spot, and this close to the epipolar line. A
+    # sharp camera pixel between projector pixels sees 2 x 2 of them, up to 1.4 pixels away.
+    footprint: tuple[float, float] = (0.6, 2.8)
+    band: tuple[float, float] = (1.0, 2.0)
+    # The ring around the footprint shows the global light beneath it, which is brighter there by
+    # this factor: it peaks where surfaces touch.
+    ring_width: float = 1.5
+    ring_factor: float = 2.0
+
+
+_TUNING = _Tuning()
+
+# Which spots of neighbouring camera pixels lie near each other on the projector.
+
+
+Places = tuple[slice, slice, slice]
+
+
+class NearSpots(NamedTuple):
+    """One neighbour of all camera pixels that have it.
+
+    `here` are those pixels and `there` their neighbours, in images (SPOTS, rows, cols) of spots.
+    `near` (SPOTS, SPOTS, ..., ...) says which spot here, first axis, lies near which spot there.
+    """
+
+    here: Places
+    there: Places
+    near: NDArray[np.bool_]
+
+
+def near_spots(
+    place: NDArray[np.float64], shape: tuple[int, int], *, reach: int, radius: float
+) -> Iterator[NearSpots]:
+    """For each neighbour up to `reach` pixels away, the spots within `radius` of each other.
+
+    `place` (P, SPOTS, 2) are rows and columns on the projector, NaN where there is no spot.
+    """
+    # Coordinate by coordinate: NumPy takes several times as long over pairs of them.
+    row, col = _as_images(place[..., 0], shape), _as_images(place[..., 1], shape)
+    steps = range(-reach, reach + 1)
+    for down, right in ((d, r) for d in steps for r in steps if d or r):
+        here = slice(None), shifted(shape[0], -down), shifted(shape[1], -right)
+        there = slice(None), shifted(shape[0], down), shifted(shape[1], right)
+        # In place, as these are the largest arrays of a separation.
+        squared = (row[there] - row[here][:, None]) ** 2
+        squared += (col[there] - col[here][:, None]) ** 2
+        # Comparisons with NaN are False.
+        yield NearSpots(here, there, squared <= radius**2)
+
+
+def _as_images(values: NDArray[Any], shape: tuple[int, int]) -> NDArray[Any]:
+    """Values (P, SPOTS) of spots as images (SPOTS, rows, cols)."""
+    return np.ascontiguousarray(values.T).reshape(-1, *shape)
+
+
+def by_pixel(images: NDArray[Any]) -> NDArray[Any]:
+    """Images (SPOTS, rows, cols) as values (P, SPOTS)."""
+    return np.ascontiguousarray(images.reshape(len(images), -1).T)
+
+
+def shifted(size: int, by: int) -> slice:
+    """The part of an axis that still lies inside once it is moved back by so many pixels."""
+    return slice(max(0, by), size - max(0, -by))
+
+
+# The spots of each row of T: the few places on the projector where its light concentrates.
+
+
+@dataclass(frozen=True, eq=False)
+class Spots:
+    """Spots of P camera pixels, up to n each, the strongest first.
+
+    `place` (P, n, 2) is the centre of each spot as row and column of the projector, NaN where there
+    is none; `light` (P, n) what it holds; `total` (P,) is the light of the whole row, background
+    included.
+    """
+
+    place: NDArray[np.float64]
+    light: NDArray[np.float64]
+    total: NDArray[np.float64]
+
+
+def camera_pixels(shape: tuple[int, int]) -> NDArray[np.float64]:
+    """Row and column of each camera pixel, (P, 2)."""
+    return np.indices(shape, np.float64).reshape(2, -1).T
+
+
+def entries_of(
+    matrix: csr_array, width: int
+) -> tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.float64]]:
+    """The row number of each entry; row and column of its projector pixel."""
+    owner = np.repeat(np.arange(matrix.shape[0]), np.diff(matrix.indptr))
+    row, col = np.divmod(matrix.indices, np.int32(width))
+    return owner, row.astype(np.float64), col.astype(np.float64)
+
+
+def blocks_of(matrix: csr_array) -> list[slice]:
+    """Blocks of rows, such that temporary arrays for all entries of one stay below 1 GB."""
+    cuts = row_blocks(matrix.indptr, 1 << 22).tolist()
+    return [slice(start, stop) for start, stop in pairwise(cuts)]
+
+
+def spot_deviation(transport: LightTransport, matrix: csr_array) -> float:
+    """Standard deviation of a usual spot in projector pixels, from the median footprint.
+
+    A Gaussian spot of standard deviation s has a footprint of 4 pi s^2 projector pixels.
+    """
+    sizes = np.asarray(transport.diagnostics.get("footprint", np.full(1, np.nan)), float)
+    known = sizes[np.isfinite(sizes) & (sizes > 0)]
+    if not known.size:
+        peak = np.asarray(matrix.max(axis=1).toarray(), float).ravel()
+        owner = np.repeat(np.arange(matrix.shape[0]), np.diff(matrix.indptr))
+        # Fainter entries are mostly global light. Chosen by hand.
+        bright = np.where(matrix.data >= 0.05 * peak[owner], matrix.data, 0)
+        sizes = footprint_sizes(csr_array((bright, matrix.indices, matrix.indptr), matrix.shape))
+        known = sizes[sizes > 0]
+    return float(np.sqrt(np.median(known) / (4 * np.pi))) if known.size else 0.0
+
+
+def _find_spots(
+    matrix: csr_array, background: NDArray[np.float64], width: int, radius: float
+) -> Spots:
+    """The strongest spots of each row; a spot is what lies within `radius` of its peak."""
+    place = np.full((matrix.shape[0], SPOTS, 2), np.nan)
+    light, total = np.zeros((matrix.shape[0], SPOTS)), np.zeros(matrix.shape[0])
+    for rows in blocks_of(matrix):
+        part = csr_array(matrix[rows])
+        count = int(part.shape[0])
+        # Coordinate by coordinate: NumPy takes several times as long over pairs of them.
+        owner, row, col = entries_of(part, width)
+        left = part.data.astype(np.float64)
+        total[rows] = np.bincount(owner, left, count)
+        for number in range(SPOTS):
+            peak = np.zeros(count)
+            np.maximum.at(peak, owner, left)
+            strongest = np.full(count, -1, np.int64)
+            at_peak = np.flatnonzero((left == peak[owner]) & (left > 0))
+            # In reverse order, so that the first of several equal entries stays.
+            strongest[owner[at_peak[::-1]]] = at_peak[::-1]
+            valid = strongest >= 0
+            if not valid.any():
+                break
+            middle_row, middle_col = (np.where(valid, ax[strongest], np.inf) for ax in (row, col))
+            down, right = row - middle_row[owner], col - middle_col[owner]
+            near = np.flatnonzero(down * down + right * right <= radius**2)
+            own, held = owner[near], left[near]
+            light[rows, number] = held_by = np.bincount(own, held, count)
+            for axis, (middle, away) in enumerate(((middle_row, down), (middle_col, right))):
+                shift = np.bincount(own, held * away[near], count)
+                place[rows, number, axis][valid] = middle[valid] + shift[valid] / held_by[valid]
+            left[near] = 0
+    return Spots(place, light, total + background)
+
+
+# Which spots and entries of T are direct light, by epipolar geometry and by neighbours.
+
+
+def crossing_spots(
+    relative: NDArray[np.float64],
+    light: NDArray[np.float64],
+    on_line: NDArray[np.bool_],
+    shape: tuple[int, int],
+    radius: float,
+) -> NDArray[np.bool_]:
+    """Spots that sweep across the epipolar line from pixel to pixel, (P, SPOTS).
+
+    Direct light stays on the line. A mirror image moves across it, so that the spots of neighbours
+    that continue it lie off their lines. Places (P, SPOTS, 2) are `relative` to the mean surface;
+    a neighbour's spot continues a spot within `radius` of it, with enough of its light. Of the 8
+    neighbours, more than one, and more than half of those that continue it, lie off their lines.
+    """
+    strength, near_line = _as_images(light, shape), _as_images(on_line, shape)
+    on, off = np.zeros((2, *strength.shape), np.int8)
+    for here, there, near in near_spots(relative, shape, reach=1, radius=radius):
+        continues = near & (strength[there] >= _TUNING.continues * strength[here][:, None])
+        on[here] += (continues & near_line[there]).any(axis=1)
+        off[here] += (continues & ~near_line[there]).any(axis=1)
+    return by_pixel(off > np.maximum(on, 1))
+
+
+def outshone_spots(
+    place: NDArray[np.float64],
+    parallax: NDArray[np.float64],
+    light: NDArray[np.float64],
+    doubtful: NDArray[np.bool_],
+) -> NDArray[np.bool_]:
+    """Doubtful spots whose projector pixel lights another surface more brightly, (n,).
+
+    A projector pixel lights one surface, and direct light comes from there. `place` (n, 2),
+    `parallax` (n,) and `light` (n,) are those of all spots that may be direct.
+    """
+    outshone = np.zeros(len(light), bool)
+    asked = np.flatnonzero(doubtful)
+    if not asked.size:
+        return outshone
+    found = cKDTree(place).query_ball_point(place[asked], _TUNING.same_place)
+    counts = np.array([len(near) for near in found])
+    near = np.concatenate(found).astype(np.int64)
+    own = np.repeat(np.arange(len(asked)), counts)
+    other = np.abs(parallax[near] - parallax[asked][own]) >= _TUNING.same_place
+    rivals, held = (np.bincount(own, light[near] * part, len(asked)) for part in (other, ~other))
+    outshone[asked] = rivals > held
+    return outshone
+
+
+@dataclass(frozen=True, eq=False)
+class _DirectSpots:
+    """Which spots are direct light: `direct` (P, SPOTS), and the `agreement` of neighbours."""
+
+    spots: Spots
+    direct: NDArray[np.bool_]
+    agreement: NDArray[np.float64]
+    lit: NDArray[np.bool_]
+    geometry: EpipolarGeometry
+    deviation: float
+
+
+def _find_direct_spots(spots: Spots, shape: tuple[int, int], deviation: float) -> _DirectSpots:
+    """Fit the epipolar geometry to the camera's spots, and reject those that are global light.
+
+    Raises InputError if too few rows have a spot that their neighbours agree on.
+    """
+    camera = camera_pixels(shape)
+    place, light, total = spots.place, spots.light, spots.total
+    lit = (total > _TUNING.dark * float(np.quantile(total, 0.9))) & (light[:, 0] > 0)
+    strong = lit & (light[:, 0] > _TUNING.strong * total)
+    _check_direct_light(strong)
+    surface = mean_surface(camera[strong], place[strong, 0])
+    # Relative to the mean surface, neighbours on one surface see their light at one place.
+    relative = place - on_surface(surface, camera)[:, None]
+    radius = _scaled(_TUNING.agreement, deviation)
+    pairs = list(near_spots(relative, shape, reach=2, radius=radius))
+    first = np.zeros(light.shape, bool)
+    first[:, 0] = True
+    good = strong & (_agreement(pairs, first, shape)[:, 0] > 0.5)
+    _check_direct_light(good)
+    geometry = fit_epipolar(camera[good], place[good, 0], surface)
+    each = range(SPOTS)
+    distance = np.stack([geometry.distance(camera, place[:, k]) for k in each], axis=1)
+    parallax = np.stack([geometry.parallax(camera, place[:, k]) for k in each], axis=1)
+    from_line = _scaled(_TUNING.from_line, deviation)
+    near_line = np.abs(distance) <= from_line
+    low, high = geometry.parallax_range
+    beyond = _scaled(_TUNING.beyond_parallax, deviation)
+    # Comparisons with NaN, where there is no spot, are False.
+    possible = near_line & lit[:, None] & (parallax >= low - beyond) & (parallax <= high + beyond)
+    possible &= light > _TUNING.least_share[1] * total[:, None]
+    possible[:, 0] &= light[:, 0] >= _TUNING.least_share[0] * total
+    reach = _scaled(_TUNING.crossing, deviation)
+    possible &= ~crossing_spots(relative, light, near_line, shape, reach)
+    direct, agreement = _voted(possible, pairs, shape)
+    doubtful = np.abs(distance) > _TUNING.doubtful * from_line
+    doubtful &= agreement < _TUNING.certain
+    stray = outshone_spots(place[direct], parallax[direct], light[direct], doubtful[direct])
+    possible[direct] &= ~stray
+    direct, agreement = _voted(possible, pairs, shape)
+    return _DirectSpots(spots, direct, agreement, lit, geometry, deviation)
+
+
+def _direct_entries(
+    matrix: csr_array, found: _DirectSpots, shape: tuple[int, int], width: int, channels: int
+) -> NDArray[np.float32]:
+    """The direct part of each entry of T, (nnz,), in [0, entry].
+
+    Entries within a footprint are direct, less the global light that the ring around it shows.
+    `channels` rows of T belong to each camera pixel.
+    """
+    camera = camera_pixels(shape)
+    direct = np.zeros(matrix.nnz, np.float32)
+    radius = _scaled(_TUNING.footprint, found.deviation)
+    outer = radius + _TUNING.ring_width
+    for rows in blocks_of(matrix):
+        part = csr_array(matrix[rows])
+        owner, row, col = entries_of(part, width)
+        pixels = np.arange(rows.start, rows.stop) // channels
+        own = pixels[owner]
+        light = part.data.astype(np.float64)
+        inside, around = np.zeros(len(own), bool), np.zeros(len(own), bool)
+        for number in range(SPOTS):
+            lit = np.flatnonzero(found.direct[:, number][own])
+            place_row, place_col = (found.spots.place[:, number, ax][own[lit]] for ax in (0, 1))
+            distance = np.sqrt((row[lit] - place_row) ** 2 + (col[lit] - place_col) ** 2)
+            inside[lit] |= distance <= radius
+            around[lit] |= distance <= outer
+        chosen = np.flatnonzero(inside)
+        pixel = np.stack([row[chosen], col[chosen]], axis=1)
+        off_line = np.abs(found.geometry.distance(camera[own[chosen]], pixel))
+        inside[chosen] = off_line <= _scaled(_TUNING.band, found.deviation)
+        ring = np.bincount(owner, np.where(around & ~inside, light, 0), part.shape[0])
+        area = np.pi * (outer**2 - radius**2)
+        area_of_row = area * np.maximum(found.direct[pixels].sum(axis=1), 1)
+        beneath = _TUNING.ring_factor * ring / area_of_row
+        ends = slice(int(matrix.indptr[rows.start]), int(matrix.indptr[rows.stop]))
+        direct[ends] = np.where(inside, np.maximum(light - beneath[owner], 0), 0)
+    return direct
+
+
+def _voted(
+    possible: NDArray[np.bool_], pairs: Sequence[NearSpots], shape: tuple[int, int]
+) -> tuple[NDArray[np.bool_], NDArray[np.float64]]:
+    """Possible spots that enough neighbours agree with, and the agreement, (P, SPOTS) each."""
+    least = np.full(possible.shape[1], _TUNING.least_agreement[1])
+    least[0] = _TUNING.least_agreement[0]
+    direct = possible
+    for _ in range(_TUNING.votes):
+        agreement = _agreement(pairs, direct, shape)
+        direct = possible & (agreement >= least)
+    return direct, agreement
+
+
+def _agreement(
+    pairs: Sequence[NearSpots], voters: NDArray[np.bool_], shape: tuple[int, int]
+) -> NDArray[np.float64]:
+    """The share of each spot's neighbours with a voting spot where the mean surface puts it."""
+    votes = _as_images(voters, shape)
+    agreeing, number_of = np.zeros(votes.shape, np.uint8), np.zeros(shape, np.uint8)
+    for here, there, near in pairs:
+        agreeing[here] += (near & votes[there]).any(axis=1)
+        number_of[here[1:]] += 1
+    return by_pixel(agreeing / np.maximum(number_of, 1))
+
+
+def _scaled(threshold: tuple[float, float], deviation: float) -> float:
+    """A distance for spots of this standard deviation."""
+    return threshold[0] + threshold[1] * deviation
+
+
+_NEEDS_DIRECT_LIGHT = (
+    "it needs direct light: surfaces that the projector lights and the camera sees"
+)
+
+
+def _check_direct_light(good: NDArray[np.bool_]) -> None:
+    if good.sum() < _TUNING.fewest:
+        raise InputError(
+            f"{int(good.sum())} of {len(good)} camera pixels see a spot of light that their "
+            "neighbours agree on",
+            hint=_NEEDS_DIRECT_LIGHT,
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -108,7 +478,8 @@ class Separation:
         channels = int(np.prod(shape[2:]))
         camera = camera_pixels((shape[0], shape[1]))[owner // channels]
         distance = np.abs(self.geometry.distance(camera, np.stack(pixel, axis=1)))
-        near = distance <= _LINE[0] + _LINE[1] * self.spot
+        # A line that is one pixel wide, and its blur.
+        near = distance <= 1 + 2 * self.spot
         rows = _with_data(matrix, np.where(near == on_line, matrix.data, 0))
         background = self.global_.background
         return replace(
@@ -182,34 +553,70 @@ def separate(
     """
     if output is not None:
         check_output(output, SEPARATION, overwrite=overwrite)
-    matrix = loaded(transport, _TIMES_ITS_SIZE)
+    # A megapixel camera with 29 entries a row and 64 values of background took 4.1 times the memory
+    # of its matrix (python -m benchmarks.uses_at_scale).
+    matrix = loaded(transport, 4.1)
     lit = pattern_or_white(pattern, matrix.projector_shape)
-    _check_positive(matrix)
+    sparse, background = matrix.sparse, matrix.background
+    if any(part.size and part.min() < 0 for part in (sparse.data, background)):
+        raise InputError(
+            "T has negative entries, which are neither direct nor global light",
+            hint="estimate it without signed=True",
+        )
     shape = (matrix.camera_shape[0], matrix.camera_shape[1])
-    rows, background = pixel_rows(matrix)
+    rows, light_behind = pixel_rows(matrix)
     width = matrix.projector_shape[1]
     deviation = spot_deviation(matrix, rows)
-    _check_concentrated(deviation, matrix.shape[1])
-    spots = find_spots(rows, background, width, spot_radius(deviation))
-    found = find_direct_spots(spots, shape, deviation)
+    # How far the light of a spot reaches from its peak. One that covers a quarter of the projector
+    # is none; chosen by hand.
+    radius = 1 + 2 * deviation
+    if np.pi * radius**2 > 0.25 * matrix.shape[1]:
+        raise InputError(
+            f"the light of a usual row of T is spread over {np.pi * radius**2:.0f} of "
+            f"{matrix.shape[1]} projector pixels",
+            hint=_NEEDS_DIRECT_LIGHT,
+        )
+    found = _find_direct_spots(_find_spots(rows, light_behind, width, radius), shape, deviation)
     channels = int(np.prod(matrix.camera_shape[2:]))
-    light = direct_entries(matrix.sparse, found, shape, width, channels)
-    direct, others = _parts(matrix, light)
+    # One of the two differences is exact (Sterbenz), hence so is their sum.
+    others = sparse.data - _direct_entries(sparse, found, shape, width, channels)
+    direct = replace(
+        matrix,
+        sparse=_with_data(sparse, sparse.data - others),
+        background=np.zeros_like(background),
+    )
+    has_direct = np.asarray(found.direct.any(axis=1))
+    # The share of a pixel's neighbours that agree with how its light was classified.
+    of_direct = np.where(found.direct, found.agreement, 0).max(axis=1)
+    confidence = np.where(has_direct, of_direct, 1 - found.agreement[:, 0])
+    # The parallax of the strongest direct spot.
+    place = found.spots.place[np.arange(len(has_direct)), found.direct.argmax(axis=1)]
+    parallax = found.geometry.parallax(camera_pixels(shape), place)
     separation = Separation(
         direct,
-        others,
-        _confidence(found, shape),
-        _parallax(found, shape),
+        replace(matrix, sparse=_with_data(sparse, others)),
+        np.where(found.lit, confidence, np.nan).astype(np.float32).reshape(shape),
+        np.where(has_direct, parallax, np.nan).astype(np.float32).reshape(shape),
         found.geometry,
         deviation,
     )
-    if output is not None:
-        chosen = {"direct": separation.direct, "global": separation.global_}
-        if epipolar:
-            chosen["epipolar"] = separation.epipolar
-        if non_epipolar:
-            chosen["non-epipolar"] = separation.non_epipolar
-        _write(separation, chosen, lit, output, overwrite)
+    if output is None:
+        return separation
+    chosen = {"direct": separation.direct, "global": separation.global_}
+    if epipolar:
+        chosen["epipolar"] = separation.epipolar
+    if non_epipolar:
+        chosen["non-epipolar"] = separation.non_epipolar
+    images = {name: part.relight(lit) for name, part in chosen.items()}
+    white = max(float((images["direct"] + images["global"]).max()), 1e-9)
+    with atomic_folder(output, SEPARATION, overwrite=overwrite) as folder:
+        for name, part in chosen.items():
+            store.save(folder / f"{name}.zarr", part)
+        for name, image in images.items():
+            np.save(folder / f"{name}.npy", image)
+            write_image(folder / f"{name}.png", (image / white) ** (1 / 2.2))
+        np.save(folder / "confidence.npy", separation.confidence)
+        np.save(folder / "parallax.npy", separation.parallax)
     return separation
 
 
@@ -225,79 +632,8 @@ def pattern_or_white(
     return checked_patterns(values, projector_shape)
 
 
-def _check_positive(transport: LightTransport) -> None:
-    for part in (transport.sparse.data, transport.background):
-        if part.size and part.min() < 0:
-            raise InputError(
-                "T has negative entries, which are neither direct nor global light",
-                hint="estimate it without --signed",
-            )
-
-
-def _check_concentrated(deviation: float, pixels: int) -> None:
-    area = np.pi * spot_radius(deviation) ** 2
-    if area > _LARGEST_SPOT * pixels:
-        raise InputError(
-            f"the light of a usual row of T is spread over {area:.0f} of {pixels} projector pixels",
-            hint="it needs direct light: surfaces that the projector lights and the camera sees",
-        )
-
-
-def _parts(
-    transport: LightTransport, light: NDArray[np.float32]
-) -> tuple[LightTransport, LightTransport]:
-    """Both parts. One of the two differences is exact (Sterbenz), hence so is their sum."""
-    matrix = transport.sparse
-    others = matrix.data - light
-    direct = matrix.data - others
-    return (
-        replace(
-            transport,
-            sparse=_with_data(matrix, direct),
-            background=np.zeros_like(transport.background),
-        ),
-        replace(transport, sparse=_with_data(matrix, others)),
-    )
-
-
 def _with_data(matrix: csr_array, data: NDArray[np.floating]) -> csr_array:
     """A matrix with other values at the same places, without those that are 0."""
     result = csr_array((data.copy(), matrix.indices.copy(), matrix.indptr.copy()), matrix.shape)
     result.eliminate_zeros()
     return result
-
-
-def _confidence(found: DirectSpots, shape: tuple[int, int]) -> NDArray[np.float32]:
-    """The share of a pixel's neighbours that agree with how its light was classified."""
-    has_direct = found.direct.any(axis=1)
-    of_direct = np.where(found.direct, found.agreement, 0).max(axis=1)
-    value = np.where(has_direct, of_direct, 1 - found.agreement[:, 0])
-    return np.where(found.lit, value, np.nan).astype(np.float32).reshape(shape)
-
-
-def _parallax(found: DirectSpots, shape: tuple[int, int]) -> NDArray[np.float32]:
-    """The parallax of the strongest direct spot of each pixel."""
-    first = found.direct.argmax(axis=1)
-    place = found.spots.place[np.arange(len(first)), first]
-    value = found.geometry.parallax(camera_pixels(shape), place)
-    return np.where(found.direct.any(axis=1), value, np.nan).astype(np.float32).reshape(shape)
-
-
-def _write(
-    separation: Separation,
-    chosen: Mapping[str, LightTransport],
-    pattern: NDArray[np.float32],
-    output: str | Path,
-    overwrite: bool,
-) -> None:
-    """Write the chosen parts of T, their images under the pattern, and the maps."""
-    images = {name: part.relight(pattern) for name, part in chosen.items()}
-    white = max(float((images["direct"] + images["global"]).max()), 1e-9)
-    with atomic_folder(output, SEPARATION, overwrite=overwrite) as folder:
-        for name, part in chosen.items():
-            store.save(folder / f"{name}.zarr", part)
-        for name, image in images.items():
-            np.save(folder / f"{name}.npy", image)
-            write_image(folder / f"{name}.png", (image / white) ** (1 / _GAMMA))
-        np.save(folder / "confidence.npy", separation.confidence)
-        np.save(folder / "parallax.npy", separation.parallax)

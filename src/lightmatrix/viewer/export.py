@@ -129,8 +129,8 @@ def export_viewer(
     if page_size(matrix) > _MOST_BYTES:
         raise InputError(
             f"{name}: takes {page_size(matrix) / 2**20:.0f} MiB in a page",
-            hint=f"at most {_MOST_BYTES >> 20} MiB fit: view it without --export, crop it with "
-            "LightTransport.crop, or estimate it with --bin-projector or --bin-camera",
+            hint=f"at most {_MOST_BYTES >> 20} MiB fit: serve it (`serve_viewer`), crop it with "
+            "LightTransport.crop, or estimate it with a larger bin_projector or bin_camera",
         )
     scene = Scene(transport, geometry=geometry)
     parts = {"matrix": scene.matrix_bytes}

@@ -15,7 +15,8 @@ from scipy.sparse import coo_array, csc_array, csr_array
 
 from lightmatrix.patterns.pattern_set import grid_cells
 from lightmatrix.transport.column_index import COLUMNS, ColumnIndex, index_columns
-from lightmatrix.transport.matrix import LightTransport, cell_means
+from lightmatrix.transport.matrix import LightTransport
+from lightmatrix.transport.operator import cell_means
 from lightmatrix.transport.sparse_rows import SparseRows, row_blocks
 from lightmatrix.transport.store import StoredTransport
 

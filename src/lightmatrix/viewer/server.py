@@ -325,7 +325,7 @@ def _bound(port: int) -> socket.socket:
         listening.close()
         raise OutputError(
             f"port {port} cannot be used ({error.strerror})",
-            hint="choose another --port, or leave it out for one that is free",
+            hint="choose another port, or port=0 for one that is free",
         ) from error
     return listening
 

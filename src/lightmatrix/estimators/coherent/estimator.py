@@ -91,8 +91,9 @@ class CoherentEstimator(Estimator):
     Examples
     --------
     >>> import lightmatrix as lm
+    >>> from lightmatrix.estimators.coherent.estimator import CoherentEstimator
     >>> capture = lm.simulate("metal", lm.BernoulliPatterns((64, 64), 8))
-    >>> lm.CoherentEstimator(windows=((1, 1),), candidates=20).estimate(capture).camera_shape
+    >>> CoherentEstimator(windows=((1, 1),), candidates=20).estimate(capture).camera_shape
     (64, 64)
     """
 

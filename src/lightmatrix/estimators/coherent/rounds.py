@@ -46,9 +46,6 @@ from lightmatrix.transport.sparse_rows import SparseRows, footprint_sizes
 
 # The diagnostic that holds which share of its light changed in a row's last round.
 CHANGE = "change"
-# A row has settled if no row around it changed by more than this share of its light. Measured on
-# procedural scenes: after three rounds at a spacing a tenth to a quarter of the rows are unsettled.
-STILL = 0.02
 
 
 def with_change(rows: SparseRows, before: SparseRows) -> SparseRows:
@@ -64,7 +61,10 @@ def unsettled(rows: SparseRows, camera: tuple[int, int, int]) -> NDArray[np.bool
     change = rows.diagnostics[CHANGE].reshape(camera)
     side = 2 * REACH + 1
     around = maximum_filter(change, size=(side, side, 1), mode="nearest")
-    return np.asarray(around > STILL).ravel()
+    # A row has settled if no row around it changed by more than this share of its light. Measured
+    # on procedural scenes: after three rounds at a spacing a tenth to a quarter of the rows are
+    # unsettled.
+    return np.asarray(around > 0.02).ravel()
 
 
 def unchanged(rows: SparseRows) -> SparseRows:
@@ -85,10 +85,6 @@ SEARCHED, CERTIFIED = "searched_everywhere", "certified_everywhere"
 # The step that measures the misfit under the frames held out, and the diagnostic that holds it;
 # and the diagnostic that holds the misfit of some rows under the other frames.
 HELD_OUT, RESIDUAL = "held-out", "residual"
-# In large frames only every second camera pixel along both axes is solved without the frames held
-# out, and every fourth one of cameras with at least this many pixels along both. Errors are smooth
-# over the camera, and all pixels would take a sixth of the time.
-MANY_PIXELS = 512
 # Mean squares of a row's misses at these frames, and of its samples there.
 _MISSED, _SEEN = "missed", "seen"
 
@@ -273,7 +269,10 @@ class Rounds:
         """The spacing of the camera pixels that are solved without the frames held out."""
         if self.rounds[0].spacing <= GROWTH.near_seeds:
             return 1
-        return 4 if min(self.capture.camera_shape[:2]) >= MANY_PIXELS else 2
+        # In large frames only every second camera pixel along both axes is solved without the
+        # frames held out, and every fourth one of cameras with at least this many pixels along
+        # both. Errors are smooth over the camera, and all pixels would take a sixth of the time.
+        return 4 if min(self.capture.camera_shape[:2]) >= 512 else 2
 
     @property
     def _looked_at(self) -> int:

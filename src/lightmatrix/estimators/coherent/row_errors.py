@@ -38,26 +38,16 @@ from lightmatrix.resources.threads import core_threads
 from lightmatrix.solvers.fidelity import Fidelity
 from lightmatrix.solvers.problem import Result
 
-# One frame of eight is held out, but at least two; none of fewer than eight frames. Chosen by hand:
-# the row should lose few frames, and one frame alone has no variance.
-EVERY = 8
+# No frame is held out of fewer.
 FEWEST = 8
-# Sides of the squares of camera pixels that errors are averaged over, as they are smooth over the
-# camera: where every pixel or every second one is known, and in proportion where fewer are. A wider
-# square stands in where a narrower one knows nothing.
-SQUARES = (3, 9, 27)
-# The noise of the camera is at most this quantile of the misfits under the frames that rows were
-# solved with: most rows explain these but for noise. At least the second share of a misfit under
-# the frames held out counts as error. Chosen on 100 small captures (benchmarks/honesty.py).
-QUIET = 0.25
-LEAST_SHARE = 0.1
 
 
 def held_out_frames(count: int) -> NDArray[np.int64]:
-    """The frames that are held out, evenly spread; none of fewer than `FEWEST` frames."""
+    """One frame of eight, evenly spread, but at least two; none of fewer than `FEWEST` frames."""
+    # Chosen by hand: the row should lose few frames, and one frame alone has no variance.
     if count < FEWEST:
         return np.zeros(0, np.int64)
-    held = max(2, count // EVERY)
+    held = max(2, count // 8)
     return ((np.arange(held) + 0.5) * count / held).astype(np.int64)
 
 
@@ -91,7 +81,9 @@ def squared_misfit(
 def noise_of(residuals: NDArray[np.float32]) -> float:
     """The variance of the camera's noise by the residuals of some rows; those not known are NaN."""
     known = residuals[np.isfinite(residuals)]
-    return float(np.quantile(known, QUIET)) if len(known) else 0.0
+    # It is at most this quantile of the misfits under the frames that rows were solved with: most
+    # rows explain these but for noise. Chosen on 100 small captures (benchmarks/honesty.py).
+    return float(np.quantile(known, 0.25)) if len(known) else 0.0
 
 
 def held_out_energy(
@@ -119,29 +111,21 @@ def smooth_misfit(
     means = np.full(camera, np.nan)
     if not known.any():
         return np.asarray(means.ravel(), np.float32)
-    for width in SQUARES:
+    # Errors are smooth over the camera. Squares of three pixels a side suffice where every pixel or
+    # every second one is known, and in proportion where fewer are. A wider square stands in where a
+    # narrower one knows nothing.
+    for width in (3, 9, 27):
         missing = ~np.isfinite(means)
         if missing.any():
             side = 1 + (width - 1) * max(1, spacing // 2)
             means[missing] = mean_around(image, known, side)[missing]
-    return np.asarray(np.maximum(means - noise, LEAST_SHARE * means).ravel(), np.float32)
+    # At least a tenth of a misfit counts as error. Chosen on 100 small captures.
+    return np.asarray(np.maximum(means - noise, 0.1 * means).ravel(), np.float32)
 
 
-# A held-out frame tests an estimate if the remaining patterns leave at least half as much of its
-# contrast unexplained as they leave of a random pattern. Chosen on 60 small captures.
-_NEW = 0.5
-# At most a quarter of the frames is held out: the rows need the others. Chosen by hand.
-_MOST = 4
 # Frames are compared with all others. If there are more than this, only about so many are compared
 # that are most like those to hold out, which bounds the time to a few seconds.
 _COMPARED = 1024
-# The contrast is computed from this many projector pixels, or from four for each frame.
-_SAMPLED_PIXELS, _PIXELS_PER_FRAME = 4096, 4
-# Patterns whose squared cosine exceeds this are the same, or inverses of each other.
-_SAME = 0.99
-# Pixels whose values, less the mean of their pattern, differ by less than this never vary. Patterns
-# of one pixel each have means that differ by a pixel's share.
-_VARIES = 0.1
 # Contrasts below this share of the largest one are rounding.
 _ROUNDING = 1e-6
 
@@ -179,7 +163,8 @@ class HeldOut:
         """The frames to hold out of centred patterns, (K, n), if these are the usual ones."""
         nothing = np.zeros(0, np.int64)
         gram, pixels = values @ values.T, values.shape[1]
-        most = max(len(values) // _MOST, len(usual))
+        # At most a quarter of the frames is held out: the rows need the others. Chosen by hand.
+        most = max(len(values) // 4, len(usual))
         firsts, groups = [int(k) for k in usual], dict[int, list[int]]()
         # Frames that were not held out in the end may explain others.
         while firsts != [*groups]:
@@ -223,13 +208,17 @@ def _complete(
         if first in taken:
             continue
         # Twins among the usual frames are one group.
-        alike = gram[first, others] ** 2 > _SAME * contrast[first] * contrast[others]
+        # Patterns whose squared cosine exceeds this are the same, or inverses of each other.
+        alike = gram[first, others] ** 2 > 0.99 * contrast[first] * contrast[others]
         group = [first, *np.array(others, np.int64)[alike].tolist()]
         while len(taken) + len(group) <= most:
             # The frames still to come may be held out as well.
             rest = np.setdiff1d(np.arange(len(gram)), [*taken, *group, *others])
             share, strongest, rank = _unexplained(gram, first, rest)
-            if share >= _NEW * (1 - rank / max(pixels - 1, 1)) - 1e-6:
+            # A held-out frame tests an estimate if the remaining patterns leave at least half as
+            # much of its contrast unexplained as they leave of a random pattern. Chosen on 60 small
+            # captures.
+            if share >= 0.5 * (1 - rank / max(pixels - 1, 1)) - 1e-6:
                 complete[first] = group
                 break
             group.append(strongest)
@@ -263,13 +252,15 @@ def _show_only_their_own(
     """
     rest = np.delete(values, frames, axis=0)
     off = (values[judged] - rest.mean(axis=0)) ** 2
-    never = np.ptp(rest, axis=0) < _VARIES
+    # Pixels whose values, less the mean of their pattern, differ by less than this never vary.
+    # Patterns of one pixel each have means that differ by a pixel's share.
+    never = np.ptp(rest, axis=0) < 0.1
     return bool(off[:, never].sum() > off.sum() / 2)
 
 
 def _values(patterns: PatternSet) -> NDArray[np.float64]:
     """The patterns, each less its mean, at some pixels, (K, n)."""
-    most = max(_SAMPLED_PIXELS, _PIXELS_PER_FRAME * patterns.count)
+    most = max(4096, 4 * patterns.count)
     pixels = np.sort(np.random.default_rng(0).permutation(patterns.pixels)[:most])
     values = patterns.columns(pixels).astype(np.float64)
     return np.asarray(values - values.mean(axis=1, keepdims=True))
@@ -278,13 +269,6 @@ def _values(patterns: PatternSet) -> NDArray[np.float64]:
 # The most rows, evenly spread, whose residuals are looked at. Chosen by hand: what is wrong in all
 # rows shows in these as well, and they cost little.
 MOST_ROWS = 4096
-# Patterns are alike in brightness if their means vary by less than this share of it. Chosen by
-# hand: the means of random patterns of 128 x 128 pixels vary by 0.8 %.
-_ALIKE = 0.004
-# Rows that are only bounded and clip in more than this share of K photographs, and 1.5 / K more,
-# see a glint: several projector pixels clip them alone. Rows of intact captures reach 0.69, glints
-# 30 to 100 times as bright as the rest clip in 0.77 to 1. Chosen on 180 small captures.
-_MOSTLY, _FEW = 0.72, 1.5
 # Fewer samples of a row that do not clip show no curve.
 _FEWEST = 8
 
@@ -347,9 +331,13 @@ def residual_diagnostics(
     constant[chosen], bent[chosen] = constant_light(few, shown), bend(few, shown)
     bounded = only_bounded(samples, pixels, solver.capture.patterns)
     clipped = samples.clipped.mean(axis=1)
+    # Rows that are only bounded and clip in more than this share of K photographs see a glint:
+    # several projector pixels clip them alone. Rows of intact captures reach 0.69, glints 30 to 100
+    # times as bright as the rest clip in 0.77 to 1. Chosen on 180 small captures.
+    many = 0.72 + 1.5 / samples.clipped.shape[1]
     return {
         "only_bounded": bounded,
-        "glint": bounded & (clipped > _MOSTLY + _FEW / samples.clipped.shape[1]),
+        "glint": bounded & (clipped > many),
         "constant_light": constant,
         "bend": bent,
     }
@@ -377,7 +365,9 @@ def constant_light(samples: Samples, predicted: Predicted) -> NDArray[np.float64
     mean = predicted.brightness.mean()
     # One unit of the background at mean brightness.
     level = background.mean(axis=1, keepdims=True)
-    if predicted.brightness.std() > _ALIKE * mean:
+    # Patterns are alike in brightness if their means vary by less than this share of it. Chosen by
+    # hand: the means of random patterns of 128 x 128 pixels vary by 0.8 %.
+    if predicted.brightness.std() > 0.004 * mean:
         shape = np.broadcast_to(predicted.brightness / mean, background.shape)
     else:
         shape = background / np.where(level > 0, level, np.nan)
@@ -440,9 +430,6 @@ def _without(values: NDArray[np.float64], other: NDArray[np.float64]) -> NDArray
     return np.asarray(values - other * (values * other).sum(axis=1, keepdims=True) / length)
 
 
-# Rows of an estimate, evenly spread, that are checked against all atoms. Chosen by hand: few enough
-# to cost little next to the estimate.
-SAMPLED = 256
 # A correlation may exceed its bound by this share, which is ten times the relative gap of the rows.
 SLACK = 0.01
 # Rows whose correlations with all atoms a thread holds in memory together.
@@ -451,7 +438,9 @@ _ROWS_TOGETHER = 3
 
 def sampled_rows(start: int, stop: int, count: int) -> NDArray[np.int64]:
     """The rows among start..stop of `count` that are checked."""
-    step = max(1, count // SAMPLED)
+    # Rows of an estimate, evenly spread, that are checked against all atoms. Chosen by hand: few
+    # enough to cost little next to the estimate.
+    step = max(1, count // 256)
     index = np.arange(start, stop)
     return index[index % step == step // 2]
 

@@ -39,15 +39,9 @@ from lightmatrix.solvers.active_set import (
 from lightmatrix.solvers.fidelity import Fidelity
 from lightmatrix.solvers.loop import Progress
 from lightmatrix.solvers.problem import Problem, Result
-from lightmatrix.transport.matrix import cell_means
+from lightmatrix.transport.operator import cell_means
 from lightmatrix.transport.sparse_rows import SparseRows
 
-# The penalty of a cell's coefficient is this share of the clip level over the side of the cell in
-# pixels. Three times as much or as little changes errors by about a tenth (docs/few-patterns.md).
-CELL_PENALTY = 0.05
-# Halos are computed on at most this many squares along the projector's longer side. Chosen by hand:
-# halos are smooth.
-SQUARES = 128
 # At a distance of d the halo is 1 / (d^2 + c^2)^2, as the light of a patch in front of a wall at a
 # distance of c. This is c as a share of the projector's longer side. Measured on `l_objects` at 64
 # mixed patterns: rows of mostly global light err by 0.129, and by 0.135 with c = 2 squares, which
@@ -82,7 +76,10 @@ class Backgrounds:
         """The cells as columns; `cost` is the clip level over the regularization."""
         if self.grid == (1, 1):
             return Cells.none(self.shown, self.unseen if unseen else None)
-        penalties = CELL_PENALTY * cost / np.sqrt(self._sizes)
+        # The penalty of a cell's coefficient is this share of the clip level over the side of the
+        # cell in pixels. Three times as much or as little changes errors by about a tenth
+        # (docs/few-patterns.md).
+        penalties = 0.05 * cost / np.sqrt(self._sizes)
         count = None if unseen else self.shown.count
         return Cells(np.ascontiguousarray(self._means[:, :count]), penalties.astype(np.float32))
 
@@ -137,7 +134,9 @@ class Backgrounds:
 
 def _side(shape: tuple[int, int]) -> int:
     """Side of a square in pixels."""
-    return -(-max(shape) // SQUARES)
+    # Halos are computed on at most this many squares along the projector's longer side. Chosen by
+    # hand: halos are smooth.
+    return -(-max(shape) // 128)
 
 
 def _squares(shape: tuple[int, int]) -> tuple[int, int]:
@@ -177,23 +176,9 @@ def _halos(shape: tuple[int, int], grid: tuple[int, int]) -> NDArray[np.float32]
 # lambda relative to the clip level. Errors are flat around it: three times as much or as little
 # changes them by about a tenth (docs/few-patterns.md).
 DEFAULT_REGULARIZATION = 0.1
-# lambda relative to the clip level, and the relative gap, of the first round. They are rougher, as
-# this round only has to show where light may be. Chosen by hand.
+# lambda relative to the clip level in the first round, which only has to show where light may be.
+# Chosen by hand.
 FIRST_REGULARIZATION = 0.32
-FIRST_TOLERANCE = 1e-2
-# Passes over all atoms of the first round of a small frame, in which every row has neighbours that
-# have searched, too. Until the gap is reached there would be 3.5, with the same errors
-# (docs/measurements.md).
-FIRST_PASSES = 2
-# The contrast of patterns that regularizations are for, the standard deviation of their values.
-# Random patterns with half of the pixels lit have it; for others lambda changes in proportion.
-USUAL_CONTRAST = 0.5
-# The standard deviation of a spot is at most this share of the projector's shorter side. Chosen by
-# hand.
-WIDEST = 1 / 16
-# The norm of an atom's column is at most this times its contrast times the root of the number of
-# patterns. Chosen by hand.
-LONGEST = 1.5
 
 
 @dataclass(frozen=True)
@@ -224,7 +209,9 @@ class RowSolver:
     def atoms(self) -> AtomPatterns:
         """Pixels and spots under the patterns shown."""
         patterns = self.capture.patterns
-        widest = WIDEST * min(patterns.shape)
+        # The standard deviation of a spot is at most this share of the projector's shorter side.
+        # Chosen by hand.
+        widest = min(patterns.shape) / 16
         sizes = tuple(size for size in self.sizes if size <= widest)
         return AtomPatterns(patterns, sizes, narrow=self.narrow)
 
@@ -237,7 +224,10 @@ class RowSolver:
     @computed_once
     def level(self) -> float:
         """The clip level, in proportion to the contrast of the patterns."""
-        contrast = self.atoms.single_contrast / USUAL_CONTRAST
+        # The contrast of patterns that regularizations are for, the standard deviation of their
+        # values. Random patterns with half of the pixels lit have it; for others lambda changes in
+        # proportion.
+        contrast = self.atoms.single_contrast / 0.5
         return self.capture.reference_level * (contrast or 1.0)
 
     @property
@@ -257,13 +247,15 @@ class RowSolver:
     def everywhere(
         self, samples: Samples, progress: Progress | None = None, *, brief: bool = False
     ) -> Result:
-        """Solve each row by itself on all atoms; in `FIRST_PASSES` passes if it may be `brief`."""
+        """Solve each row by itself on all atoms; in two passes if it may be `brief`."""
         problem = self._problem(samples, FIRST_REGULARIZATION * self.level)
         passes = self.solver.max_passes
+        # A gap of 1 % suffices to show where light may be. Until it is reached there would be 3.5
+        # passes; but where every row has neighbours that have searched, two give the same errors.
         solver = replace(
             self.solver,
-            tolerance=max(FIRST_TOLERANCE, self.solver.tolerance),
-            max_passes=min(FIRST_PASSES, passes) if brief else passes,
+            tolerance=max(1e-2, self.solver.tolerance),
+            max_passes=min(2, passes) if brief else passes,
         )
         return solver.solve(problem, progress)
 
@@ -280,7 +272,9 @@ class RowSolver:
         left = (weights * (samples.values - means) ** 2).sum(axis=1)
         # No atom can enter darker rows than this, if they search all atoms.
         column = self.atoms.single_contrast * np.sqrt(self.capture.count)
-        bright = np.sqrt(left) * LONGEST * column > FIRST_REGULARIZATION * self.level
+        # The norm of an atom's column is at most this times its contrast times the root of the
+        # number of patterns. Chosen by hand.
+        bright = np.sqrt(left) * 1.5 * column > FIRST_REGULARIZATION * self.level
         penalty = self.penalty * np.sqrt(left) / column
         wrong = solved.rows.diagnostics["objective"] > share * left / 2 + penalty
         return np.flatnonzero(bright & wrong)

@@ -34,14 +34,9 @@ from lightmatrix.solvers.loop import Progress
 from lightmatrix.transport.matrix import ColourTransport, LightTransport
 from lightmatrix.transport.store import save_colour
 
-# Grey patterns from which the geometry is found without the others. Fewer show where most camera
-# pixels look, but not all. The usual mixing is the better start then (docs/colour.md).
-ENOUGH_GREY = 12
 # How much gains are drawn to the mixing of the whole frame, in each round after the start. First
 # the geometry of some pixels is wrong, and so would be their own gains; then it is right.
 TRUSTS = (0.3, 0.03)
-# The same for the gains of the result.
-LAST_TRUST = 0.003
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,7 +62,10 @@ class _Known:
 
     def start(self) -> LightTransport:
         """The first geometry: of the grey photographs, or of all under a usual mixing."""
-        if self.samples.patterns.grey.sum() >= ENOUGH_GREY:
+        # Grey patterns from which the geometry is found without the others. Fewer show where most
+        # camera pixels look, but not all. The usual mixing is the better start then
+        # (docs/colour.md).
+        if self.samples.patterns.grey.sum() >= 12:
             capture = grey_capture(self.samples, self.camera_shape, self.exposure)
         else:
             usual = usual_gains(self.samples.pixels)
@@ -150,7 +148,8 @@ def estimate_colour(
         geometry = known.start()
         for number in range(len(TRUSTS)):
             geometry = known.refined(geometry, number)
-    gains = fit_gains(samples, light_of_primaries(geometry, patterns), LAST_TRUST)
+    # The gains of the result are drawn less to the mixing of the whole frame.
+    gains = fit_gains(samples, light_of_primaries(geometry, patterns), 0.003)
     provenance = {
         **geometry.provenance,
         **capture_provenance(capture),

@@ -19,8 +19,6 @@ PRIMARIES = len(COLOURS)
 USUAL_MIXING = np.array([[1.0, 0.25, 0.1], [0.25, 1.0, 0.25], [0.1, 0.25, 1.0]])
 # Gains are scaled so that the mean channel sees all of a white pattern's light.
 _WHITE = float(PRIMARIES)
-# Pixels darker than this share of the mean say nothing of the frame's mixing. Chosen by hand.
-_DARK = 0.1
 # Relative size of what keeps a system of equations regular.
 _TINY = 1e-9
 
@@ -94,7 +92,8 @@ def _solved(matrices: NDArray[np.float64], right: NDArray[np.float64]) -> NDArra
 
 def _of_frame(gains: NDArray[np.float64], light: NDArray[np.float32]) -> NDArray[np.float64]:
     """The median share of each primary in what a channel sees, (3, 3), over pixels with light."""
-    bright = light > _DARK * light.mean()
+    # Pixels darker than this share of the mean say nothing of the frame's mixing. Chosen by hand.
+    bright = light > 0.1 * light.mean()
     total = gains.sum(axis=2, keepdims=True)
     fine = bright[:, None] & (total[..., 0] > 0)
     shares = np.divide(gains, total, out=np.full_like(gains, np.nan), where=fine[..., None])

@@ -139,23 +139,15 @@ class Clock:
 
 @dataclass(frozen=True)
 class Frame:
-    """One photograph as the camera delivered it.
+    """One photograph as the camera delivered it."""
 
-    Parameters
-    ----------
-    data : (rows, cols) or (rows, cols, channels) uint8 or uint16
-        Sensor values; the frame owns them.
-    id : int
-        Number of the frame; one more than that of the frame before unless frames were lost.
-    timestamp : float
-        End of the exposure as well as is known, in seconds of `time.monotonic`.
-    clip_level : float
-        The value at which the sensor clips, in units of `data`.
-    """
-
+    # (rows, cols[, channels]): sensor values, which the frame owns.
     data: NDArray[np.uint8] | NDArray[np.uint16]
+    # One more than that of the frame before unless frames were lost.
     id: int
+    # End of the exposure as well as is known, in seconds of `time.monotonic`.
     timestamp: float
+    # The value at which the sensor clips, in units of `data`.
     clip_level: float
 
 

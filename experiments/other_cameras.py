@@ -10,16 +10,8 @@ from scipy.ndimage import median_filter
 from scipy.sparse import csr_array, vstack
 
 from lightmatrix.errors import InputError
+from lightmatrix.simulation.realism import defocus
 from lightmatrix.simulation.truth import Truth
-
-# The disparity map is smoothed by a median filter of this many camera pixels a side, which removes
-# single footprints whose strongest entry is global light. Chosen by hand.
-_SMOOTHING = 5
-# The nearest and the farthest depth are these quantiles of the disparity (and of its mirror image),
-# so that single outliers do not set the range. Chosen by hand.
-_EXTREME = 0.02
-# Blur is rounded to this many levels, so that rows of the same blur are blurred together.
-_LEVELS = 8
 
 
 def seen(truth: Truth, place: NDArray[np.integer]) -> Truth:
@@ -61,7 +53,27 @@ def depth_blur(truth: Truth, widest: float) -> NDArray[np.float64]:
     rows, cols = truth.camera_shape[:2]
     col = np.asarray(truth.matrix.argmax(axis=1)).reshape(rows, cols) % truth.projector_shape[1]
     step = truth.projector_shape[1] / cols
-    shift = median_filter(col - step * np.arange(cols), size=_SMOOTHING)
-    low, high = np.quantile(shift, [_EXTREME, 1 - _EXTREME])
+    # The filter removes single footprints whose strongest entry is global light, the quantiles
+    # keep single outliers from setting the range.
+    shift = median_filter(col - step * np.arange(cols), size=5)
+    low, high = np.quantile(shift, [0.02, 0.98])
     share = np.clip((shift - low) / max(high - low, 1e-9), 0, 1)
-    return np.asarray(widest * np.rint(share * _LEVELS) / _LEVELS).ravel()
+    # Eight levels, so that rows of the same blur are blurred together.
+    return np.asarray(widest * np.rint(share * 8) / 8).ravel()
+
+
+def varying_defocus(truth: Truth, sigmas: NDArray[np.float64]) -> Truth:
+    """Blur the projector differently for each camera sample: `sigmas` (M,) in projector pixels."""
+    widths, group = np.unique(sigmas, return_inverse=True)
+    order = np.argsort(group, kind="stable")
+    parts = []
+    for number, sigma in enumerate(widths):
+        rows = np.flatnonzero(group == number)
+        part = replace(truth, matrix=truth.matrix[rows], direct_data=truth.direct[rows].data)
+        # A width near 0 leaves rows sharp but thins them as it does the others.
+        parts.append(defocus(part, max(float(sigma), 1e-9)))
+    matrix, direct = (
+        csr_array(csr_array(vstack(blocks, format="csr"))[np.argsort(order)])
+        for blocks in ([part.matrix for part in parts], [part.direct for part in parts])
+    )
+    return replace(truth, matrix=matrix, direct_data=direct.data)

@@ -8,9 +8,10 @@ import numpy as np
 import pytest
 
 import lightmatrix as lm
-from lightmatrix.simulation.other_cameras import mapped, seen
+from experiments.fig5 import clipped_share, direct_share, entries_for_energy
+from experiments.other_cameras import mapped, seen, varying_defocus
 from lightmatrix.simulation.procedural import ProceduralScene
-from lightmatrix.simulation.scene_statistics import clipped_share, direct_share, entries_for_energy
+from lightmatrix.simulation.realism import defocus
 from lightmatrix.simulation.truth import Truth
 
 SIDE = 64
@@ -53,3 +54,16 @@ def test_statistics_of_a_matrix_known_by_hand() -> None:
     low, high = clipped_share(truth, (1e-6, 1e6), count=64)
     assert low == 0
     assert 0.5 < high < 2 / 3 + 1e-9
+
+
+def test_blur_may_differ_from_row_to_row() -> None:
+    truth = ProceduralScene((6, 7), (12, 10)).truth()
+    sigmas = np.where(np.arange(truth.matrix.shape[0]) % 3 == 0, 1.3, 0.0)
+    mixed = varying_defocus(truth, sigmas)
+    for sigma in (0.0, 1.3):
+        rows = np.flatnonzero(sigmas == sigma)
+        whole = defocus(truth, sigma)
+        for actual, expected in ((mixed.matrix, whole.matrix), (mixed.direct, whole.direct)):
+            np.testing.assert_allclose(
+                actual[rows].toarray(), expected[rows].toarray(), rtol=1e-3, atol=2e-3
+            )

@@ -1,0 +1,595 @@
+"""The responses of a camera and of a projector, measured from photographs.
+
+The camera's comes from photographs of one scene at several exposures: a pixel's light grows with
+the exposure, which gives the light of each level up to a common factor (Debevec & Malik 1997;
+Robertson, Borman & Stevenson 2003). The projector's comes from photographs of a ramp, each of one
+grey value all over.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import matplotlib as mpl
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import isotonic_regression
+
+from lightmatrix.capture.camera_curve import Response, range_end
+from lightmatrix.capture.exposures import lit_samples, share_of_white
+from lightmatrix.capture.frames import ArrayStack, Frames
+from lightmatrix.errors import InputError
+from lightmatrix.files.curve_file import CurveFile
+from lightmatrix.files.extras import exposure_time, load_opencv
+from lightmatrix.files.images import read_image
+from lightmatrix.files.kinds import PICTURE, RESPONSE
+from lightmatrix.files.stacks import ImageStack
+from lightmatrix.files.writing import check_output
+from lightmatrix.patterns.projector_curve import ProjectorResponse
+from lightmatrix.pictures.style import COLOURS, STYLE
+from lightmatrix.pictures.transport import Picture
+from lightmatrix.reprs import short_repr
+
+Photographs = str | Path | NDArray[Any]
+# The level at which the camera clips, on the scale that OpenCV fits curves to; also the projector's
+# grey value of white.
+TOP = 255
+# The fewest pixels that have to be useful: fewer leave levels without any. Chosen by hand.
+_FEWEST_PIXELS = 60
+
+# Photographs, and pixels of them that are seen at several exposures.
+
+
+def open_photographs(source: Photographs) -> Frames:
+    """Open photographs of a folder or of a stack, or take an array (K, rows, cols[, 3])."""
+    if isinstance(source, str | Path):
+        return ImageStack.open(source)
+    if source.ndim not in (3, 4) or source.dtype not in (np.uint8, np.uint16, np.float32):
+        raise InputError(
+            f"photographs of shape {source.shape} and type {source.dtype}",
+            hint="give (K, rows, cols) or (K, rows, cols, 3) uint8, uint16 or float32",
+        )
+    return ArrayStack(source)
+
+
+def exposures_of(frames: Frames, stated: float | NDArray[Any] | None) -> NDArray[np.float64]:
+    """Exposure of each photograph, (K,): the stated ones, or those in the files of the camera."""
+    if stated is None:
+        paths = frames.paths if isinstance(frames, ImageStack) else ()
+        times = [exposure_time(path) for path in paths if isinstance(path, Path)]
+        if not times or None in times:
+            which = f"{paths[times.index(None)]}: " if None in times else ""
+            raise InputError(
+                f"{which}the exposures of the photographs are unknown",
+                hint="give the exposures, in any unit, in the order of the photographs",
+            )
+        return np.array(times, np.float64)
+    exposures = np.atleast_1d(np.asarray(stated, np.float64))
+    if exposures.shape != (frames.count,):
+        raise InputError(
+            f"{exposures.size} exposures for {frames.count} photographs",
+            hint="give one for each, in the order of the photographs",
+        )
+    if not (np.isfinite(exposures).all() and (exposures > 0).all()):
+        raise InputError(
+            f"an exposure of {exposures.min():g}", hint="use positive numbers, in any unit"
+        )
+    return exposures
+
+
+@dataclass(frozen=True, eq=False)
+class PixelSeries:
+    """Levels of M pixels at K exposures."""
+
+    # (K, M): levels, 255 being the clip level; pixels from dark to bright.
+    values: NDArray[np.uint8]
+    # (K,): relative to the longest.
+    exposures: NDArray[np.float64]
+    # Level without light, on the same scale.
+    black: float
+
+    @property
+    def lowest(self) -> int:
+        """The lowest trusted level."""
+        return int(np.ceil(self.black)) + 4
+
+    @property
+    def highest(self) -> int:
+        """The highest trusted level."""
+        return TOP - 3
+
+    @property
+    def trusted(self) -> NDArray[np.bool_]:
+        """Which levels are trusted, (K, M): near both ends, noise and clipping bend the curve."""
+        return (self.values >= self.lowest) & (self.values <= self.highest)
+
+    def some(self, count: int) -> PixelSeries:
+        """`count` of the pixels, evenly from the darkest to the brightest."""
+        places = np.linspace(0, self.values.shape[1] - 1, count).astype(int)
+        values = np.ascontiguousarray(self.values[:, places])
+        return PixelSeries(values, self.exposures, self.black)
+
+
+def sample_pixels(
+    frames: Frames,
+    exposures: NDArray[np.float64],
+    *,
+    clip: float,
+    black: float,
+    channel: int | None = None,
+) -> PixelSeries:
+    """Choose pixels of K photographs that are neither dark nor clipped at two exposures or more.
+
+    `clip` and `black` are raw levels. All channels of a colour camera count as pixels unless one
+    `channel` is chosen. An InputError says that there are too few pixels, or that the exposures of
+    two photographs contradict their brightness.
+    """
+    pixels = np.arange(int(np.prod(frames.shape)))
+    if channel is not None:
+        pixels = pixels[channel :: frames.shape[2]]
+    if len(pixels) > 40_000:
+        # More pixels only cost time.
+        pixels = np.random.default_rng(0).choice(pixels, 40_000, replace=False)
+    raw = np.stack([frames.read(k).reshape(-1)[pixels] for k in range(frames.count)])
+    values = np.rint(np.clip(raw / clip, 0, 1) * TOP).astype(np.uint8)
+    series = PixelSeries(values, exposures / exposures.max(), TOP * black / clip)
+    for one, other in pairwise(np.argsort(exposures, kind="stable")):
+        longer = exposures[other] / exposures[one]
+        both = series.trusted[one] & series.trusted[other]
+        darker = values[other][both] < values[one][both]
+        # Nearly equal exposures have no order.
+        if longer >= 1.01 and both.sum() >= _FEWEST_PIXELS and darker.mean() > 0.5:
+            raise InputError(
+                f"{frames.name(int(other))} is darker than {frames.name(int(one))}, though its "
+                f"exposure is {longer:.3g} times as long",
+                hint="give the exposures in the order of the photographs",
+            )
+    useful = series.trusted.sum(axis=0) >= 2
+    if useful.sum() < _FEWEST_PIXELS:
+        raise InputError(
+            f"only {int(useful.sum())} of {len(pixels)} pixels are neither dark nor clipped at two "
+            "exposures at least",
+            hint="take more exposures in between, a factor of 2 apart, of a scene with dark and "
+            "bright parts",
+        )
+    values = values[:, useful]
+    trusted = values[series.trusted[:, useful]]
+    span = (int(trusted.max()) - int(trusted.min())) / (TOP - series.black)
+    if span < 0.5:
+        raise InputError(
+            f"the photographs show levels from {trusted.min() * clip / TOP:.0f} to "
+            f"{trusted.max() * clip / TOP:.0f} of {clip:g} only",
+            hint="take shorter and longer exposures too: some parts should be dark in the first, "
+            "some clipped in the last",
+        )
+    order = np.argsort(values.mean(axis=0, dtype=np.float64), kind="stable")
+    return PixelSeries(np.ascontiguousarray(values[:, order]), series.exposures, series.black)
+
+
+# The camera's curve.
+
+
+@dataclass(frozen=True, eq=False)
+class Residuals:
+    """How far the light of pixels departs from growing with the exposure."""
+
+    # (n,): middle of each range of light.
+    light: NDArray[np.float64]
+    # (n,): mean over its pixels, as a share of full light.
+    off: NDArray[np.float64]
+
+    @property
+    def largest(self) -> float:
+        """The largest of them; NaN if there are none."""
+        return float(np.abs(self.off).max()) if len(self.off) else float("nan")
+
+
+def fit_curve(series: PixelSeries, method: str) -> NDArray[np.float64]:
+    """Light of the levels 0 to 255: 0 without light, 1 at the clip level, never decreasing."""
+    cv2 = load_opencv("measuring a camera's response", "response")
+    if method == "debevec":
+        # A dense system is solved, of about 3000 equations at most: pixels times exposures. OpenCV
+        # takes its samples from a grid over the image; here the grid is the whole image.
+        side = min(17, int(np.sqrt(3000 / len(series.exposures))))
+        some = series.some(side * side)
+        images = [np.ascontiguousarray(row.reshape(side, side)) for row in some.values]
+        # The last number weighs smoothness. tests/responses/test_responses.py and
+        # `python -m benchmarks.response_curves` measure the errors that it leaves.
+        calibrate = cv2.createCalibrateDebevec(side * side, 50.0, False)
+    else:
+        # OpenCV's implementation needs images of three channels, and takes longer with more pixels.
+        some = series.some(10_000)
+        images = [np.repeat(row[None, :, None], 3, axis=2) for row in some.values]
+        # At most 100 iterations, until the curve changes by less than 1e-4.
+        calibrate = cv2.createCalibrateRobertson(100, 1e-4)
+    curve = calibrate.process(images, some.exposures.astype(np.float32))
+    fitted = np.asarray(curve, np.float64).reshape(TOP + 1, -1)[:, 0]
+    low, high = series.lowest, series.highest
+    levels = np.arange(TOP + 1)
+    known = np.isfinite(fitted) & (fitted > 0) & (levels >= low) & (levels <= high)
+    # Debevec's curve is smooth, so it also holds for levels that no pixel had.
+    known &= np.isin(levels, series.values[series.trusted]) | (method == "debevec")
+    light = np.interp(levels, levels[known], fitted[known])
+    low, high = int(levels[known][0]), int(levels[known][-1])
+    # Noise and clipping bend both ends of the curve, so straight lines replace them; that of the
+    # bright end goes through the last twelve trusted levels.
+    end = slice(high - 12, high + 1)
+    slope, start = np.polyfit(levels[end], light[end], 1)
+    light[high:] = (start + slope * levels)[high:]
+    light[: low + 1] = light[low] * np.clip((levels[: low + 1] - series.black), 0, None)
+    light[: low + 1] /= low - series.black
+    rising = np.asarray(isotonic_regression(light).x)
+    return np.asarray(np.clip(rising / rising[-1], 0, 1))
+
+
+def measure_residuals(curve: NDArray[np.float64], series: PixelSeries) -> Residuals:
+    """How far each pixel's light is from growing with the exposure, over ranges of light."""
+    light, times = curve[series.values], series.exposures[:, None]
+    weight = series.trusted.astype(np.float64)
+    per_exposure = (weight * light * times).sum(axis=0) / (weight * times**2).sum(axis=0)
+    expected = per_exposure * times
+    trusted = series.trusted & (expected <= 1)
+    bins = np.minimum((expected[trusted] * 16).astype(int), 15)
+    count = np.bincount(bins, minlength=16)
+    total = np.bincount(bins, (light - expected)[trusted], 16)
+    # A range of light tells something from 30 pixels on.
+    keep = count >= 30
+    centre = (np.arange(16) + 0.5) / 16
+    return Residuals(centre[keep], total[keep] / count[keep])
+
+
+def nearest_gamma(curve: NDArray[np.float64], series: PixelSeries) -> float:
+    """The exponent of the power of the level that is nearest to a curve."""
+    share = (np.arange(TOP + 1) - series.black) / (TOP - series.black)
+    part = (share > 0.1) & (share < 0.99) & (curve > 0)
+    log_light, log_level = np.log(curve[part]), np.log(share[part])
+    return float((log_light @ log_level) / (log_level @ log_level))
+
+
+@dataclass(frozen=True, eq=False)
+class CameraResponse:
+    """A camera's measured response.
+
+    Parameters
+    ----------
+    response : Response
+        Level and light, both as a share of the clip level.
+    uncertainty : float
+        Twice the standard error of the light of a level, at the level where it is largest, as a
+        share of full light: four curves of different pixels are averaged.
+    misfit : float
+        How far its light departs from being proportional to the exposure: the largest mean over 16
+        ranges of light, as a share of full light. Above 0.02, something else has changed.
+    gamma : float
+        Exponent g for which level^g is nearest to the curve.
+    method : str
+        How the curve was fitted: "debevec" or "robertson".
+    exposures : (K,) float64
+        Exposure of each photograph, in the unit in which they were given.
+    channels : float, optional
+        For a colour camera, the largest difference between the curves of its channels, in light.
+    residuals : Residuals
+        The means of which `misfit` is the largest.
+
+    Examples
+    --------
+    >>> import lightmatrix as lm
+    >>> from lightmatrix.responses.curves import CameraResponse
+    >>> light = np.geomspace(0.002, 1, 4000).reshape(50, 80)
+    >>> photographs = [np.rint(255 * np.clip(e * light, 0, 1)) for e in (0.25, 1, 4)]
+    >>> measured = lm.camera_response(np.array(photographs, np.uint8), [0.25, 1, 4])
+    >>> isinstance(measured, CameraResponse), abs(measured.gamma - 1) < 0.02
+    (True, True)
+    """
+
+    response: Response
+    uncertainty: float
+    misfit: float
+    gamma: float
+    method: str
+    exposures: NDArray[np.float64]
+    channels: float | None
+    residuals: Residuals
+
+    __repr__ = short_repr
+
+    def as_dict(self) -> dict[str, Any]:
+        """Everything besides the curve, JSON-ready."""
+        return {
+            "method": self.method,
+            "uncertainty": round(self.uncertainty, 5),
+            "misfit": round(self.misfit, 5),
+            "gamma": round(self.gamma, 3),
+            "difference_of_channels": None if self.channels is None else round(self.channels, 5),
+            "exposures": [float(f"{value:.7g}") for value in self.exposures],
+        }
+
+    def save(self, path: str | Path, *, overwrite: bool = False) -> None:
+        """Write the curve as JSON, which `Response.parse` and capture.json read.
+
+        Raises
+        ------
+        OutputError
+            If a file of another kind is there or must not be replaced, or the disk fails.
+        """
+        levels, light, top = self.response.levels, self.response.light, self.response.full_scale
+        assert levels is not None
+        assert light is not None
+        assert top is not None
+        curve = CurveFile("camera", levels * top, light, self.as_dict())
+        curve.save(path, overwrite=overwrite)
+
+
+def camera_response(
+    photographs: Photographs,
+    exposures: float | NDArray[Any] | list[float] | None = None,
+    *,
+    method: str = "debevec",
+    black: str | Path | float | None = None,
+    clip: float | None = None,
+    output: str | Path | None = None,
+    picture: str | Path | None = None,
+    overwrite: bool = False,
+) -> CameraResponse:
+    """Measure a camera's response, as `lightmatrix response` does.
+
+    Parameters
+    ----------
+    photographs : str, Path or array
+        At least 3 photographs of one scene that does not change, the longest exposure at least 4
+        times the shortest: a folder, a stack, or (K, rows, cols[, 3]) levels. The channels of a
+        colour camera share one curve.
+    exposures : (K,), optional
+        Exposure of each in any unit. None: read from the files of the camera.
+    method : {"debevec", "robertson"}
+        Debevec's curve is smooth and needs few pixels; Robertson's is rough and follows bends.
+    black : str, Path or float, optional
+        Photograph with the cap on, or the raw level without light. None: 0.
+    clip : float, optional
+        Raw level at which the camera clips, and where the curve ends. None: the end of the range
+        of the files.
+    output : str or Path, optional
+        A .json file of the curve to write.
+    picture : str or Path, optional
+        A .png picture of the curve to write.
+    overwrite : bool
+        Whether existing files may be replaced.
+
+    Returns
+    -------
+    CameraResponse
+        Its curve has 256 levels, to which images of 16 bits are rounded.
+
+    Raises
+    ------
+    InputError
+        If photographs cannot be read, exposures are too few, too similar or contradict the
+        photographs, or too few pixels are between dark and clipped.
+    MissingExtraError
+        Without OpenCV, the extra `response`.
+    OutputError
+        If a file cannot be written.
+
+    Examples
+    --------
+    >>> import lightmatrix as lm
+    >>> light = np.geomspace(0.002, 1, 4000).reshape(50, 80)
+    >>> exposures = [0.25, 0.5, 1, 2, 4]
+    >>> photographs = [np.rint(255 * np.clip(e * light, 0, 1) ** (1 / 2.2)) for e in exposures]
+    >>> levels = np.array(photographs, np.uint8)
+    >>> measured = lm.camera_response(levels, exposures, output="curve.json")
+    >>> round(measured.gamma, 1), lm.Response.parse("curve.json").full_scale
+    (2.2, 255.0)
+    """
+    if method not in ("debevec", "robertson"):
+        raise InputError(f"a method {method!r}", hint="use debevec or robertson")
+    for path, kind in ((output, RESPONSE), (picture, PICTURE)):
+        if path is not None:
+            check_output(path, kind, overwrite=overwrite)
+    frames = open_photographs(photographs)
+    times = exposures_of(frames, None if exposures is None else np.asarray(exposures))
+    steps = np.unique(times)
+    if len(steps) < 3 or steps[-1] < 4 * steps[0]:
+        # These give the curve three points at each pixel, over two stops. Chosen by hand.
+        raise InputError(
+            f"{len(times)} photographs of {len(steps)} exposures from {steps[0]:g} to "
+            f"{steps[-1]:g}",
+            hint="take 3 exposures at least, better 7, each twice the one before",
+        )
+    # Robertson's curve is not smooth, so that neighbouring exposures have to overlap.
+    if method == "robertson" and (len(steps) < 5 or (steps[1:] / steps[:-1]).max() > 2.2):
+        raise InputError(
+            f"Robertson's curve from {len(steps)} exposures from {steps[0]:g} to {steps[-1]:g}",
+            hint="it needs 5 at least, each about twice the one before; Debevec's needs fewer",
+        )
+    end = range_end(frames.dtype)
+    top = end if clip is None else float(clip)
+    dark = float(np.median(read_image(black)) if isinstance(black, str | Path) else black or 0)
+    if not 0 <= dark < 0.9 * top <= 0.9 * end:
+        raise InputError(
+            f"levels from {dark:g} without light to {top:g} where the camera clips, in images of "
+            f"{frames.dtype}",
+            hint="correct black or clip",
+        )
+    series = sample_pixels(frames, times, clip=top, black=dark)
+    # Curves of four sets of different pixels are averaged; their spread is the uncertainty. Four
+    # are the fewest whose spread tells anything, and each keeps enough pixels.
+    parts = [PixelSeries(series.values[:, k::4], series.exposures, series.black) for k in range(4)]
+    several = np.array([fit_curve(part, method) for part in parts])
+    curve = several.mean(axis=0)
+    by_channel = [
+        fit_curve(sample_pixels(frames, times, clip=top, black=dark, channel=channel), method)
+        for channel in range(frames.shape[2] if len(frames.shape) == 3 else 0)
+    ]
+    residuals = measure_residuals(curve, series)
+    measured = CameraResponse(
+        Response(np.arange(TOP + 1) / TOP, curve, "measured", top),
+        float(several.std(axis=0, ddof=1).max()),
+        residuals.largest,
+        nearest_gamma(curve, series),
+        method,
+        times,
+        max((float(np.abs(each - curve).max()) for each in by_channel), default=None),
+        residuals,
+    )
+    if output is not None:
+        measured.save(output, overwrite=overwrite)
+    if picture is not None:
+        drawing = draw_camera_response(measured.response, residuals, measured.gamma)
+        drawing.write(picture, overwrite=overwrite)
+    return measured
+
+
+# The projector's curve.
+
+
+def projector_response(
+    photographs: Photographs,
+    levels: Sequence[float] | NDArray[Any] | None = None,
+    *,
+    response: Response | str | None = None,
+    clip: float | None = None,
+    output: str | Path | None = None,
+    picture: str | Path | None = None,
+    overwrite: bool = False,
+) -> ProjectorResponse:
+    """Measure a projector's response, as `lightmatrix response --projector` does.
+
+    Parameters
+    ----------
+    photographs : str, Path or array
+        At least 5 photographs at one exposure, each of one grey value all over the projector: a
+        folder, a stack, or (K, rows, cols[, 3]) levels.
+    levels : (K,), optional
+        The grey values, whole numbers increasing from 0 to 255. None: evenly spaced.
+    response : Response or str, optional
+        The camera's response, see `Response.parse`. None: linear.
+    clip : float, optional
+        Raw level at which the camera clips. None: the end of the range of the files, or of the
+        camera's response.
+    output : str or Path, optional
+        A .json file of the curve to write.
+    picture : str or Path, optional
+        A .png picture of the curve to write.
+    overwrite : bool
+        Whether existing files may be replaced.
+
+    Returns
+    -------
+    ProjectorResponse
+
+    Raises
+    ------
+    InputError
+        If photographs cannot be read, grey values do not fit them, or there is too little light.
+    OutputError
+        If a file cannot be written.
+
+    Examples
+    --------
+    >>> import lightmatrix as lm
+    >>> light = np.linspace(0, 1, 9)[:, None, None] ** 1.8 * np.full((9, 10, 10), 0.8)
+    >>> measured = lm.projector_response(np.rint(250 * light + 5).astype(np.uint8))
+    >>> round(measured.gamma, 1)
+    1.8
+    """
+    for path, kind in ((output, RESPONSE), (picture, PICTURE)):
+        if path is not None:
+            check_output(path, kind, overwrite=overwrite)
+    frames = open_photographs(photographs)
+    count = frames.count
+    if count < 5:
+        raise InputError(f"{count} photographs of grey values", hint="take 5 at least, better 17")
+    grey = np.rint(np.linspace(0, TOP, count)) if levels is None else np.asarray(levels, np.float64)
+    if grey.shape != (count,):
+        raise InputError(
+            f"{grey.size} grey values for {count} photographs",
+            hint="give one for each, in the order of the photographs",
+        )
+    whole = (grey == np.rint(grey)).all()
+    if not whole or grey[0] != 0 or grey[-1] != TOP or (np.diff(grey) <= 0).any():
+        raise InputError(
+            f"grey values from {grey[0]:g} to {grey[-1]:g}",
+            hint="give whole numbers that increase from 0 to 255, the photographs likewise",
+        )
+    camera = response if isinstance(response, Response) else Response.parse(response or "linear")
+    scale = camera.full_scale or range_end(frames.dtype)
+    ceiling = float(camera.linearise(np.array((clip or scale) / scale)))
+
+    def light(index: int) -> NDArray[np.float64]:
+        return camera.linearise(frames.read(index) / scale)
+
+    black, white = light(0), light(count - 1)
+    lit = lit_samples(white, black, ceiling)
+    if lit.sum() < 20 or np.quantile(white - black, 0.99) < 0.02 * ceiling:
+        raise InputError(
+            f"{frames.name(count - 1)} has only {int(lit.sum())} pixels that the projector "
+            "lights and that do not clip",
+            hint="photograph the projected picture so that white is bright and does not clip, the "
+            "darkest grey value first",
+        )
+    shares = np.array([share_of_white(light(k), white, black, lit) for k in range(count)])
+    falls = np.flatnonzero(np.diff(shares) < -0.02)
+    if len(falls):
+        k = int(falls[0])
+        raise InputError(
+            f"{frames.name(k + 1)} is darker than {frames.name(k)}, though its grey value is "
+            f"{grey[k + 1]:g} after {grey[k]:g}",
+            hint="give the levels in the order of the photographs, from 0 to 255",
+        )
+    measured = ProjectorResponse.of_light(grey.astype(np.int64), shares)
+    if output is not None:
+        measured.save(output, overwrite=overwrite)
+    if picture is not None:
+        draw_projector_response(measured).write(picture, overwrite=overwrite)
+    return measured
+
+
+# Pictures of responses: light over level.
+
+
+def draw_camera_response(response: Response, residuals: Residuals, gamma: float) -> Picture:
+    """A camera's curve beside known ones, and its residuals."""
+    with mpl.rc_context(STYLE):
+        drawing = Picture(figsize=(7.2, 3.2), layout="constrained")
+        curve, deviations = drawing.subplots(1, 2)
+        top = response.full_scale or 1.0
+        share = np.linspace(0, 1, 256)
+        curve.plot(top * share, response.linearise(share), color=COLOURS[0], label="measured")
+        _add_known(curve, top, gamma)
+        curve.set(xlabel="raw level", ylabel="light", title="Response of the camera")
+        curve.legend()
+        deviations.axhline(0, color="0.7", linewidth=0.8)
+        deviations.plot(residuals.light, 100 * residuals.off, "o-", color=COLOURS[1], markersize=4)
+        most = max(1.0, 120 * residuals.largest)
+        deviations.set(
+            xlabel="light", ylabel="% of full light", xlim=(0, 1), ylim=(-most, most),
+            title="Light of a pixel, less what its exposure says",
+        )  # fmt: skip
+    return drawing
+
+
+def draw_projector_response(response: ProjectorResponse) -> Picture:
+    """A projector's light over its grey values."""
+    with mpl.rc_context(STYLE):
+        drawing = Picture(figsize=(3.8, 3.2), layout="constrained")
+        curve = drawing.subplots()
+        grey = np.linspace(0, 1, 256)
+        curve.plot(255 * grey, response.light_of(grey), color=COLOURS[0], label="measured")
+        curve.plot(response.levels, response.light, "o", color=COLOURS[0], markersize=4)
+        _add_known(curve, 255.0, response.gamma)
+        curve.set(xlabel="grey value", ylabel="light", title="Response of the projector")
+        curve.legend()
+    return drawing
+
+
+def _add_known(axes: Any, top: float, gamma: float) -> None:
+    share = np.linspace(0, 1, 256)
+    axes.plot(top * share, share, color="0.6", linewidth=1, label="linear")
+    axes.plot(
+        top * share, share**gamma, ":", color=COLOURS[1], linewidth=1.2, label=f"gamma {gamma:.2f}"
+    )

@@ -1,0 +1,491 @@
+"""The scenes of the simulator: meshes and materials above the plane z = 0, seen from above.
+
+Camera and projector look straight down by default. Both then see the square |x|, |y| <= 1 of the
+plane z = 0, as after the paper's alignment by a homography, and points above the plane with
+parallax. A `View` with a target is turned towards it instead.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from difflib import get_close_matches
+from math import sqrt
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lightmatrix.errors import InputError
+from lightmatrix.simulation.shapes import (
+    Mesh,
+    ball,
+    bolt,
+    box,
+    bracket,
+    extrude,
+    from_quaternion,
+    l_block,
+    nut,
+    revolve,
+    ring,
+    rod,
+    sheet,
+    turn,
+)
+
+
+@dataclass(frozen=True)
+class View:
+    """A device at a position that looks at a target.
+
+    Parameters
+    ----------
+    position : (x, y, z)
+        Its centre.
+    target : (x, y, z), optional
+        The point in the middle of its image. None: it looks straight down, and its film is shifted
+        such that it covers the square |x|, |y| <= 1 of the plane z = 0.
+    roll : float
+        How far it is turned about its axis, in degrees, clockwise as seen from behind.
+    width : float
+        Width of its image in the plane through the target at right angles to the axis; 2 covers the
+        square |x|, |y| <= 1.
+    """
+
+    position: tuple[float, float, float]
+    target: tuple[float, float, float] | None = None
+    roll: float = 0.0
+    width: float = 2.0
+
+    @property
+    def distance(self) -> float:
+        """From the centre to the target, or straight down to the plane z = 0."""
+        if self.target is None:
+            return self.position[2]
+        return float(np.linalg.norm(np.subtract(self.target, self.position)))
+
+    @property
+    def axes(self) -> NDArray[np.float64]:
+        """Unit vectors (3, 3): to the right, down and forwards in its image."""
+        x, y, _ = self.position
+        forward = np.subtract((x, y, 0) if self.target is None else self.target, self.position)
+        forward = forward / np.linalg.norm(forward)
+        # The scene's y points up in an image that is not turned.
+        right = np.cross(forward, (0, 1, 0))
+        right /= np.linalg.norm(right)
+        down = np.cross(forward, right)
+        c, s = np.cos(np.radians(self.roll)), np.sin(np.radians(self.roll))
+        return np.stack([c * right + s * down, c * down - s * right, forward])
+
+    def intrinsics(self, shape: tuple[int, int]) -> NDArray[np.float64]:
+        """K (3, 3) for an image of (rows, cols) with pixel centres at whole numbers."""
+        rows, cols = shape
+        focal = cols * self.distance / self.width
+        # A shifted film keeps the middle of the square in the middle of the image.
+        x, y = (self.position[0], self.position[1]) if self.target is None else (0.0, 0.0)
+        across, down = x * cols / self.width, -y * cols / self.width
+        return np.array(
+            [
+                [focal, 0, (cols - 1) / 2 + across],
+                [0, focal, (rows - 1) / 2 + down],
+                [0, 0, 1],
+            ]
+        )
+
+    def matrix(self, shape: tuple[int, int]) -> NDArray[np.float64]:
+        """The projection (3, 4) of (x, y, z, 1) to (col, row, 1) for an image of (rows, cols)."""
+        turn = self.axes
+        return self.intrinsics(shape) @ np.column_stack([turn, -turn @ self.position])
+
+
+Material = Mapping[str, Any]
+# Where camera and projector stand in most scenes.
+_CAMERA, _PROJECTOR = View((-0.8, -0.5, 4.0)), View((0.0, 0.0, 4.0))
+
+
+def matt(reflectance: float | tuple[float, float, float]) -> Material:
+    """A diffuse surface, seen from both sides."""
+    return {"type": "twosided", "bsdf": {"type": "diffuse", "reflectance": _rgb(reflectance)}}
+
+
+def painted() -> Material:
+    """A diffuse surface whose reflectance varies: `Part.colours`, between vertices linearly."""
+    texture = {"type": "mesh_attribute", "name": "vertex_color"}
+    return {"type": "twosided", "bsdf": {"type": "diffuse", "reflectance": texture}}
+
+
+def plastic(reflectance: float | tuple[float, float, float], roughness: float) -> Material:
+    """A glossy coat over a diffuse base."""
+    base = {"type": "roughplastic", "diffuse_reflectance": _rgb(reflectance), "alpha": roughness}
+    return {"type": "twosided", "bsdf": base}
+
+
+def metal(kind: str, roughness: float) -> Material:
+    """A rough conductor; a mirror (roughness below 0.12) would never reflect a pinhole light."""
+    base = {"type": "roughconductor", "material": kind, "alpha": roughness}
+    return {"type": "twosided", "bsdf": base}
+
+
+def translucent(reflectance: float, through: float) -> Material:
+    """A thin sheet that scatters light to both sides; `through` in [0, 2], 1 sends half through."""
+    return {
+        "type": "principledthin",
+        "base_color": _rgb(reflectance),
+        "diff_trans": through,
+        "roughness": 0.6,
+        "spec_trans": 0.0,
+        "eta": 1.3,
+    }
+
+
+def _rgb(value: float | tuple[float, float, float]) -> dict[str, Any]:
+    return {"type": "rgb", "value": [value] * 3 if isinstance(value, float) else list(value)}
+
+
+@dataclass(frozen=True)
+class Part:
+    """A mesh and its material; `painted` materials take a colour (V, 3) for each vertex."""
+
+    mesh: Mesh
+    material: Material
+    colours: NDArray[np.float64] | None = None
+
+
+@dataclass(frozen=True)
+class Scene:
+    """A scene of the simulator: everything that reflects light, the camera and the projector."""
+
+    name: str
+    description: str
+    parts: tuple[Part, ...]
+    # The longest light path, in surface interactions.
+    max_depth: int = 10
+    # Raised whenever the scene changes, so that cached matrices are rendered again.
+    version: int = 1
+    camera: View = _CAMERA
+    # Its image is centred on its axis, since Mitsuba's projector has no shifted film.
+    projector: View = _PROJECTOR
+
+
+# Where rigid blocks came to rest after falling on a table and on each other, computed once with a
+# rigid-body simulation: position of the middle (x, y, z), then the quaternion (w, x, y, z).
+_BLOCKS = (
+    (0.3821, -0.0159, 0.0850, 0.0000, -0.8563, 0.5165, -0.0000),
+    (-0.7430, 0.4119, 0.0850, 0.5179, -0.0000, 0.0000, 0.8554),
+    (0.3180, -0.5462, 0.0850, 0.7394, -0.0000, -0.0000, 0.6732),
+    (-0.0561, 0.7807, 0.0850, 0.0000, -0.1452, -0.9894, -0.0000),
+    (-0.5580, -1.2624, 0.0850, -0.0000, 0.0220, -0.9998, -0.0000),
+    (0.2652, -0.7279, 0.1377, 0.3049, -0.6637, -0.2440, 0.6380),
+    (-0.3075, -0.8097, 0.1855, 0.0720, 0.9113, -0.3627, 0.1810),
+    (-0.1087, -0.1340, 0.1963, 0.0456, 0.2035, 0.9544, 0.2138),
+    (-0.3178, -0.1055, 0.2787, 0.2507, 0.5231, -0.7765, 0.2462),
+    (0.3035, -0.1450, 0.3360, 0.1537, 0.0085, -0.9881, 0.0013),
+    (0.2557, 0.5760, 0.2044, 0.0650, -0.2611, -0.9364, 0.2253),
+)
+
+
+def _l_objects() -> Scene:
+    """A random pile of white L-shaped objects, as in the paper's Fig. 5 (a)."""
+    block = l_block(leg=0.56, width=0.19, height=0.17)
+    blocks = [block.placed(pose[:3], from_quaternion(pose[3:])) for pose in _BLOCKS]
+    parts = [Part(sheet(), matt(0.35)), *(Part(mesh, matt(0.85)) for mesh in blocks)]
+    return Scene(
+        "l_objects", "a random pile of white L-shaped blocks on a grey table", tuple(parts)
+    )
+
+
+_BODY = plastic((0.18, 0.19, 0.21), 0.2)
+_STEEL = metal("Cr", 0.3)
+# The aluminium is bead-blasted, so that faces turned to the camera are not blinding.
+_ALUMINIUM = metal("Al", 0.42)
+_RUBBER = matt(0.06)
+_BOLT = metal("Cr", 0.25)
+
+
+def _gripper() -> Scene:
+    """A robot gripper holding a ball, after the paper's Fig. 5 (b).
+
+    It lies on its side on a sheet of paper, its lowest surfaces touching it.
+    """
+    parts = [
+        Part(box(0.50, 0.62, 0.30, 0.025).placed((-0.42, 0.0, 0.0)), _BODY),
+        Part(box(0.30, 0.40, 0.06, 0.02).placed((-0.44, 0.0, 0.30)), _ALUMINIUM),
+        Part(_flange().placed((-0.70, 0.0, 0.20)), _STEEL),
+        Part(rod(0.055, 0.60).placed((-1.12, 0.0, 0.20)), _STEEL),
+        Part(box(0.18, 0.70, 0.26, 0.02).placed((-0.10, 0.0, 0.0)), _ALUMINIUM),
+        Part(ball(0.165).placed((0.62, 0.0, 0.0)), matt(0.8)),
+    ]
+    for side in (1, -1):
+        parts += _finger(side)
+        for x in (-0.54, -0.34):
+            parts.append(Part(_screw().placed((x, 0.13 * side, 0.36)), _BOLT))
+            parts.append(Part(_screw().placed((x, 0.25 * side, 0.30)), _BOLT))
+        parts.append(Part(_screw().placed((-0.10, 0.28 * side, 0.26)), _BOLT))
+    paper = Part(sheet(), matt(0.8))
+    placed = [Part(_in_place(part.mesh), part.material) for part in parts]
+    description = "a robot gripper with metal fingers holding a ball, lying on white paper"
+    return Scene("gripper", description, (paper, *placed), version=2)
+
+
+def _in_place(mesh: Mesh) -> Mesh:
+    """Enlarged about the paper's middle and turned, so that the gripper fills the view."""
+    larger = Mesh(mesh.vertices * 1.1, mesh.faces)
+    return larger.placed((-0.10, 0.0, 0.0), turn("z", 14))
+
+
+def _finger(side: int) -> list[Part]:
+    """One finger: the arm in two convex-enough pieces, its joint and its rubber pad."""
+    root = [(-0.02, 0.14), (0.16, 0.14), (0.30, 0.235), (0.30, 0.40), (0.26, 0.40), (0.04, 0.29)]
+    root.append((-0.02, 0.27))
+    tip = [(0.30, 0.235), (0.36, 0.27), (0.74, 0.17), (0.81, 0.20), (0.79, 0.27), (0.37, 0.41)]
+    tip.append((0.30, 0.40))
+    pieces = []
+    for outline, centre in ((root, (0.16, 0.24)), (tip, (0.42, 0.33))):
+        flipped = [(x, side * y) for x, y in outline][::side]
+        pieces.append(extrude(flipped, 0.16, 0.012, (centre[0], side * centre[1])))
+    pad = box(0.22, 0.04, 0.14, 0.008).placed((0.66, side * 0.185, 0.05), turn("z", -15.0 * side))
+    joint = _screw(0.05, 0.03).placed((0.30, side * 0.32, 0.24))
+    steel = [Part(piece.placed((0, 0, 0.08)), _ALUMINIUM) for piece in pieces]
+    feet = Part(box(0.09, 0.09, 0.08, 0.01).placed((0.20, side * 0.24, 0.0)), _RUBBER)
+    return [*steel, Part(pad, _RUBBER), Part(joint, _STEEL), feet]
+
+
+def _flange() -> Mesh:
+    profile = [(0.17, -0.04), (0.19, -0.025), (0.19, 0.025), (0.17, 0.04)]
+    return revolve(profile).placed(rotation=turn("y", 90))
+
+
+def _screw(radius: float = 0.035, height: float = 0.022) -> Mesh:
+    return revolve([(radius, 0.0), (radius, 0.6 * height), (0.7 * radius, height)], 24)
+
+
+_PARTS = {
+    "bolt": (bolt(radius=0.062, length=0.46, head_radius=0.115, head_height=0.085), "Cr", 0.2),
+    "nut": (nut(radius=0.14, hole=0.066, height=0.11), "Cr", 0.2),
+    "washer": (ring(radius=0.17, hole=0.08, height=0.03), "Al", 0.25),
+    "bearing": (ring(radius=0.20, hole=0.10, height=0.13), "Cr", 0.15),
+    "bracket": (bracket(leg=0.36, thickness=0.045, width=0.30), "Al", 0.3),
+}
+
+# Where they came to rest on the paper and on each other, as above.
+_METAL = (
+    ("washer", (0.4758, 0.7094, 0.0150, 0.0001, -0.2137, 0.9769, -0.0000)),
+    ("nut", (-0.8516, 0.7096, 0.1212, 0.5598, -0.5598, -0.4321, 0.4321)),
+    ("washer", (-0.0541, 0.4705, 0.0150, 0.0003, -0.6957, 0.7183, -0.0002)),
+    ("bracket", (0.7924, -0.9462, 0.1800, 0.1359, 0.1359, -0.6939, -0.6939)),
+    ("bolt", (-0.7392, 0.4863, 0.0840, 0.2009, 0.7172, -0.1623, -0.6472)),
+    ("washer", (0.2817, 0.6964, 0.0420, 0.7456, -0.0627, -0.0499, 0.6615)),
+    ("bolt", (-0.8379, 0.2778, 0.0840, 0.4693, 0.5092, -0.5305, -0.4889)),
+    ("bracket", (-0.3045, 0.3089, 0.1991, 0.6740, -0.0188, -0.7373, -0.0428)),
+    ("nut", (0.5137, 0.7324, 0.1190, 0.8194, -0.1268, 0.0855, -0.5525)),
+    ("nut", (0.6916, -0.2165, 0.0550, 0.9487, -0.0000, -0.0000, 0.3163)),
+    ("bearing", (-0.1687, -0.6698, 0.0653, 0.0014, 0.8290, -0.5593, 0.0010)),
+    ("bolt", (0.0804, -0.0322, 0.0920, 0.5793, 0.4712, 0.5777, 0.3296)),
+    ("bolt", (0.1390, 0.5752, 0.1046, 0.6592, -0.6866, -0.2331, -0.1991)),
+    ("bolt", (-0.6206, -0.4348, 0.0840, 0.0593, -0.0643, -0.7325, 0.6751)),
+    ("nut", (0.0362, -0.2051, 0.1204, 0.0600, 0.1632, -0.9243, -0.3398)),
+    ("bearing", (-0.2776, -0.0994, 0.1887, 0.3568, -0.7948, 0.4655, -0.1559)),
+    ("washer", (0.6200, 0.4338, 0.0314, 0.0466, -0.6449, -0.7627, -0.0139)),
+    ("bolt", (0.4245, -0.1744, 0.0840, 0.4517, 0.7198, 0.1503, -0.5052)),
+    ("nut", (-0.2254, 0.3326, 0.1266, 0.8203, 0.0382, -0.0289, -0.5699)),
+    ("bearing", (-0.2733, 0.4259, 0.2456, 0.0112, -0.9958, -0.0786, -0.0466)),
+    ("bracket", (-0.6682, 0.0438, 0.2714, 0.5812, 0.3492, -0.6744, -0.2924)),
+)
+
+
+def _metal() -> Scene:
+    """Metallic industrial parts on a sheet of paper, after the paper's Fig. 5 (c)."""
+    parts = [Part(sheet(), matt(0.8))]
+    for kind, pose in _METAL:
+        mesh, conductor, roughness = _PARTS[kind]
+        placed = mesh.placed(pose[:3], from_quaternion(pose[3:]))
+        parts.append(Part(placed, metal(conductor, roughness)))
+    description = "metal bolts, nuts, washers, rings and brackets strewn on white paper"
+    return Scene("metal", description, tuple(parts))
+
+
+# Height of the edge where the walls meet: the plane z = 0 cuts the walls, so that half of their lit
+# parts lies below it and half above.
+_EDGE = -0.6
+
+
+def _corner() -> Scene:
+    """A concave corner of two white walls: strong interreflection, no bright single response.
+
+    It is a right-angled valley, its edge along y, with a cube and a ball that cast shadows.
+    """
+    # Objects keep a gap to the walls, so that surfaces do not coincide.
+    side, radius, gap = 0.40, 0.19, 0.001
+    cube = (
+        box(side, side, side, 0.012)
+        .placed((0, 0, -side / 2), np.eye(3))
+        .placed((0.0, 0.42, _EDGE + side / sqrt(2) + gap), turn("y", 45))
+    )
+    rolled = ball(radius).placed((0.0, -0.40, _EDGE + radius * (sqrt(2) - 1) + gap))
+    description = (
+        "two white walls, a cube and a ball in the valley between them: strong global light"
+    )
+    parts = tuple(Part(mesh, matt(0.9)) for mesh in (_valley(), cube, rolled))
+    return Scene(
+        "corner", description, parts, max_depth=20, version=2, camera=View((-0.3, -0.2, 4.0))
+    )
+
+
+def _valley(rim: float = 1.5, half: float = 3.0) -> Mesh:
+    """Two walls at right angles that meet in the line x = 0, z = _EDGE."""
+    reach = rim - _EDGE
+    left, right = (
+        [[-reach, y, rim] for y in (-half, half)],
+        [[reach, y, rim] for y in (-half, half)],
+    )
+    middle = [[0.0, y, _EDGE] for y in (-half, half)]
+    faces = [[0, 2, 3], [0, 3, 1], [2, 4, 5], [2, 5, 3]]
+    return Mesh(np.array([*left, *middle, *right], float), np.array(faces))
+
+
+_PAPER = translucent(0.88, 1.1)
+_GLAZE = plastic((0.72, 0.70, 0.66), 0.14)
+
+
+def _translucent() -> Scene:
+    """Translucent paper and glossy crockery on a board: wide footprints.
+
+    A corrugated sheet on bars, a bowl, and a paper cup through which light scatters.
+    """
+    parts = [
+        Part(sheet(), matt(0.55)),
+        Part(_bowl().placed((0.44, -0.42, 0.0)), _GLAZE),
+        Part(_cup().placed((0.50, 0.52, 0.0)), _PAPER),
+    ]
+    leaning = turn("z", 12)
+    for x in (-0.36, 0.36):
+        bar = box(0.07, 1.30, 0.16, 0.012).placed((x, 0.0, 0.0))
+        parts.append(Part(bar.placed((-0.46, 0.12, 0.0), leaning), matt(0.3)))
+    parts.append(Part(_corrugated().placed((-0.46, 0.12, 0.0), leaning), _PAPER))
+    description = (
+        "a corrugated sheet and a cup of translucent paper, a glazed bowl: wide footprints"
+    )
+    return Scene("translucent", description, tuple(parts), max_depth=14, version=2)
+
+
+def _bowl() -> Mesh:
+    """A bowl with a foot and a rounded rim, turned from a smooth profile."""
+    t = np.linspace(0, np.pi / 2, 16)
+    foot = [(0.10, 0.0), (0.17, 0.0), (0.18, 0.02)]
+    outside = [(0.18 + 0.26 * np.sin(a), 0.04 + 0.24 * (1 - np.cos(a))) for a in t]
+    # A half circle of radius 0.012 between the walls.
+    lip = [(0.428 + 0.012 * np.cos(a), 0.28 + 0.012 * np.sin(a)) for a in np.linspace(0, np.pi, 8)]
+    inside = [(0.416 * np.sin(a), 0.05 + 0.23 * (1 - np.cos(a))) for a in t[::-1]]
+    profile = [*foot, *outside, *lip, *inside[:-1], (0.001, 0.05)]
+    return revolve(profile, 96)
+
+
+def _cup() -> Mesh:
+    """A paper cup, open at the top: one surface that scatters to both sides."""
+    steps = np.linspace(0, 1, 8)
+    profile = [(0.001, 0.004), (0.22, 0.004), *((0.22 + 0.08 * s, 0.004 + 0.36 * s) for s in steps)]
+    closed = revolve(profile, 96)
+    # `revolve` closes both ends; the fan over the opening is left out.
+    top = len(closed.vertices) - 2
+    return Mesh(closed.vertices, closed.faces[~(closed.faces == top).any(axis=1)])
+
+
+def _corrugated(width: float = 0.86, length: float = 1.12, waves: int = 7) -> Mesh:
+    """A sheet with waves along x whose troughs touch bars of height 0.16."""
+    steps = 12 * waves
+    x = np.linspace(-width / 2, width / 2, steps + 1)
+    z = 0.161 + 0.028 * (1 - np.cos(2 * np.pi * waves * x / width + np.pi * (waves % 2)))
+    near = np.column_stack([x, np.full_like(x, -length / 2), z])
+    far = near + np.array([0, length, 0])
+    i = np.arange(steps)
+    j = i + steps + 1
+    faces = np.concatenate([np.stack([i, i + 1, j + 1], 1), np.stack([i, j + 1, j], 1)])
+    return Mesh(np.concatenate([near, far]), faces)
+
+
+def _wall() -> Scene:
+    """A flat white wall: the control, where T is nearly the identity and nothing is global."""
+    return Scene("wall", "a flat white wall: direct light only", (Part(sheet(), matt(0.8)),), 2)
+
+
+_LENGTH = 1.1
+
+
+def _vase_scene() -> Scene:
+    """A painted vase seen from the side by a turned camera: a wide baseline, no straight lines.
+
+    It lies on its side with painted bands and petals, two balls, and a matt sheet.
+    """
+    vase = _vase()
+    lying = vase.placed((-0.42, -0.42, 0.377), _lying())
+    parts = (
+        Part(sheet(6.0), matt(0.55)),
+        Part(lying, painted(), _paint(vase)),
+        Part(ball(0.16).placed((0.62, -0.38, 0.0)), matt(0.8)),
+        Part(ball(0.12).placed((-0.55, 0.50, 0.0)), matt(0.35)),
+    )
+    return Scene(
+        "vase",
+        "a painted vase and two balls, seen from the side by a turned camera: a wide baseline",
+        parts,
+        camera=View((-1.6, -0.7, 3.5), target=(0.0, 0.0, 0.15), roll=17.0, width=1.7),
+        projector=View((0.55, 0.25, 4.0), target=(0.0, 0.0, 0.15), roll=-6.0),
+    )
+
+
+def _vase() -> Mesh:
+    """The vase standing on z = 0: a belly, a neck and a lip."""
+    # The vertices are finer than the pixels of a megapixel camera, so that paint looks smooth.
+    t = np.linspace(0, 1, 128)
+    belly = 0.30 * np.exp(-(((t - 0.36) / 0.26) ** 2))
+    lip = 0.10 * np.exp(-(((t - 1.0) / 0.09) ** 2))
+    return revolve(np.column_stack([0.10 + belly + lip, _LENGTH * t]), 192)
+
+
+def _lying() -> NDArray[np.float64]:
+    """Rotation that lays the vase's axis into the plane, its neck to the upper right."""
+    angle = np.radians(35)
+    axis = np.array([np.cos(angle), np.sin(angle), 0.06])
+    axis /= np.linalg.norm(axis)
+    side = np.cross((0, 0, 1), axis)
+    side /= np.linalg.norm(side)
+    return np.column_stack([np.cross(side, axis), side, axis])
+
+
+def _paint(vase: Mesh) -> NDArray[np.float64]:
+    """Reflectance (V, 3) of the vase's vertices: dark petals on a light glaze between two bands."""
+    x, y, z = vase.vertices.T
+    around, along = np.arctan2(y, x), z / _LENGTH
+    petals = 0.5 + 0.5 * np.sin(9 * around) * np.sin(2 * np.pi * 4.5 * along)
+    bands = np.exp(-(((along - 0.74) / 0.02) ** 2)) + np.exp(-(((along - 0.08) / 0.02) ** 2))
+    level = 0.25 + 0.55 * np.where(np.abs(petals - 0.5) < 0.22, petals, np.round(petals))
+    glaze = level[:, None] * np.array([1.0, 0.92, 0.85])
+    blue = np.array([0.10, 0.14, 0.38])
+    share = np.clip(bands, 0, 1)[:, None]
+    return glaze * (1 - share) + blue * share
+
+
+BUILDERS: dict[str, Callable[[], Scene]] = {
+    "l_objects": _l_objects,
+    "gripper": _gripper,
+    "metal": _metal,
+    "corner": _corner,
+    "translucent": _translucent,
+    "wall": _wall,
+    "vase": _vase_scene,
+}
+
+
+def scene(name: str) -> Scene:
+    """Build a scene; the error for an unknown name suggests similar ones."""
+    if name not in BUILDERS:
+        near = get_close_matches(name, BUILDERS, n=3, cutoff=0.4)
+        advice = f"did you mean {' or '.join(near)}?" if near else "see `lightmatrix scenes`"
+        raise InputError(f"there is no scene called {name!r}", hint=advice)
+    return BUILDERS[name]()
+
+
+def names() -> tuple[str, ...]:
+    """Names of all scenes."""
+    return tuple(BUILDERS)
