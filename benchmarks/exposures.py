@@ -15,6 +15,7 @@ from benchmarks.plan_calibration import SCENES, SIZE, photograph, some_rows
 from experiments.harness import markdown
 from experiments.harness import options as options_of
 from lightmatrix.capture import exposures as noise
+from lightmatrix.defaults import USUAL_NOISE
 from lightmatrix.estimators.coherent.estimator import CoherentEstimator
 from lightmatrix.estimators.plain import PlainEstimator
 from lightmatrix.judgement.metrics import relative_error
@@ -39,7 +40,7 @@ PLANS: dict[str, list[tuple[float, float]]] = {
 def main() -> None:
     """Print a table in Markdown: a row for each plan, a column for each scene."""
     parser = options_of("benchmarks.exposures", __doc__)
-    parser.add_argument("--noise", type=float, default=noise.USUAL_NOISE)
+    parser.add_argument("--noise", type=float, default=USUAL_NOISE)
     parser.add_argument("--estimator", choices=("plain", "coherent"), default="plain")
     parser.add_argument("--plans", nargs="+", default=tuple(PLANS), choices=tuple(PLANS))
     parser.add_argument("--scenes", nargs="+", default=SCENES)

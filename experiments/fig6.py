@@ -43,8 +43,7 @@ from experiments.methods import (
     Reach,
 )
 from lightmatrix.capture.capture import Capture
-from lightmatrix.capture.exposures import USUAL_NOISE
-from lightmatrix.estimators.coherent.estimator import WORTH_IT_UP_TO
+from lightmatrix.defaults import COHERENT_UP_TO, USUAL_NOISE
 from lightmatrix.patterns.blocks import sampled_pixels
 from lightmatrix.pictures.style import figure, save
 
@@ -79,7 +78,7 @@ def cases(quick: bool) -> Iterator[Case]:
         for reach in Reach:
             for scene in SCENES:
                 for method in METHODS:
-                    slow = reach is Reach.CAMERA and count > WORTH_IT_UP_TO
+                    slow = reach is Reach.CAMERA and count > COHERENT_UP_TO
                     if method.reach is reach and not slow:
                         yield Case(scene, method.name, count, size)
 

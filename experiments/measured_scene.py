@@ -10,8 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lightmatrix.capture.capture import Capture
-from lightmatrix.capture.exposures import USUAL_NOISE, exposure_sequence
+from lightmatrix.capture.exposures import exposure_sequence
 from lightmatrix.capture.sensor import Sensor
+from lightmatrix.defaults import USUAL_NOISE
 from lightmatrix.judgement.metrics import (
     UNCLIPPED_RESPONSE,
     benchmark_exposure,

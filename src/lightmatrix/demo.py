@@ -16,9 +16,9 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from lightmatrix.capture.capture import Capture
-from lightmatrix.capture.exposures import USUAL_NOISE
 from lightmatrix.capture.folder import write_capture
 from lightmatrix.capture.sensor import Sensor
+from lightmatrix.defaults import USUAL_NOISE
 from lightmatrix.estimators.choice import choose_estimator
 from lightmatrix.estimators.plain import PlainEstimator
 from lightmatrix.estimators.settings import EstimateSettings

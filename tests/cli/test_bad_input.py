@@ -21,7 +21,7 @@ from lightmatrix.capture.sensor import Sensor
 from lightmatrix.cli import main
 from lightmatrix.files.images import read_image, write_image
 from lightmatrix.patterns.bits import BernoulliPatterns
-from lightmatrix.transport import store as store
+from lightmatrix.transport import store
 from lightmatrix.transport.matrix import LightTransport
 from lightmatrix.transport.npz import export
 from tests.helpers.surface import CAMERA, PROJECTOR, surface

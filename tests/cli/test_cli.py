@@ -21,7 +21,7 @@ from lightmatrix.files.images import read_image, write_image
 from lightmatrix.patterns.folder import read_patterns
 from lightmatrix.simulation import library
 from lightmatrix.simulation.procedural import ProceduralScene
-from lightmatrix.transport import store as store
+from lightmatrix.transport import store
 
 COMMANDS: dict[str, Any] = typer.main.get_command(app).commands  # type: ignore[attr-defined]
 

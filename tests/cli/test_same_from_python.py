@@ -11,24 +11,16 @@ import pytest
 from scipy.sparse import csr_array
 
 import lightmatrix as lm
-from lightmatrix.capture.exposures import EXAMPLE as EXPOSURES_EXAMPLE
-from lightmatrix.capture.exposures import USUAL_NOISE
 from lightmatrix.cli import estimate as estimate_command
-from lightmatrix.cli import main, options
+from lightmatrix.cli import main
 from lightmatrix.cli import patterns as patterns_command
 from lightmatrix.cli.app import STAGES
 from lightmatrix.estimators import settings as estimate_settings
-from lightmatrix.estimators.coherent.estimator import WORTH_IT_UP_TO
 from lightmatrix.judgement.judgement import verdict
-from lightmatrix.patterns import making, mix
-from lightmatrix.planning.plan import USUAL_SIZE, Advice
-from lightmatrix.resources.memory import memory_bytes
-from lightmatrix.rig import capturing
-from lightmatrix.rig.rig import USUAL_PATIENCE
+from lightmatrix.patterns import making
+from lightmatrix.planning.plan import Advice
 from lightmatrix.rig.rig_measurements import PARTS
-from lightmatrix.simulation.library import DEFAULT_SAMPLES
 from lightmatrix.simulation.procedural import ProceduralScene
-from lightmatrix.viewer.scene import PAGE_BYTES
 
 
 @pytest.fixture(scope="module")
@@ -537,23 +529,7 @@ def test_every_command_is_compared_with_its_function() -> None:
     assert commands == {name for name in dir(lm) if name in commands} | named_otherwise
 
 
-def test_defaults_in_help_texts_are_those_of_the_code() -> None:
-    assert options.USUAL_NOISE == USUAL_NOISE
-    assert options.USUAL_COUNT == making.USUAL_COUNT
-    assert options.USUAL_FRAMES == capturing.USUAL_COUNT
-    assert options.USUAL_REFERENCE == capturing.USUAL_REFERENCE
-    assert options.RIG_FILE == capturing.RIG_FILE
-    assert memory_bytes(options.USUAL_PAGE_MEMORY) == PAGE_BYTES
-    assert options.USUAL_PATIENCE == USUAL_PATIENCE
-    assert options.USUAL_SAMPLES == DEFAULT_SAMPLES
-    assert options.EXPOSURES_EXAMPLE == EXPOSURES_EXAMPLE
-    assert mix.EXAMPLE == options.MIX_EXAMPLE
-    assert mix.FEWEST_MIXED == options.FEWEST_MIXED
-    assert options.COHERENT_UP_TO == WORTH_IT_UP_TO
-    assert lm.ActiveSet().max_passes == options.PASSES
-    assert lm.ADMM().max_iterations == options.ADMM_ITERATIONS
-    assert lm.SaturationADMM().max_iterations == options.ADMM_ITERATIONS
-    assert options.size(options.USUAL_SIZE) == USUAL_SIZE
+def test_choices_of_options_are_those_of_the_code() -> None:
     assert set(get_args(estimate_command.SolverName)) == set(estimate_settings.SOLVERS)
     assert set(get_args(estimate_command.FidelityName)) == set(lm.Fidelity)
     assert set(get_args(patterns_command.Kind)) == set(making.KINDS)

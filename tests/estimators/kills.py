@@ -39,7 +39,7 @@ from lightmatrix.estimators.coherent.estimator import WINDOWS, CoherentEstimator
 from lightmatrix.estimators.workers import dask_pool
 from lightmatrix.patterns.bits import BernoulliPatterns
 from lightmatrix.simulation.procedural import ProceduralScene, simulate_procedural
-from lightmatrix.transport import store as store
+from lightmatrix.transport import store
 
 # Half widths of the windows, sides of camera and projector, patterns.
 LARGER = (WINDOWS, 48, 40, 32)

@@ -24,7 +24,7 @@ from lightmatrix.simulation.irradiance import irradiance
 from lightmatrix.simulation.procedural import ProceduralScene
 from lightmatrix.simulation.truth import Truth
 from lightmatrix.solvers import ActiveSet
-from lightmatrix.transport import store as store
+from lightmatrix.transport import store
 from lightmatrix.transport.matrix import LightTransport
 
 EXPOSURE = 2.5

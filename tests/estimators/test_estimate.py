@@ -29,7 +29,7 @@ from lightmatrix.simulation.irradiance import irradiance
 from lightmatrix.simulation.procedural import ProceduralScene
 from lightmatrix.simulation.truth import Truth
 from lightmatrix.solvers import ADMM, ROMP, ActiveSet, Fidelity, SaturationADMM, Solver, solve
-from lightmatrix.transport import store as store
+from lightmatrix.transport import store
 
 EXPOSURE = 2.5
 
@@ -179,3 +179,29 @@ def test_a_callable_counts_progress_instead(monkeypatch: pytest.MonkeyPatch) -> 
     )
     assert counted[-1] == (4096, 4096)
     assert terminal.getvalue() == ""
+
+
+@pytest.mark.parametrize("coherent", [True, False])
+def test_the_core_solves_rows_at_most_six_calls_below_estimate(coherent: bool) -> None:
+    """The first lines of `estimators/estimate.py` list these calls."""
+    capture = lm.simulate("metal", lm.BernoulliPatterns((64, 64), 32))
+    depths: set[int] = set()
+
+    def count(frame: Any, event: str, called: Any) -> None:
+        name = getattr(called, "__name__", "")
+        if event != "c_call" or name not in ("solve", "solve_weighted"):
+            return
+        files = []
+        while frame is not None and frame.f_code is not lm.estimate.__code__:
+            files.append(frame.f_code.co_filename)
+            frame = frame.f_back
+        if frame is not None:
+            depths.add(1 + sum("lightmatrix" in file for file in files))
+
+    sys.setprofile(count)
+    try:
+        lm.estimate(capture, coherent=coherent, check=False, progress=False)
+    finally:
+        sys.setprofile(None)
+    assert depths
+    assert max(depths) <= 6, depths

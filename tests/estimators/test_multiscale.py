@@ -37,7 +37,7 @@ from lightmatrix.solvers import (
 )
 from lightmatrix.solvers.admm import System, centred_energy
 from lightmatrix.solvers.problem import objective, relative_gap
-from lightmatrix.transport import store as store
+from lightmatrix.transport import store
 
 SOLVERS = [ActiveSet(), SaturationADMM(), SaturationADMM(Fidelity.CLIPPED), ADMM(), ROMP()]
 

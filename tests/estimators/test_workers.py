@@ -33,7 +33,7 @@ from lightmatrix.estimators.plain import PlainEstimator
 from lightmatrix.estimators.work import LEAST_TILE, cut_rows
 from lightmatrix.estimators.workers import dask_pool, pack_work
 from lightmatrix.solvers import ActiveSet
-from lightmatrix.transport import store as store
+from lightmatrix.transport import store
 from lightmatrix.transport.checkpoint import Checkpoint
 from lightmatrix.transport.matrix import LightTransport
 from tests.helpers.systems import SIGNALS

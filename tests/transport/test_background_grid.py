@@ -16,7 +16,7 @@ from lightmatrix.errors import InputError
 from lightmatrix.files.images import read_image, write_image
 from lightmatrix.judgement.metrics import relative_error, squared_errors
 from lightmatrix.simulation.truth import Truth
-from lightmatrix.transport import store as store
+from lightmatrix.transport import store
 from lightmatrix.transport.matrix import LightTransport
 
 PROJECTOR, CAMERA, GRID = (50, 37), (6, 7), (16, 16)

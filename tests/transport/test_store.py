@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from scipy.io import loadmat
 
 from lightmatrix.errors import InputError, OutputError
-from lightmatrix.transport import store as store
+from lightmatrix.transport import store
 from lightmatrix.transport.checkpoint import Checkpoint, unfinished_spans
 from lightmatrix.transport.npz import export, import_npz
 from tests.helpers.limits import largest_file

@@ -24,7 +24,7 @@ from zarr.codecs import BloscCodec, Crc32cCodec
 from lightmatrix.errors import InputError
 from lightmatrix.resources import memory
 from lightmatrix.simulation.truth import Truth
-from lightmatrix.transport import store as store
+from lightmatrix.transport import store
 from lightmatrix.transport.checkpoint import Checkpoint
 from lightmatrix.transport.npz import export, import_npz
 from lightmatrix.transport.sparse_rows import SparseRows, checked_matrix

@@ -8,6 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from lightmatrix.defaults import EXPOSURES_EXAMPLE, USUAL_NOISE
 from lightmatrix.errors import InputError
 from lightmatrix.patterns.mix import interleave, parse_shares
 from lightmatrix.patterns.pattern_set import PatternSet
@@ -40,9 +41,6 @@ def share_of_white(
     return float(above @ light / (light @ light))
 
 
-# Standard deviation of a sample's noise where it is not known, as a share of the clip level: that
-# of a decent machine vision camera, about one level of 8 bits. Simulations add as much.
-USUAL_NOISE = 0.003
 # Standard deviation of what a sparse row cannot explain, as a share of the clip level of the
 # longest exposure. For most samples this misfit exceeds the noise; weights by the noise alone,
 # e^2, would nearly discard short exposures. docs/planning.md compares it with 0 and 1000:
@@ -63,16 +61,13 @@ def frame_weights(exposures: NDArray[np.float64]) -> NDArray[np.float32] | None:
     return np.asarray(variance.min() / variance, np.float32)
 
 
-EXAMPLE = "1:0.75,0.25:0.25"
-
-
 def parse_exposures(text: str) -> list[tuple[float, float]]:
     """Read ``0.8``, or exposures with their shares of the frames, ``1:0.75,0.25:0.25``.
 
     The pairs of (exposure, share) are positive, and the shares sum to 1.
     """
     pairs = []
-    for name, share in parse_shares(text, "an exposure", EXAMPLE):
+    for name, share in parse_shares(text, "an exposure", EXPOSURES_EXAMPLE):
         try:
             exposure = float(name)
         except ValueError:
@@ -81,7 +76,7 @@ def parse_exposures(text: str) -> list[tuple[float, float]]:
         if not 1e-12 <= exposure <= 1e12:
             raise InputError(
                 f"an exposure of {name!r}",
-                hint=f"use positive numbers, such as 1, or several: {EXAMPLE}",
+                hint=f"use positive numbers, such as 1, or several: {EXPOSURES_EXAMPLE}",
             )
         pairs.append((exposure, share))
     return pairs

@@ -10,11 +10,6 @@ import typer
 import lightmatrix as lm
 from lightmatrix.cli.claims import claim, say_what_is_kept
 from lightmatrix.cli.options import (
-    MOST_FRAMES,
-    RIG_FILE,
-    USUAL_FRAMES,
-    USUAL_PATIENCE,
-    USUAL_REFERENCE,
     CameraName,
     Json,
     Overwrite,
@@ -25,6 +20,13 @@ from lightmatrix.cli.options import (
     Seed,
 )
 from lightmatrix.cli.terminal import progress, say, show_json, stages
+from lightmatrix.defaults import (
+    MOST_FRAMES,
+    RIG_FILE,
+    USUAL_FRAMES,
+    USUAL_PATIENCE,
+    USUAL_REFERENCE,
+)
 from lightmatrix.files.kinds import LIVE_CAPTURE, STORE
 
 

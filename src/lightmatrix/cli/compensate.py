@@ -9,8 +9,6 @@ import typer
 
 import lightmatrix as lm
 from lightmatrix.cli.options import (
-    RIG_FILE,
-    USUAL_PATIENCE,
     Blue,
     CameraName,
     Green,
@@ -24,6 +22,7 @@ from lightmatrix.cli.options import (
     primaries,
 )
 from lightmatrix.cli.terminal import progress, say, show_json, stages
+from lightmatrix.defaults import RIG_FILE, USUAL_PATIENCE
 from lightmatrix.errors import InputError
 
 

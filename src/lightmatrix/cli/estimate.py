@@ -13,17 +13,10 @@ import typer
 import lightmatrix as lm
 from lightmatrix.check.finding import Finding
 from lightmatrix.cli.claims import claim, say_what_is_kept
-from lightmatrix.cli.options import (
-    ADMM_ITERATIONS,
-    COHERENT_UP_TO,
-    PASSES,
-    Json,
-    Overwrite,
-    Verbose,
-    size,
-)
+from lightmatrix.cli.options import Json, Overwrite, Verbose, size
 from lightmatrix.cli.source import Source, refuse_unknown_projector, with_source
 from lightmatrix.cli.terminal import as_options, progress, say, show_json, show_table
+from lightmatrix.defaults import ADMM_ITERATIONS, COHERENT_UP_TO, PASSES
 from lightmatrix.errors import InputError
 from lightmatrix.files.colours import COLOURS
 from lightmatrix.files.kinds import COLOUR_STORES, REPORT, STORE

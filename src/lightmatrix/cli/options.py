@@ -8,6 +8,7 @@ from typing import Annotated
 
 import typer
 
+from lightmatrix import defaults
 from lightmatrix.errors import InputError
 
 Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace an output that exists.")]
@@ -59,22 +60,10 @@ RigFile = Annotated[
     Path, typer.Option("--rig-file", help="The file that keeps the measurements of the rig.")
 ]
 
-# Defaults and limits that help texts mention. The code that uses them defines them too, but is slow
-# to import for a help text; tests/cli/test_same_from_python.py holds the two together.
-USUAL_NOISE = 0.003
-USUAL_COUNT = 256
-USUAL_FRAMES, MOST_FRAMES, USUAL_REFERENCE = 64, 256, 32
-RIG_FILE = "rig.json"
-USUAL_PATIENCE = 2.0
-USUAL_SAMPLES = 16_384
-EXPOSURES_EXAMPLE = "1:0.75,0.25:0.25"
-MIX_EXAMPLE = "fine:0.75,32x32:0.125,8x8:0.125"
-FEWEST_MIXED = 64
-COHERENT_UP_TO = 256
-PASSES, ADMM_ITERATIONS = 200, 1000
-USUAL_SIZE = "128x128"
-PROCEDURAL = "procedural"
-USUAL_PAGE_MEMORY = "512MiB"
+# Defaults as the texts of options.
+USUAL_SIZE = "x".join(map(str, defaults.USUAL_SIZE))
+USUAL_PAGE_MEMORY = f"{defaults.PAGE_BYTES >> 20}MiB"
+# Numbers of pixels fit into 32 bits.
 MOST_PIXELS = 2**31 - 1
 
 

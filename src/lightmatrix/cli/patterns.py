@@ -9,16 +9,9 @@ import typer
 
 import lightmatrix as lm
 from lightmatrix.cli.claims import claim
-from lightmatrix.cli.options import (
-    FEWEST_MIXED,
-    MIX_EXAMPLE,
-    USUAL_COUNT,
-    Json,
-    Overwrite,
-    Seed,
-    size,
-)
+from lightmatrix.cli.options import Json, Overwrite, Seed, size
 from lightmatrix.cli.terminal import say, show_json
+from lightmatrix.defaults import FEWEST_MIXED, MIX_EXAMPLE, USUAL_COUNT
 from lightmatrix.errors import InputError
 from lightmatrix.files.kinds import PATTERNS
 

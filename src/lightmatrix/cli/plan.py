@@ -7,17 +7,10 @@ from typing import Annotated
 import typer
 
 import lightmatrix as lm
-from lightmatrix.cli.options import (
-    FEWEST_MIXED,
-    USUAL_NOISE,
-    USUAL_SIZE,
-    Clip,
-    Json,
-    ResponseCurve,
-    size,
-)
+from lightmatrix.cli.options import USUAL_SIZE, Clip, Json, ResponseCurve, size
 from lightmatrix.cli.source import level_or_file
 from lightmatrix.cli.terminal import progress, say, show_columns, show_json
+from lightmatrix.defaults import FEWEST_MIXED, USUAL_NOISE
 
 
 def plan(

@@ -9,8 +9,9 @@ import typer
 
 import lightmatrix as lm
 from lightmatrix.cli.claims import claim
-from lightmatrix.cli.options import USUAL_SAMPLES, Json, Overwrite, Seed, size
+from lightmatrix.cli.options import Json, Overwrite, Seed, size
 from lightmatrix.cli.terminal import progress, say, show_json
+from lightmatrix.defaults import USUAL_SAMPLES
 from lightmatrix.files.kinds import TRUTH
 
 

@@ -10,17 +10,9 @@ from typing import Any
 import typer
 
 import lightmatrix as lm
-from lightmatrix.cli.options import (
-    RIG_FILE,
-    USUAL_PATIENCE,
-    CameraName,
-    Json,
-    Patience,
-    ProjectorName,
-    RigFile,
-    RigName,
-)
+from lightmatrix.cli.options import CameraName, Json, Patience, ProjectorName, RigFile, RigName
 from lightmatrix.cli.terminal import say, show_json, stages
+from lightmatrix.defaults import RIG_FILE, USUAL_PATIENCE
 
 app = typer.Typer(
     help="Measure a projector and a camera.",

@@ -11,18 +11,9 @@ import typer
 
 import lightmatrix as lm
 from lightmatrix.cli.claims import claim
-from lightmatrix.cli.options import (
-    EXPOSURES_EXAMPLE,
-    PROCEDURAL,
-    USUAL_COUNT,
-    USUAL_NOISE,
-    USUAL_SIZE,
-    Json,
-    Overwrite,
-    Seed,
-    size,
-)
+from lightmatrix.cli.options import USUAL_SIZE, Json, Overwrite, Seed, size
 from lightmatrix.cli.terminal import progress, say, show_json
+from lightmatrix.defaults import EXPOSURES_EXAMPLE, PROCEDURAL, USUAL_COUNT, USUAL_NOISE
 from lightmatrix.errors import InputError
 from lightmatrix.files.kinds import CAPTURE, PACKED_CAPTURE
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import functools
 import inspect
 import os
 import re
@@ -178,28 +177,32 @@ def refuse_unknown_projector(capture: Capture) -> None:
 
 
 def with_source(*, crop: bool = True) -> Callable[[Callable[..., None]], Callable[..., None]]:
-    """Give a command the options of a capture in place of `source`, --crop only if `crop`."""
+    """Give a command the options of a capture in place of its parameter `source`.
+
+    Typer reads the options of a command from its signature. The decorated command therefore gets a
+    signature of its own: that of the command, with the parameters of `read_source` in place of
+    `source`, and without --crop unless `crop`.
+    """
 
     def decorate(command: Callable[..., None]) -> Callable[..., None]:
-        options = dict(inspect.signature(read_source, eval_str=True).parameters)
+        shared = dict(inspect.signature(read_source, eval_str=True).parameters)
         if not crop:
-            del options["crop"]
-        parameters: list[inspect.Parameter] = []
-        for name, own in inspect.signature(command, eval_str=True).parameters.items():
-            parameters.extend(options.values() if name == "source" else [own])
+            del shared["crop"]
+        own = dict(inspect.signature(command, eval_str=True).parameters)
+        del own["source"]
+        options = [each.replace(kind=each.KEYWORD_ONLY) for each in (shared | own).values()]
 
-        @functools.wraps(command)
         def run(**values: Any) -> None:
-            source = read_source(**{name: values.pop(name) for name in options})
+            source = read_source(**{name: values.pop(name) for name in shared})
             command(source=source, **values)
 
-        # Typer reads the options of a command from its signature.
-        del run.__wrapped__
-        keyword = inspect.Parameter.KEYWORD_ONLY
-        run.__signature__ = inspect.Signature(  # type: ignore[attr-defined]
-            [parameter.replace(kind=keyword) for parameter in parameters]
+        run.__name__, run.__doc__, run.__module__ = (
+            command.__name__,
+            command.__doc__,
+            command.__module__,
         )
-        run.__annotations__ = {each.name: each.annotation for each in parameters}
+        run.__signature__ = inspect.Signature(options)  # type: ignore[attr-defined]
+        run.__annotations__ = {each.name: each.annotation for each in options}
         return run
 
     return decorate

@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lightmatrix.capture.capture import Capture
-from lightmatrix.capture.exposures import USUAL_NOISE
 from lightmatrix.capture.samples import Samples
+from lightmatrix.defaults import USUAL_NOISE
 from lightmatrix.solvers.problem import Problem
 from lightmatrix.solvers.regularization import (
     RegularizationPath,

@@ -7,8 +7,8 @@ from functools import cached_property
 from pathlib import Path
 
 from lightmatrix.capture.capture import Capture
+from lightmatrix.defaults import COHERENT_UP_TO
 from lightmatrix.errors import InputError
-from lightmatrix.estimators.coherent.estimator import WORTH_IT_UP_TO
 from lightmatrix.ranges import check_at_least_one, check_number
 from lightmatrix.resources.memory import memory_bytes
 from lightmatrix.solvers import ADMM, ROMP, ActiveSet, Fidelity, SaturationADMM, Solver
@@ -110,7 +110,7 @@ class EstimateSettings:
         if self.coherent is not None:
             return self.coherent
         suits = self._reason_against_coherent is None and self.regularization != "path"
-        return suits and capture.count <= WORTH_IT_UP_TO
+        return suits and capture.count <= COHERENT_UP_TO
 
     def check_cluster_output(self, output: str | Path | None) -> None:
         """Refuse a cluster without an output, beside which its workers write their tiles."""

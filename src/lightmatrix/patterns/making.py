@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from lightmatrix.defaults import USUAL_COUNT
 from lightmatrix.errors import InputError
 from lightmatrix.patterns.bits import BernoulliPatterns
 from lightmatrix.patterns.blocks import BlockPatterns, one_pixel_patterns
@@ -19,9 +20,6 @@ from lightmatrix.patterns.stripes import GrayCodePatterns, MicroPhasePatterns, P
 KINDS = ("bernoulli", "hadamard", "onepixel", "blocks", "mix", "graycode", "phase", "microphase")
 # Those of stripes, from which `decode` finds the correspondence.
 CODES = ("graycode", "phase", "microphase")
-# The number of random patterns where none is asked for. Chosen by hand: one for 64 pixels of the
-# usual projector of 128 x 128.
-USUAL_COUNT = 256
 
 # The kinds in descriptions. Patterns of the kind "images" are only in their images.
 _DESCRIBED: Mapping[str, Callable[..., PatternSet]] = {

@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from lightmatrix.defaults import FEWEST_MIXED, MIX_EXAMPLE
 from lightmatrix.errors import InputError
 from lightmatrix.patterns.bits import BinaryPatterns, check_random
 from lightmatrix.patterns.pattern_set import grid_cells
@@ -57,13 +58,9 @@ def parse_shares(text: str, what: str, example: str) -> list[tuple[str, float]]:
     return [(name, share / total) for name, share in listed]
 
 
-# The fewest patterns of which a quarter is coarse. Chosen by hand: with fewer, every pattern is
-# needed to tell pixels apart.
-FEWEST_MIXED = 64
 # The coarse grids of the usual mix, and their shares of the patterns; the other patterns are fine.
 # docs/planning.md compares the mix with fine patterns.
 _COARSE = (((32, 32), 0.125), ((8, 8), 0.125))
-EXAMPLE = "fine:0.75,32x32:0.125,8x8:0.125"
 
 Mix = tuple[tuple[tuple[int, int], float], ...]
 
@@ -117,7 +114,7 @@ class MixedPatterns(BinaryPatterns):
         shares = [share for _, share in mix]
         if not mix or min(shares) <= 0 or abs(sum(shares) - 1) > 1e-3:
             raise InputError(
-                f"a mix with shares {shares}", hint=f"let them sum to 1, such as {EXAMPLE}"
+                f"a mix with shares {shares}", hint=f"let them sum to 1, such as {MIX_EXAMPLE}"
             )
         if len({grid for grid, _ in mix}) < len(mix):
             raise InputError("a mix that names one grid twice", hint="add their shares")
@@ -172,11 +169,11 @@ def default_mix(shape: tuple[int, int], count: int) -> Mix:
 def parse_mix(text: str, shape: tuple[int, int]) -> Mix:
     """Read a mix such as ``fine:0.75,32x32:0.125,8x8:0.125``."""
     mix = []
-    for name, share in parse_shares(text, "a mix", EXAMPLE):
+    for name, share in parse_shares(text, "a mix", MIX_EXAMPLE):
         rows, _, cols = name.lower().partition("x")
         if name != "fine" and not (rows.isdecimal() and cols.isdecimal()):
             raise InputError(
-                f"a grid called {name!r} in a mix", hint=f"write for example {EXAMPLE}"
+                f"a grid called {name!r} in a mix", hint=f"write for example {MIX_EXAMPLE}"
             )
         mix.append((shape if name == "fine" else (int(rows), int(cols)), share))
     return tuple(mix)

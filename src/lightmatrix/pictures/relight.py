@@ -19,7 +19,7 @@ from lightmatrix.files.reading import errors_naming
 from lightmatrix.files.writing import check_output
 from lightmatrix.patterns.pattern_set import block_mean
 from lightmatrix.ranges import check_number
-from lightmatrix.transport import store as store
+from lightmatrix.transport import store
 from lightmatrix.transport.matrix import ColourTransport, LightTransport
 
 Relit = LightTransport | store.StoredTransport

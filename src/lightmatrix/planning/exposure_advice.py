@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from lightmatrix.capture.exposures import USUAL_NOISE
+from lightmatrix.defaults import USUAL_NOISE
 from lightmatrix.errors import InputError
 
 # Random patterns light this share of the projector pixels.

@@ -18,12 +18,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lightmatrix.capture.exposures import USUAL_NOISE, exposure_sequence
+from lightmatrix.capture.exposures import exposure_sequence
 from lightmatrix.capture.folder import read_white_frame
 from lightmatrix.capture.settings import ReadSettings
+from lightmatrix.defaults import FEWEST_MIXED, USUAL_NOISE, USUAL_SIZE
 from lightmatrix.errors import InputError
 from lightmatrix.patterns.making import make_patterns
-from lightmatrix.patterns.mix import FEWEST_MIXED, Mix, MixedPatterns, default_mix
+from lightmatrix.patterns.mix import Mix, MixedPatterns, default_mix
 from lightmatrix.patterns.pattern_set import PatternSet
 from lightmatrix.planning.exposure_advice import (
     DENSITY,
@@ -117,10 +118,6 @@ def _error_range(
         count, error = np.log([max(p[0], 1) for p in points]), np.log([p[1] for p in points])
         values.append(float(np.exp(np.interp(np.log(frames), count, error))))
     return min(values), max(values)
-
-
-# The projector size that is assumed if none is stated.
-USUAL_SIZE = (128, 128)
 
 
 @dataclass(frozen=True)

@@ -32,7 +32,7 @@ from lightmatrix.pictures.transport import (
 )
 from lightmatrix.shape.shape import Shape, depth_map, normals_picture
 from lightmatrix.shape.triangulation import triangulate
-from lightmatrix.transport import store as store
+from lightmatrix.transport import store
 from lightmatrix.transport.correspondence import correspondence
 from lightmatrix.transport.matrix import ColourTransport, LightTransport
 from lightmatrix.transport.store import open_colour

@@ -23,6 +23,7 @@ from lightmatrix.capture.capture import Capture
 from lightmatrix.capture.exposures import exposure_sequence
 from lightmatrix.capture.folder import write_capture
 from lightmatrix.capture.sensor import Sensor
+from lightmatrix.defaults import RIG_FILE, USUAL_FRAMES, USUAL_REFERENCE
 from lightmatrix.errors import DeviceError, InputError, warn
 from lightmatrix.estimators.estimate import estimate
 from lightmatrix.files.images import is_grey
@@ -40,9 +41,6 @@ from lightmatrix.rig.rig_measurements import PARTS, RigMeasurements, measure_rig
 from lightmatrix.rig.session import CaptureRecord, CaptureSession, Step
 from lightmatrix.transport.matrix import LightTransport, prediction_error
 
-USUAL_COUNT = 64
-USUAL_REFERENCE = 32
-RIG_FILE = "rig.json"
 # Patterns photographed between two estimates, and before the first one: fewer frames hold out too
 # few for a stated error.
 GROUP, FIRST = 8, 16
@@ -214,7 +212,7 @@ def take_capture(
     rig: Rig,
     patterns: PatternSet | str | Path | None = None,
     *,
-    count: int = USUAL_COUNT,
+    count: int = USUAL_FRAMES,
     density: float | None = None,
     seed: int = 0,
     settings: CaptureSettings | None = None,

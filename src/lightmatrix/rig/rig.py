@@ -11,6 +11,7 @@ from typing import Any, Self, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from lightmatrix.defaults import PROCEDURAL, USUAL_PATIENCE
 from lightmatrix.errors import DeviceError, FrameTimeoutError, InputError
 from lightmatrix.patterns.pattern_set import PatternSet, to_grey
 from lightmatrix.patterns.projector_curve import ProjectorResponse
@@ -19,7 +20,6 @@ from lightmatrix.rig.devices.base import Camera, Clock, Projector
 from lightmatrix.rig.devices.registry import open_camera, open_projector
 from lightmatrix.rig.devices.virtual import (
     HARDWARE,
-    PROCEDURAL,
     SimulatedClock,
     VirtualCamera,
     VirtualLight,
@@ -31,8 +31,6 @@ from lightmatrix.simulation import library, realism
 from lightmatrix.simulation.procedural import ProceduralScene
 from lightmatrix.simulation.truth import Truth
 
-# Seconds to wait for a frame beyond its exposure.
-USUAL_PATIENCE = 2.0
 Result = TypeVar("Result")
 
 

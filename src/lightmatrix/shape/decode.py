@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lightmatrix.capture.capture import Capture, open_capture
-from lightmatrix.capture.exposures import USUAL_NOISE
+from lightmatrix.defaults import USUAL_NOISE
 from lightmatrix.errors import InputError
 from lightmatrix.files.kinds import CORRESPONDENCE
 from lightmatrix.files.writing import check_output

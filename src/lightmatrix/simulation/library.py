@@ -14,9 +14,10 @@ from scipy.sparse import csr_array
 
 from lightmatrix.capture.capture import Capture
 from lightmatrix.capture.settings import TRUTH
+from lightmatrix.defaults import PROCEDURAL, USUAL_SAMPLES
 from lightmatrix.errors import InputError, OutputError, warn
 from lightmatrix.files.numpy_files import read_npz
-from lightmatrix.simulation.procedural import PROCEDURAL, truth_of
+from lightmatrix.simulation.procedural import truth_of
 from lightmatrix.simulation.renderer import Progress, render
 from lightmatrix.simulation.scenes import Scene, names, scene
 from lightmatrix.simulation.truth import Truth, view_geometry
@@ -62,9 +63,6 @@ def read_bundled(path: Path) -> Truth:
 # The package holds the truths of these scenes, at this camera and projector size.
 BUNDLED = ("l_objects", "gripper", "metal", "corner")
 BUNDLED_SIZE = (64, 64)
-# Other truths are rendered with this many paths per camera pixel: the noise of their entries is a
-# few per cent, and rendering takes minutes rather than hours.
-DEFAULT_SAMPLES = 16_384
 
 
 def truth(
@@ -122,7 +120,7 @@ def truth(
     if name in BUNDLED and size == BUNDLED_SIZE and samples is None and seed == 0:
         with as_file(files("lightmatrix.simulation") / "data" / f"{name}.npz") as path:
             return _with_geometry(read_bundled(path), built)
-    samples = samples or DEFAULT_SAMPLES
+    samples = samples or USUAL_SAMPLES
     rows, cols = size
     key = f"{name}-v{built.version}-{rows}x{cols}-{samples}spp-seed{seed}.npz"
     path = cache_folder() / key

@@ -19,11 +19,12 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
 from lightmatrix.capture.capture import Capture
-from lightmatrix.capture.exposures import USUAL_NOISE, exposure_sequence, parse_exposures
+from lightmatrix.capture.exposures import exposure_sequence, parse_exposures
 from lightmatrix.capture.folder import write_capture
 from lightmatrix.capture.packing import write_packed
 from lightmatrix.capture.sensor import Sensor
 from lightmatrix.capture.settings import TRUTH
+from lightmatrix.defaults import PROCEDURAL, USUAL_NOISE
 from lightmatrix.errors import InputError
 from lightmatrix.files.kinds import CAPTURE, PACKED_CAPTURE
 from lightmatrix.files.writing import check_output
@@ -201,8 +202,6 @@ def _hash_uniform(seed: int, index: NDArray[np.int64], count: int) -> NDArray[np
 
 
 Progress = Callable[[int, int], None]
-# The scene name that the command line and the provenance of a capture use for procedural scenes.
-PROCEDURAL = "procedural"
 _SHAPES = ("camera_shape", "projector_shape")
 # The block sizes below bound the memory of a simulation to some hundred MiB. They were chosen by
 # hand and do not change the frames: rows of T that are made at once, samples (all frames together)

@@ -9,11 +9,12 @@ from pathlib import Path
 import numpy as np
 
 from lightmatrix.capture.capture import Capture
-from lightmatrix.capture.exposures import USUAL_NOISE, exposure_sequence, parse_exposures
+from lightmatrix.capture.exposures import exposure_sequence, parse_exposures
 from lightmatrix.capture.folder import write_capture
 from lightmatrix.capture.frames import ArrayStack
 from lightmatrix.capture.packing import pack_capture
 from lightmatrix.capture.sensor import Sensor
+from lightmatrix.defaults import USUAL_NOISE
 from lightmatrix.errors import InputError
 from lightmatrix.patterns.colour import ColourPatterns
 from lightmatrix.patterns.folder import read_patterns

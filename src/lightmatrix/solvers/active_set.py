@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
 from lightmatrix import _core
+from lightmatrix.defaults import PASSES
 from lightmatrix.errors import InputError, SolverError
 from lightmatrix.patterns.pattern_set import PatternSet
 from lightmatrix.ranges import check_at_least_one
@@ -70,7 +71,7 @@ class ActiveSet:
 
     fidelity: Fidelity | str = Fidelity.ONE_SIDED
     tolerance: float = 1e-4
-    max_passes: int = 200
+    max_passes: int = PASSES
     threads: int | None = None
 
     def __post_init__(self) -> None:

@@ -20,6 +20,7 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from lightmatrix.defaults import ADMM_ITERATIONS
 from lightmatrix.errors import SolverError
 from lightmatrix.patterns.pattern_set import PatternSet
 from lightmatrix.ranges import check_at_least_one, check_positive
@@ -247,7 +248,7 @@ class ADMM:
     """
 
     penalty_x: float | None = None
-    max_iterations: int = 1000
+    max_iterations: int = ADMM_ITERATIONS
     tolerance: float = 5e-4
 
     fidelity: ClassVar[Fidelity] = Fidelity.LINEAR

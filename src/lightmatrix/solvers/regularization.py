@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from lightmatrix.capture.exposures import USUAL_NOISE
+from lightmatrix.defaults import USUAL_NOISE
 from lightmatrix.errors import InputError
 from lightmatrix.patterns.pattern_set import PatternSet
 from lightmatrix.solvers.active_set import ActiveSet

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from lightmatrix.defaults import ADMM_ITERATIONS
 from lightmatrix.ranges import check_at_least_one, check_positive
 from lightmatrix.solvers.admm import System, automatic_penalty_x, relative, shrink, system_of
 from lightmatrix.solvers.fidelity import Fidelity
@@ -69,7 +70,7 @@ class SaturationADMM:
     fidelity: Fidelity | str = Fidelity.ONE_SIDED
     penalty_x: float | None = None
     penalty_u: float | None = None
-    max_iterations: int = 1000
+    max_iterations: int = ADMM_ITERATIONS
     tolerance: float = 5e-4
 
     def __post_init__(self) -> None:

@@ -7,7 +7,7 @@ from pathlib import Path
 from lightmatrix.errors import InputError
 from lightmatrix.ranges import check_finite
 from lightmatrix.resources.memory import available_bytes
-from lightmatrix.transport import store as store
+from lightmatrix.transport import store
 from lightmatrix.transport.matrix import LightTransport
 
 Transport = LightTransport | store.StoredTransport | str | Path

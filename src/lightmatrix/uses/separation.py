@@ -23,7 +23,7 @@ from lightmatrix.files.images import read_grey, write_image
 from lightmatrix.files.kinds import SEPARATION
 from lightmatrix.files.writing import atomic_folder, check_output
 from lightmatrix.reprs import short_repr
-from lightmatrix.transport import store as store
+from lightmatrix.transport import store
 from lightmatrix.transport.correspondence import pixel_rows
 from lightmatrix.transport.matrix import LightTransport
 from lightmatrix.transport.operator import checked_patterns

@@ -10,11 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lightmatrix.capture.capture import Capture
+from lightmatrix.defaults import PAGE_BYTES
 from lightmatrix.errors import InputError, LightMatrixError
 from lightmatrix.geometry.rig_geometry import RigGeometry
 from lightmatrix.patterns.pattern_set import PatternSet
 from lightmatrix.pictures.style import white_level
-from lightmatrix.transport import store as store
+from lightmatrix.transport import store
 from lightmatrix.transport.matrix import LightTransport
 from lightmatrix.transport.operator import TransportOperator
 from lightmatrix.transport.store import StoredTransport
@@ -86,8 +87,6 @@ def _binned(patterns: PatternSet, shape: tuple[int, ...]) -> PatternSet:
     return patterns.coarse((block[0], block[1]))
 
 
-# The largest matrix that a page relights itself. Beyond it, a browser's tab needs gigabytes.
-PAGE_BYTES = 512 << 20
 _COLOUR_CHANNELS = 3
 _GAMMA = 2.2
 

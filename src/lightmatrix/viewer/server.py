@@ -15,13 +15,14 @@ from pathlib import Path
 from typing import Any
 
 from lightmatrix.capture.capture import Capture
+from lightmatrix.defaults import PAGE_BYTES
 from lightmatrix.errors import InputError, LightMatrixError, MissingExtraError, OutputError
 from lightmatrix.geometry.rig_geometry import RigGeometry
 from lightmatrix.transport.matrix import LightTransport
 from lightmatrix.viewer.export import STYLE, frame, module_names, page_file
 from lightmatrix.viewer.lights import Progress
 from lightmatrix.viewer.messages import MessageError
-from lightmatrix.viewer.scene import PAGE_BYTES, Scene
+from lightmatrix.viewer.scene import Scene
 from lightmatrix.viewer.session import REST_MILLISECONDS
 
 # Who may connect: this machine only, by the address that was handed out, and from its own page.

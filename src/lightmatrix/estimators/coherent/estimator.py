@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from lightmatrix.capture.capture import Capture
+from lightmatrix.defaults import PASSES
 from lightmatrix.errors import InputError
 from lightmatrix.estimators.base import Estimator, Plan, capture_provenance, solver_provenance
 from lightmatrix.estimators.coherent.rounds import Rounds
@@ -21,9 +22,6 @@ WINDOWS = ((2, 1), (2, 1), (2, 1), (2, 1), (1, 1), (1, 1), (1, 1), (1, 1))
 # Standard deviations of the spots in projector pixels; 0 is a single pixel. Each is about 1.4 times
 # the one before, so that a mixture of two of them comes close to any size between.
 SIZES = (0.0, 0.7, 1.0, 1.4, 2.0, 2.8, 4.0)
-# The number of patterns up to which this is the default estimate. With more patterns the estimate
-# row by row is good enough, and much faster (docs/few-patterns.md).
-WORTH_IT_UP_TO = 256
 
 
 @dataclass(frozen=True)
@@ -105,7 +103,7 @@ class CoherentEstimator(Estimator):
     background_grid: tuple[int, int] = (8, 8)
     fidelity: Fidelity | str = Fidelity.ONE_SIDED
     tolerance: float = 1e-3
-    max_passes: int = 200
+    max_passes: int = PASSES
     threads: int | None = None
     tile_rows: int | None = None
     judged: bool = True

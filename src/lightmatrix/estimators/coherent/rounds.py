@@ -230,39 +230,27 @@ class Rounds:
     def _hold_out(
         self, neighbours: Neighbourhood, start: int, stop: int, progress: Progress
     ) -> SparseRows:
-        """Misfits of the rows start..stop under the last round's held-out frames."""
-        count = stop - start
-        nothing = csr_array((count, self.solver.atoms.pixels), dtype=np.float32)
-        return SparseRows(
-            nothing,
-            np.zeros((count, 1), np.float32),
-            self._misfits(neighbours, start, stop, progress),
-        )
-
-    def _misfits(
-        self, neighbours: Neighbourhood, start: int, stop: int, progress: Progress
-    ) -> dict[str, NDArray[np.float32]]:
         """Misfits of rows at the frames held out, and of some of them at the other frames."""
         solver, held = self.solver, self._held_out.judged
         names = (HELD_OUT, RESIDUAL, _MISSED, _SEEN)
         known = {name: np.full(stop - start, np.nan, np.float32) for name in names}
         misfits, residuals, missed, seen = known.values()
         rows = self._every(self._tested_every, start, stop)
-        if not len(held) or not len(rows):
-            return known
-        samples = self.capture.samples(start, stop).rows(rows - start)
-        kept = without(samples, self._held_out.frames)
-        solved, weighted = solver.near(kept, rows, self.rounds[-1], neighbours, progress)
-        light = solved.background[:, None] * weighted.background[:, held]
-        if solved.cells.shape[1]:
-            light += solved.cells @ solver.backgrounds.shown_means[:, held]
-        predicted = (solved.coefficients @ self._held_out_atoms + light).astype(np.float32)
-        misfits[rows - start] = squared_misfit(samples, predicted, held)
-        missed[rows - start], seen[rows - start] = held_out_energy(samples, predicted, held)
-        chosen = np.flatnonzero(np.isin(rows, self._every(self._looked_at, start, stop)))
-        shown = predicted_samples(solver, weighted, solved, chosen)
-        residuals[rows[chosen] - start] = squared_residual(kept.rows(chosen), shown)
-        return known
+        if len(held) and len(rows):
+            samples = self.capture.samples(start, stop).rows(rows - start)
+            kept = without(samples, self._held_out.frames)
+            solved, weighted = solver.near(kept, rows, self.rounds[-1], neighbours, progress)
+            light = solved.background[:, None] * weighted.background[:, held]
+            if solved.cells.shape[1]:
+                light += solved.cells @ solver.backgrounds.shown_means[:, held]
+            predicted = (solved.coefficients @ self._held_out_atoms + light).astype(np.float32)
+            misfits[rows - start] = squared_misfit(samples, predicted, held)
+            missed[rows - start], seen[rows - start] = held_out_energy(samples, predicted, held)
+            chosen = np.flatnonzero(np.isin(rows, self._every(self._looked_at, start, stop)))
+            shown = predicted_samples(solver, weighted, solved, chosen)
+            residuals[rows[chosen] - start] = squared_residual(kept.rows(chosen), shown)
+        nothing = csr_array((stop - start, solver.atoms.pixels), dtype=np.float32)
+        return SparseRows(nothing, np.zeros((stop - start, 1), np.float32), known)
 
     @property
     def _tested_every(self) -> int:

@@ -17,8 +17,6 @@ from lightmatrix.rig.devices.base import Address, Camera, Clock, Frame, Projecto
 from lightmatrix.simulation.truth import Truth
 
 PREFIX = "virtual:"
-# The scene that needs neither a file nor a renderer, and has any size.
-PROCEDURAL = "procedural"
 
 
 @dataclass(frozen=True)
