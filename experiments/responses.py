@@ -15,8 +15,7 @@ from lightmatrix.capture.capture import Capture
 from lightmatrix.check.curves import FoundResponse, exponent, largest_difference, with_response
 from lightmatrix.errors import InputError
 from lightmatrix.estimators.estimate import estimate
-from lightmatrix.estimators.unknown_projector import find_projector_response
-from lightmatrix.estimators.unknown_response import find_response
+from lightmatrix.estimators.unknown_response import find_projector_response, find_response
 from lightmatrix.judgement.metrics import relative_error
 from lightmatrix.patterns.bits import BernoulliPatterns
 from lightmatrix.patterns.pattern_set import ImagePatterns, PatternSet

@@ -22,7 +22,7 @@ from lightmatrix.capture.capture import Capture
 from lightmatrix.capture.frames import ArrayStack
 from lightmatrix.check.curves import with_response
 from lightmatrix.errors import InputError
-from lightmatrix.estimators.colour.estimate import estimate_colour
+from lightmatrix.estimators.colour import estimate_colour
 from lightmatrix.estimators.estimate import estimate
 from lightmatrix.files.colours import COLOURS as PRIMARIES
 from lightmatrix.judgement.evaluate import joint_relighting_error

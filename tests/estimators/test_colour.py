@@ -14,8 +14,13 @@ import lightmatrix as lm
 from lightmatrix.cli import main
 from lightmatrix.errors import InputError
 from lightmatrix.estimators.coherent.estimator import CoherentEstimator
-from lightmatrix.estimators.colour.mixing import ColourSamples, fit_gains, light_of_primaries
-from lightmatrix.estimators.colour.unmixing import grey_capture, unmixed_capture
+from lightmatrix.estimators.colour import (
+    ColourSamples,
+    fit_gains,
+    grey_capture,
+    light_of_primaries,
+    unmixed_capture,
+)
 from lightmatrix.judgement.metrics import relative_error
 from lightmatrix.simulation.colour import in_all_primaries
 from lightmatrix.simulation.simulate import SimulatedCapture

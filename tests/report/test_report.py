@@ -166,6 +166,7 @@ def test_uses_of_large_and_of_dark_matrices_are_a_sentence(
     assert "lightmatrix separate" in getattr(only, "text", "")
 
 
+@pytest.mark.filterwarnings("ignore::lightmatrix.errors.LightMatrixWarning")
 def test_an_estimate_without_diagnostics_has_a_report_too(tmp_path: Path) -> None:
     """Colour, two exposures, bins, a mask, all rows dark on one side, no truth, no diagnostics."""
     patterns = lm.BernoulliPatterns((8, 8), 6)

@@ -15,7 +15,7 @@ from pathlib import Path
 import psutil
 
 import lightmatrix as lm
-from lightmatrix.viewer.messages import Kind
+from lightmatrix.viewer.session import Kind
 from tests.viewer import running
 
 CAMERA, PROJECTOR = (24, 20), (16, 18)

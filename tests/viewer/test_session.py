@@ -20,8 +20,8 @@ from lightmatrix.transport import store as stores
 from lightmatrix.viewer import lights, packed, session
 from lightmatrix.viewer.layers import LAYERS, LayerSource
 from lightmatrix.viewer.lights import CoarseLight
-from lightmatrix.viewer.messages import Kind, MessageError
 from lightmatrix.viewer.scene import Scene
+from lightmatrix.viewer.session import Kind, MessageError
 from tests.viewer import hostile, running
 
 # What a window shows may miss T p by this share of the white image.

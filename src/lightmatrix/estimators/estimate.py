@@ -31,7 +31,7 @@ from lightmatrix.estimators.choice import check_and_choose, choose_estimator
 from lightmatrix.estimators.plain import PlainEstimator
 from lightmatrix.estimators.resource_estimate import estimate_resources
 from lightmatrix.estimators.settings import EstimateSettings
-from lightmatrix.estimators.unknown_projector import find_responses
+from lightmatrix.estimators.unknown_response import find_responses
 from lightmatrix.estimators.workers import dask_pool
 from lightmatrix.files.kinds import STORE
 from lightmatrix.files.writing import check_output

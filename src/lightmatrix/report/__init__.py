@@ -1,5 +1,5 @@
-"""The report of an estimate: one self-contained page of HTML.
+"""The report of an estimate: one self-contained page of HTML; and views of T as files.
 
-Each section has a file in `sections/`, which builds it from the elements of `elements.py`. The
-templates lay out each kind of element.
+`sections.py` builds the sections from the elements of `elements.py`. The templates lay out each
+kind of element. `views.py` is `lm.show`.
 """

@@ -1,1 +1,1 @@
-"""The light transport matrix in memory, and the correspondence that it holds."""
+"""The light transport matrix in memory and on disk, and the correspondence that it holds."""

@@ -14,9 +14,8 @@ from lightmatrix.errors import InputError, LightMatrixError, MissingExtraError
 from lightmatrix.ranges import check_finite
 from lightmatrix.transport.matrix import LightTransport
 from lightmatrix.viewer.export import STYLE, bundle, page_file
-from lightmatrix.viewer.messages import MessageError
 from lightmatrix.viewer.scene import Scene
-from lightmatrix.viewer.session import REST_MILLISECONDS, Session
+from lightmatrix.viewer.session import REST_MILLISECONDS, MessageError, Session
 
 # The largest matrix that a notebook sends to its page, where it may be kept with the notebook.
 _PAGE_BYTES = 32 << 20

@@ -27,9 +27,8 @@ from lightmatrix.viewer.layers import (
     matrix_size,
 )
 from lightmatrix.viewer.lights import CoarseLight, Light, MemoryLight, Progress, StoredLight
-from lightmatrix.viewer.messages import HEADER_BYTES
 from lightmatrix.viewer.packed import packed
-from lightmatrix.viewer.session import Session
+from lightmatrix.viewer.session import HEADER_BYTES, Session
 
 # The patterns of a capture, which the page offers to project again.
 

@@ -21,9 +21,8 @@ from lightmatrix.geometry.rig_geometry import RigGeometry
 from lightmatrix.transport.matrix import LightTransport
 from lightmatrix.viewer.export import STYLE, frame, module_names, page_file
 from lightmatrix.viewer.lights import Progress
-from lightmatrix.viewer.messages import MessageError
 from lightmatrix.viewer.scene import Scene
-from lightmatrix.viewer.session import REST_MILLISECONDS
+from lightmatrix.viewer.session import REST_MILLISECONDS, MessageError
 
 # Who may connect: this machine only, by the address that was handed out, and from its own page.
 #
@@ -293,9 +292,10 @@ def serve_viewer(
         if browser:
             # A browser in the terminal would not return before it is closed.
             threading.Thread(target=webbrowser.open, args=(guard.address,), daemon=True).start()
-        uvicorn.Server(_config(uvicorn, Answers(scene, guard), scene.most_message)).run(
-            sockets=[listening]
-        )
+        server = uvicorn.Server(_config(uvicorn, Answers(scene, guard), scene.most_message))
+        server.run(sockets=[listening])
+    # Only Ctrl-C ends the server. The event loop may have swallowed its KeyboardInterrupt.
+    raise KeyboardInterrupt
 
 
 def _config(uvicorn: Any, answers: Answers, most_message: int) -> Any:
