@@ -31,7 +31,7 @@ What is done with T:
 
     LightTransport      T in memory, with `relight`, `dual`, `row` and `column`; `save` stores it
     open                T from a store, read where it is used
-    show                pictures of T; show_row, show_column and others draw one
+    show                pictures of T: rows, columns, the dual image, maps of its diagnostics
     correspondence      which projector pixel each camera pixel sees; `decode` finds it of stripes
     triangulate         depth and shape, with the geometry of `calibrate_rig` or `self_calibrate`
     separate            direct and global light; `probe` and `max_min` are others

@@ -54,7 +54,7 @@ def _modules() -> list[Path]:
 
 
 def _imports(tree: ast.AST) -> set[str]:
-    """Names of our own modules that a file imports, such as 'simulation.truth'; not the door's."""
+    """Names of our own modules that a file imports, such as 'simulation.truth'."""
     modules = set()
     for node in ast.walk(tree):
         assert not (isinstance(node, ast.ImportFrom) and node.level), "imports are written in full"
@@ -81,7 +81,7 @@ def test_the_floors_are_those_of_the_documented_table() -> None:
         cells = [cell.strip() for cell in line.split("|")]
         if len(cells) != 5 or not cells[2].startswith("`"):
             continue
-        # A floor's number stands in its first line; the core and the door have words instead.
+        # A floor's number stands in its first line; the core and the API have words instead.
         number = cells[1] or number
         if number is not None and number.isdigit():
             names = re.findall(r"`([a-z_]+)(?:/|\.py)`", cells[2])
@@ -111,10 +111,12 @@ def test_nothing_imports_the_door_but_the_command_line_above_it(path: Path) -> N
         return
     for node in ast.walk(ast.parse(path.read_text())):
         if isinstance(node, ast.Import):
-            assert all(alias.name != "lightmatrix" for alias in node.names), f"{path}: the door"
+            assert all(alias.name != "lightmatrix" for alias in node.names), (
+                f"{path} imports the public API"
+            )
         elif isinstance(node, ast.ImportFrom) and node.module == "lightmatrix":
             names = {alias.name for alias in node.names}
-            assert all(map(_is_module, names)), f"{path} takes {names} from the door"
+            assert all(map(_is_module, names)), f"{path} takes {names} from the public API"
 
 
 @pytest.mark.parametrize("path", _modules(), ids=lambda path: str(path.relative_to(ROOT)))

@@ -59,7 +59,13 @@ def tolerance(fast: bool) -> float:
     return 1.5 if fast else 2.5
 
 
-@pytest.mark.parametrize("name", ["l_objects", "gripper", "metal", "corner"])
+@pytest.mark.parametrize(
+    "name",
+    [
+        "corner",
+        *(pytest.param(name, marks=pytest.mark.slow) for name in ("l_objects", "gripper", "metal")),
+    ],
+)
 def test_relighting_agrees_with_the_path_integrator(mitsuba: tuple[Any, bool], name: str) -> None:
     mi, fast = mitsuba
     side, samples = (20, 2048) if fast else (6, 128)
