@@ -61,8 +61,8 @@ class _Limits:
     few_patterns: int = 16
     few_left: float = 9.0
     off_by: float = 0.4
-    # Where predictions miss more than `much` of the variance under every power, what they miss may
-    # look like a bend: the power must take a tenth of that away.
+    # Predictions may miss more than this share of the variance under every power. What they miss
+    # can then look like a bend, so the power must explain a tenth of it.
     much: float = 0.1
     remains: float = 0.9
     # At most so many rows are predicted, and of more than 64 frames fewer, so that samples are as
@@ -284,7 +284,7 @@ def _search(
         if abs(bend.size) < _LIMITS.small or len(bends) == _LIMITS.steps:
             break
         step = bend.size
-        # By the secant through the last two.
+        # The secant through the last two bends gives the next power.
         if len(bends) > 1 and logs[-1] != logs[-2]:
             slope = (bend.size - bends[-2].size) / (logs[-1] - logs[-2])
             if slope < -_LIMITS.flattest:

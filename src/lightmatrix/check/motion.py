@@ -98,7 +98,7 @@ class _Follower:
         starts = [self.survey.count * part // 4 for part in (2, 1, 3)]
         rows = self.rows[:: max(1, len(self.rows) // 30)]
         work = 4 * min(30, len(self.rows)) * self.survey.count
-        # So many multiplications take about ten seconds.
+        # This many multiplications take about ten seconds.
         if work * self.survey.patterns.pixels * len(shifts) * len(starts) > 1e11:
             return None
         few = _Follower(self.survey, rows, self.doubted)
@@ -157,7 +157,7 @@ def find_shift(
     by_shift = {shift: distances(shift) for shift in itertools.product(reach, reach)}
     best = _closest(by_shift, slice(None))
     halves = [_closest(by_shift, slice(start, None, 2)) for start in (0, 1)]
-    # Where an image has no outlines, each half of its parts shows another shift by chance.
+    # An image without outlines shows another shift in each half of its parts, by chance.
     if best == (0, 0) or np.ptp(halves, axis=0).max() > 1:
         return None
     gain = by_shift[0, 0] - by_shift[best]

@@ -38,7 +38,7 @@ _NEIGHBOURS, _NEIGHBOURS_OF_GROUP = 7, 15
 # Correlations with all pixels take at most 256 MiB, or are of 64 rows, at a time when listing;
 # chosen to stay small beside the frames.
 _LISTING_BYTES, _MOST_ROWS = 256 << 20, 64
-# Of equal correlations a random one wins: scores are raised by up to 0.1 %.
+# Scores are raised at random by up to this share, so that chance decides between equal ones.
 _TIE = 1e-3
 
 # The frames that a fold learns from, and the patterns that it predicts.

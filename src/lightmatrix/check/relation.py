@@ -227,7 +227,7 @@ class Relation:
     def parted(self) -> bool:
         """Whether each half of the frames follows its patterns, but not beside the other half."""
         late = self.frames >= self.count // 2
-        # Of more than 240 frames, too few of the later half are compared.
+        # At most 128 frames are compared: beyond 240 frames, too few lie in the later half.
         if late.sum() < 8:
             return False
         same = late[:, None] == late

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import inspect
 import os
 import re
@@ -192,15 +193,11 @@ def with_source(*, crop: bool = True) -> Callable[[Callable[..., None]], Callabl
         del own["source"]
         options = [each.replace(kind=each.KEYWORD_ONLY) for each in (shared | own).values()]
 
+        @functools.wraps(command)
         def run(**values: Any) -> None:
             source = read_source(**{name: values.pop(name) for name in shared})
             command(source=source, **values)
 
-        run.__name__, run.__doc__, run.__module__ = (
-            command.__name__,
-            command.__doc__,
-            command.__module__,
-        )
         run.__signature__ = inspect.Signature(options)  # type: ignore[attr-defined]
         run.__annotations__ = {each.name: each.annotation for each in options}
         return run

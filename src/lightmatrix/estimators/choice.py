@@ -87,7 +87,7 @@ def check_and_choose(
     check comes first.
     """
     undecided = settings.coherent is None and resources.coherent and can_be_tried(capture)
-    # So many raw levels, such as 512 x 512 pixels in 64 frames, are checked in a second or two.
+    # The checks read this many raw levels (512 x 512 pixels in 64 frames) in a second or two.
     if not undecided or math.prod(capture.whole.frames.shape) * capture.count > 1 << 24:
         findings = check()
         return choose_estimator(capture, settings, resources), findings

@@ -28,16 +28,16 @@ class _Bytes:
     `python -m benchmarks.resource_estimate` measures that no estimate takes more.
     """
 
-    # Of each projector pixel: halos, and what threads note of pixels.
+    # Each projector pixel takes this for halos and for the notes of threads.
     pixel: float
-    # Of each value of a pattern: pixels and spots under it. A coherent estimate has 64 more
-    # patterns, which were never shown.
+    # Each value of a pattern takes this for the pixels and spots under it. A coherent estimate
+    # has 64 more patterns, which were never shown.
     value: float
-    # The same of patterns with grey values, in addition.
+    # Patterns with grey values take this much more for each value.
     grey_value: float
-    # Of each row: its entries before and after a round.
+    # Each row takes this for its entries before and after a round.
     row: float
-    # Of each camera sample: its level, its value, and whether it clips.
+    # Each camera sample takes this for its level, its value and its clip state.
     sample: float
 
 
