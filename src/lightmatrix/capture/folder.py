@@ -420,7 +420,7 @@ def _stated_response(response: Response | str | None, stack: ImageStack) -> Resp
     if tag is not None:
         warn(
             f"{stack.paths[0]}: {tag}, so probably not linear, but no response is given; "
-            "give one (srgb, gamma:2.2, ...), or linear if it is",
+            "give one (srgb, gamma:2.2, ...), or linear if it is"
         )
     return Response()
 

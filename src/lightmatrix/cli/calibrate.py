@@ -30,12 +30,10 @@ def calibrate(
         typer.Option(metavar="9x7", help="Inner corners of the board: squares less one."),
     ] = None,
     square: Annotated[
-        str | None,
-        typer.Option(metavar="24mm", help="Side of a square, with or without a unit."),
+        str | None, typer.Option(metavar="24mm", help="Side of a square, with or without a unit.")
     ] = None,
     focal: Annotated[
-        float | None,
-        typer.Option(help="Without a board: the camera's focal length in pixels."),
+        float | None, typer.Option(help="Without a board: the camera's focal length in pixels.")
     ] = None,
     baseline: Annotated[
         str,

@@ -91,8 +91,7 @@ def capture(
         ),
     ] = None,
     store: Annotated[
-        Path | None,
-        typer.Option("--estimate", help="Also estimate T, into this .zarr store."),
+        Path | None, typer.Option("--estimate", help="Also estimate T, into this .zarr store.")
     ] = None,
     seed: Seed = 0,
     overwrite: Overwrite = False,

@@ -32,8 +32,7 @@ def compensate(
         Path, typer.Option("-o", "--output", help="Image of the pattern; a folder with --video.")
     ],
     wanted: Annotated[
-        Path | None,
-        typer.Argument(metavar="WANTED", help="The picture that the camera is to see."),
+        Path | None, typer.Argument(metavar="WANTED", help="The picture that the camera is to see.")
     ] = None,
     brightness: Annotated[
         str,

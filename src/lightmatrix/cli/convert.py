@@ -37,12 +37,7 @@ def convert(
     claim(output, CAPTURE, overwrite=overwrite)
     with progress("converting", "frames") as step:
         layout = lm.convert(
-            folder,
-            output,
-            channel=channel,
-            response=response,
-            overwrite=overwrite,
-            progress=step,
+            folder, output, channel=channel, response=response, overwrite=overwrite, progress=step
         )
     if as_json:
         show_json({"output": output, "layout": layout})

@@ -39,13 +39,11 @@ Store = Annotated[
 Green = Annotated[
     Path | None,
     typer.Option(
-        metavar="GREEN.zarr",
-        help="T of a colour projector's green. SCENE is then T of its red.",
+        metavar="GREEN.zarr", help="T of a colour projector's green. SCENE is then T of its red."
     ),
 ]
 Blue = Annotated[
-    Path | None,
-    typer.Option(metavar="BLUE.zarr", help="T of a colour projector's blue."),
+    Path | None, typer.Option(metavar="BLUE.zarr", help="T of a colour projector's blue.")
 ]
 RigName = Annotated[
     str | None,

@@ -21,8 +21,7 @@ def separate(
         typer.Option("-o", "--output", help="Folder for both matrices, their images, and maps."),
     ],
     pattern: Annotated[
-        Path | None,
-        typer.Option(help="Pattern of the images.", show_default="white"),
+        Path | None, typer.Option(help="Pattern of the images.", show_default="white")
     ] = None,
     epipolar: Annotated[
         bool, typer.Option("--epipolar", help="Also write the part of T along epipolar lines.")

@@ -48,8 +48,7 @@ Patterns = Annotated[
     _reading("--patterns", help="Pattern images: a folder, or a stack (TIFF, npy, npz)."),
 ]
 Images = Annotated[
-    Path | None,
-    _reading("--images", help="Photographs in the same order: a folder, or a stack."),
+    Path | None, _reading("--images", help="Photographs in the same order: a folder, or a stack.")
 ]
 Black = Annotated[
     str | None,
@@ -58,8 +57,7 @@ Black = Annotated[
     ),
 ]
 BlackExposure = Annotated[
-    float | None,
-    _reading(help="Exposure of the black frame.", show_default="that of the frames"),
+    float | None, _reading(help="Exposure of the black frame.", show_default="that of the frames")
 ]
 White = Annotated[
     Path | None,
@@ -67,8 +65,7 @@ White = Annotated[
 ]
 Mask = Annotated[Path | None, _reading("--mask", help="Image; pixels at 0 are left out.")]
 BlackLevel = Annotated[
-    str | None,
-    _reading(help=f"Raw level without any light: {_EACH}.", show_default="0"),
+    str | None, _reading(help=f"Raw level without any light: {_EACH}.", show_default="0")
 ]
 ClipLevel = Annotated[
     str | None,
@@ -85,9 +82,7 @@ FullScale = Annotated[
 Exposure = Annotated[
     str | None,
     _reading(
-        "--exposure",
-        help=f"Exposure, in any unit: {_EACH}. T is for exposure 1.",
-        show_default="1",
+        "--exposure", help=f"Exposure, in any unit: {_EACH}. T is for exposure 1.", show_default="1"
     ),
 ]
 Crop = Annotated[
@@ -264,8 +259,7 @@ def read_source(
         return Source(capture, None, None, None, region, find, find_projector)
     if patterns is None and images is None:
         raise InputError(
-            "no capture is given",
-            hint="give a capture folder, or --patterns and --images",
+            "no capture is given", hint="give a capture folder, or --patterns and --images"
         )
     if patterns is None or images is None:
         missing = "--patterns" if patterns is None else "--images"

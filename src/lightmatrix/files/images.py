@@ -183,7 +183,7 @@ def _warn_of_depth(name: str, image: NDArray[Any]) -> None:
         warn(
             f"{name}: has 16 bits, but no level above {top}, so that it is shown "
             f"{65535 / white:.4g} times darker than a pattern of {white.bit_length()} bits; "
-            "save it over the full range if it is one",
+            "save it over the full range if it is one"
         )
 
 

@@ -152,7 +152,7 @@ class RunningResults:
                 return
             warn(
                 f"{self.path}: not removed, it holds {printable(foreign[0])}, "
-                "which was not written by lightmatrix",
+                "which was not written by lightmatrix"
             )
 
     def _list(self, name: str) -> None:

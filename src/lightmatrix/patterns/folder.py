@@ -41,11 +41,7 @@ FORMAT, VERSION = "lightmatrix-patterns", 1
 
 
 def write_patterns(
-    folder: str | Path,
-    patterns: PatternSet,
-    *,
-    colour: str | None = None,
-    overwrite: bool = False,
+    folder: str | Path, patterns: PatternSet, *, colour: str | None = None, overwrite: bool = False
 ) -> None:
     """Write a pattern set as 8-bit PNG files and patterns.json.
 
@@ -142,7 +138,7 @@ def read_patterns(source: str | Path) -> PatternSet:
                 return operator
     if difference is not None:
         warn(
-            f"{place}: {difference} the patterns that {DESCRIPTION} describes; the images are used",
+            f"{place}: {difference} the patterns that {DESCRIPTION} describes; the images are used"
         )
     return _from_images(place, entries)
 

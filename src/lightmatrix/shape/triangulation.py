@@ -64,10 +64,7 @@ def find_line_spots(
 
 
 def uncut_places(
-    place: NDArray[np.float64],
-    lines: NDArray[np.float64],
-    shape: tuple[int, int],
-    margin: float,
+    place: NDArray[np.float64], lines: NDArray[np.float64], shape: tuple[int, int], margin: float
 ) -> NDArray[np.float64]:
     """Places of spots, corrected where the projector's border cuts a spot off.
 
