@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-import typer
+from typer import Argument, Option
 
 import lightmatrix as lm
 from lightmatrix.cli.options import AUTO, FIND_HELP
@@ -27,21 +27,19 @@ _EACH = "one number; or one per frame, as a,b,c or a text file"
 
 def _reading(*names: str, **settings: Any) -> Any:
     """An option under the heading of how to read photographs."""
-    return typer.Option(*names, rich_help_panel="How to read the photographs", **settings)
+    return Option(*names, rich_help_panel="How to read the photographs", **settings)
 
 
 Folder = Annotated[
     Path | None,
-    typer.Argument(
+    Argument(
         metavar="CAPTURE",
         help="A capture folder (patterns/, images/, capture.json); or the patterns.",
     ),
 ]
 Photographs = Annotated[
     Path | None,
-    typer.Argument(
-        metavar="IMAGES", help="The photographs, if the first argument is the patterns."
-    ),
+    Argument(metavar="IMAGES", help="The photographs, if the first argument is the patterns."),
 ]
 Patterns = Annotated[
     Path | None,

@@ -300,17 +300,13 @@ def geometry_of(
         camera_shape, projector_shape = source.confidence.shape, source.projector_shape
     else:
         camera_shape, projector_shape = source.camera_shape[:2], source.projector_shape
-    return _fitted_geometry(rig, (camera_shape[0], camera_shape[1]), projector_shape)
-
-
-def _fitted_geometry(
-    geometry: RigGeometry, camera_shape: tuple[int, int], projector_shape: tuple[int, int] | None
-) -> RigGeometry:
-    """The geometry, scaled to binned images; an error if no whole factors lead to them."""
-    shapes = {"camera": camera_shape, "projector": projector_shape or geometry.projector_shape}
+    shapes = {
+        "camera": (camera_shape[0], camera_shape[1]),
+        "projector": projector_shape or rig.projector_shape,
+    }
     blocks = {}
     for device, shape in shapes.items():
-        whole = getattr(geometry, f"{device}_shape")
+        whole = getattr(rig, f"{device}_shape")
         block = tuple(max(1, round(w / s)) for w, s in zip(whole, shape, strict=True))
         # Blocks at the border may be smaller.
         if tuple(-(-w // b) for w, b in zip(whole, block, strict=True)) != tuple(shape):
@@ -322,8 +318,8 @@ def _fitted_geometry(
             )
         blocks[device] = block
     if set(blocks.values()) == {(1, 1)}:
-        return geometry
-    scaled = geometry.scaled(camera=blocks["camera"], projector=blocks["projector"])
+        return rig
+    scaled = rig.scaled(camera=blocks["camera"], projector=blocks["projector"])
     return replace(scaled, camera_shape=shapes["camera"], projector_shape=shapes["projector"])
 
 
