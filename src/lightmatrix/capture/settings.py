@@ -147,7 +147,7 @@ def parse_description(
     file: Path, content: Mapping[str, Any], *, allow_outside: bool = False
 ) -> Description:
     """The description in the content of `file`, which messages name."""
-    values = _read(file, content, _KEYS)
+    values = _read(file, content, KEYS)
     black = values["black"]
     frame = _read(file, black or {}, _BLACK_KEYS, "black.")
     if black is not None and "file" not in black:
@@ -179,7 +179,7 @@ def parse_description(
             mask=path(values["mask"]),
             mosaic=bool(values["mosaic"]),
         )
-    absent = frozenset(_KEYS.keys() - content.keys())
+    absent = frozenset(KEYS.keys() - content.keys())
     shapes = values["projector_shape"], values["camera_shape"]
     return Description(settings, *shapes, values["provenance"] or {}, absent)
 
@@ -256,7 +256,7 @@ def _of(kind: type) -> Callable[[Any], Any]:
 
 
 _IMAGE: _Kind = (_text, "the name of an image")
-_KEYS: dict[str, _Kind] = {
+KEYS: dict[str, _Kind] = {
     "format": (_text, "the name of the format"),
     "version": (_number, "the version of the format"),
     "projector_shape": (_shape, "two whole numbers, such as [64, 64]"),

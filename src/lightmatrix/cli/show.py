@@ -88,10 +88,9 @@ def show(
     if len(chosen) != 1:
         count = len(chosen) or "no"
         raise InputError(
-            f"{count} views are given", hint="give one of --row R,C, --column R,C, --dual, "
-            "--correspondence, --spectrum, --clipping, --gap, --footprint, --estimated-error, "
-            "--depth, --normals",
-        )  # fmt: skip
+            f"{count} views are given",
+            hint="give one of --row R,C, --column R,C, " + ", ".join(f"--{name}" for name in named),
+        )
     view = chosen[0]
     index = _index(view, indexed.get(view))
     lm.show(scene, view, *index, geometry=geometry, output=output, raw=raw, overwrite=overwrite)

@@ -12,7 +12,6 @@ import struct
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
-from operator import getitem
 from pathlib import Path
 from typing import Any
 
@@ -102,7 +101,7 @@ def pages(path: str | Path) -> list[Page]:
         reader: Callable[[int], NDArray[Any]]
         if suffix == ".npz":
             array = _single_array(file)
-            count, reader = len(array), partial(getitem, array)
+            count, reader = len(array), partial(np.take, array, axis=0)
         elif mapped := _npy(file) if suffix == ".npy" else _contiguous(file):
             count, reader = mapped.shape[0], mapped.read
         else:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -15,6 +14,7 @@ from lightmatrix.errors import InputError
 from lightmatrix.files.kinds import CLOUD, DEPTH, PICTURE
 from lightmatrix.files.writing import check_output
 from lightmatrix.geometry.rig_geometry import RigGeometry
+from lightmatrix.resources.threads import work_ahead
 from lightmatrix.shape.shape import Shape, ShapeTest, local_mean, surface_normals
 from lightmatrix.transport.correspondence import Correspondence, pixel_rows
 from lightmatrix.transport.matrix import LightTransport
@@ -46,20 +46,16 @@ def find_line_spots(
     `lines` (P, 3) are a, b, c with a^2 + b^2 = 1 and a col + b row + c = 0, `pixels` (N, 2) the
     column and row of each projector pixel without distortion.
     """
-    place = np.full((matrix.shape[0], 2), np.nan)
-    light, total = np.zeros(len(place)), np.zeros(len(place))
     if not matrix.has_sorted_indices:
         matrix = matrix.copy()
         matrix.sort_indices()
 
-    def find(rows: slice) -> None:
-        place[rows], light[rows], total[rows] = _of_block(
-            csr_array(matrix[rows]), lines[rows], pixels, shape, half_width
-        )
+    def find(rows: slice) -> tuple[NDArray[np.float64], ...]:
+        return _of_block(csr_array(matrix[rows]), lines[rows], pixels, shape, half_width)
 
-    # Each block takes about 400 MiB. `list` raises what a thread raised.
-    with ThreadPoolExecutor(2) as threads:
-        list(threads.map(find, blocks_of(matrix)))
+    # Two at a time, since each block takes about 400 MiB.
+    parts = work_ahead(find, blocks_of(matrix), threads=2)
+    place, light, total = map(np.concatenate, zip(*parts, strict=True))
     return Spots(place, light, total + np.maximum(background, 0))
 
 
