@@ -1,0 +1,112 @@
+"""Which terms are there: one after the other, as long as they explain what is left."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lightmatrix.rig_model.least_squares import Regression
+from lightmatrix.rig_model.prediction import Prediction
+from lightmatrix.rig_model.term import Term
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Limits:
+    """When a term is there.
+
+    Parameters
+    ----------
+    explained : float
+        It explains at least this share of what is left.
+    chance : float
+        It explains at least this many times what as many random numbers would.
+    beside : float
+        It explains at least this share of what the first term does. A smaller one may be a trace of
+        large ones that are not known exactly yet; it is looked for once they are taken out.
+    """
+
+    explained: float = 0.01
+    chance: float = 25.0
+    beside: float = 0.1
+
+
+def choose_terms(
+    seen: Prediction, terms: Sequence[Term], limits: Limits = Limits()
+) -> tuple[dict[str, Array], dict[str, Array], Prediction]:
+    """The numbers of the terms that are there, and their errors, by name; and the prediction used.
+
+    Rows count by the inverse of what they miss anyway, so that glossy rows invent no curve. The
+    sharpness of the images is fitted with their shifts.
+    """
+    enough = seen.free >= 3
+    found: dict[str, Array] = {}
+    errors: dict[str, Array] = {}
+    if enough.sum() < 100:
+        return found, errors, seen
+    left = seen.left
+    fixed = {each.name: each.regressors(seen) for each in terms if each.name != "shift"}
+    for _ in range(3):
+        known = {each.name: each for each in terms}
+        now = {**fixed, "shift": known["shift"].regressors(seen)} if "shift" in known else fixed
+        regressors = {name: each for name, each in now.items() if each is not None}
+        missed = (left**2).sum(axis=1) / np.maximum(seen.free, 1)
+        weight = np.where(enough, 1 / (missed + np.median(missed[enough])), 0)
+        regression = Regression(
+            seen, regressors, {name: known[name].per_frame for name in regressors}, weight
+        )
+        found, errors = _forward(regression, known, limits)
+        effects = {name: regression.effect(name, numbers) for name, numbers in found.items()}
+        left = seen.left - seen.projected(sum(effects.values(), np.zeros_like(seen.left)))
+        if "shift" not in found:
+            continue
+        # The slope of what is left with the sharpness, by a finite difference.
+        sharper = replace(seen, sharpness=seen.sharpness + 0.02)
+        other = known["shift"].regressors(sharper)
+        assert other is not None
+        change = np.einsum("pmk,pk->mk", other - regressors["shift"], found["shift"]) / 0.02
+        change = seen.projected(change)
+        step = (weight[:, None] * change * left).sum() / (weight[:, None] * change**2).sum()
+        seen = replace(seen, sharpness=float(np.clip(seen.sharpness + step, 0, 0.4)))
+    return found, errors, seen
+
+
+def _forward(
+    regression: Regression, terms: dict[str, Term], limits: Limits
+) -> tuple[dict[str, Array], dict[str, Array]]:
+    """The terms that are there, chosen by what they explain beyond chance."""
+    seen, weight = regression.seen, regression.weight[:, None] * regression.seen.usable
+    free = float(seen.free[regression.weight > 0].sum())
+    light = (weight * seen.predicted**2).sum()
+    chosen: list[str] = []
+    found: dict[str, Array] = {}
+    errors: dict[str, Array] = {}
+    explained, first = 0.0, 0.0
+    while True:
+        best = 0.0
+        candidate = None
+        for name in regression.places:
+            if name in chosen:
+                continue
+            numbers, stated, together = regression.solve([*chosen, name])
+            more, rest = together - explained, regression.total - explained
+            by_chance = len(regression.places[name]) / free * (regression.total - together)
+            effect = regression.effect(name, numbers[name])
+            size = np.sqrt((weight * effect**2).sum() / light)
+            score = more - limits.chance * by_chance
+            least, most = terms[name].between
+            if not terms[name].per_frame and not least <= numbers[name].sum() <= most:
+                continue
+            if more < max(limits.explained * rest, limits.beside * first):
+                continue
+            if size > terms[name].least and score > best:
+                best, candidate = score, (name, numbers, stated, together)
+        if candidate is None:
+            return found, errors
+        name, found, errors, explained = candidate
+        chosen.append(name)
+        first = first or explained

@@ -1,0 +1,33 @@
+"""A camera, projector or scene that moves from frame to frame."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from lightmatrix.rig_model.prediction import Prediction, move, slopes
+from lightmatrix.rig_model.term import Array, Draft, Term, deviation
+
+
+class Shift(Term):
+    """The image of frame k lies d_k camera pixels (down, right) from where it was."""
+
+    name = "shift"
+    per_frame = True
+
+    def __init__(self) -> None:
+        # Fitted with the shifts, see `spline_coefficients`.
+        self.sharpness = 0.1
+
+    def regressors(self, seen: Prediction) -> Array:
+        return np.stack([-seen.inner(each) for each in slopes(seen.around, seen.sharpness)])
+
+    def take_out(self, values: Array, draft: Draft) -> None:
+        draft.images.append(lambda images: move(images, values, self.sharpness))
+
+    def sentence(self, values: Array) -> str:
+        # A creep is smooth: frames differ less from the next one than from all others.
+        steps = np.diff(values, axis=1)
+        if (steps**2).sum() < 0.2 * 2 * ((values - values.mean(axis=1)[:, None]) ** 2).sum():
+            moved = float(np.hypot(*(values[:, -1] - values[:, 0])))
+            return f"the picture crept by {moved:.2f} camera pixels in the course of the capture"
+        return f"the camera shook by {deviation(values):.2f} pixels from frame to frame"

@@ -1,0 +1,33 @@
+"""All terms, in the order in which they are taken out of the patterns and of the photographs."""
+
+from __future__ import annotations
+
+from lightmatrix.rig_model.ambient import Ambient
+from lightmatrix.rig_model.camera_curve import CameraCurve
+from lightmatrix.rig_model.camera_sharpening import CameraSharpening
+from lightmatrix.rig_model.crosstalk import Crosstalk
+from lightmatrix.rig_model.dynamic_contrast import DynamicContrast
+from lightmatrix.rig_model.gain import Gain
+from lightmatrix.rig_model.previous import Previous
+from lightmatrix.rig_model.projector_curve import ProjectorCurve
+from lightmatrix.rig_model.rows import Rows
+from lightmatrix.rig_model.sharpening import Sharpening
+from lightmatrix.rig_model.shift import Shift
+from lightmatrix.rig_model.term import Term
+
+TERMS: dict[str, type[Term]] = {
+    each.name: each
+    for each in (
+        ProjectorCurve,
+        Sharpening,
+        Crosstalk,
+        Previous,
+        CameraSharpening,
+        Shift,
+        DynamicContrast,
+        Gain,
+        Rows,
+        Ambient,
+        CameraCurve,
+    )
+}
