@@ -196,7 +196,10 @@ def show(
     with atomic_file(output, kind, overwrite=overwrite) as part:
         if suffix == ".npz":
             # The mark and format version come first: even a truncated file is recognised.
-            marked = {NUMBERS_MARK: np.array(1), **VIEWS[view].numbers(shown, *index)}
+            marked: dict[str, Any] = {
+                NUMBERS_MARK: np.array(1),
+                **VIEWS[view].numbers(shown, *index),
+            }
             with part.open("wb") as stream:
                 np.savez_compressed(stream, **marked)
         elif suffix != ".png":

@@ -31,8 +31,6 @@ from lightmatrix.viewer.session import REST_MILLISECONDS, MessageError
 
 
 LOOPBACK = "127.0.0.1"
-# Bytes of randomness in a token.
-_TOKEN_BYTES = 24
 
 
 @dataclass(frozen=True)
@@ -40,7 +38,7 @@ class Guard:
     """The token and the hosts of one server."""
 
     port: int
-    token: str = field(default_factory=lambda: secrets.token_urlsafe(_TOKEN_BYTES), repr=False)
+    token: str = field(default_factory=lambda: secrets.token_urlsafe(24), repr=False)
 
     @property
     def address(self) -> str:
@@ -98,8 +96,6 @@ Send = Callable[[dict[str, Any]], Awaitable[None]]
 # Windows that may be open at once. More are turned away, so that a broken page cannot use up
 # sockets.
 MOST_SOCKETS = 16
-# Seconds between two looks at the store.
-_WATCH_SECONDS = 1.0
 # WebSocket's codes for "you broke the rules" and "come again later".
 _VIOLATION, _TRY_LATER = 1008, 1013
 _BINARY, _TEXT = "application/octet-stream", "text/plain; charset=utf-8"
@@ -136,9 +132,9 @@ class Answers:
         if path.startswith("layer/") and path.endswith(".bin"):
             name = path.removeprefix("layer/").removesuffix(".bin")
             files[path] = (_BINARY, lambda: scene.layer(name))
-        if re.fullmatch(r"frame/[0-9]{1,9}\.bin", path) and (frames := scene.frames) is not None:
+        if re.fullmatch(r"frame/[0-9]{1,9}\.bin", path):
             number = int(path.removeprefix("frame/").removesuffix(".bin"))
-            files[path] = (_BINARY, lambda: frames.levels(number))
+            files[path] = (_BINARY, lambda: scene.pattern(number))
         if path not in files:
             await self._answer(send, 404, _TEXT, b"There is no such file.")
             return
@@ -214,14 +210,7 @@ class Answers:
             if notice != told:
                 await send({"type": "websocket.send", "text": json.dumps({"notice": notice})})
                 told = notice
-            await asyncio.sleep(_WATCH_SECONDS)
-
-
-# Requests at once: those of all windows while they load, and as many again.
-_MOST_REQUESTS = 8 * MOST_SOCKETS
-# Seconds that open pages have to say goodbye after Ctrl-C.
-_GOODBYE_SECONDS = 1
-_HIGHEST_PORT = 65535
+            await asyncio.sleep(1)
 
 
 def serve_viewer(
@@ -278,9 +267,16 @@ def serve_viewer(
     >>> import lightmatrix as lm
     >>> lm.serve_viewer("scene.zarr")  # doctest: +SKIP
     """
-    uvicorn = _library()
-    if not 0 <= port <= _HIGHEST_PORT:
-        raise InputError(f"port {port}", hint=f"use 0 (any free one) to {_HIGHEST_PORT}")
+    try:
+        import uvicorn
+        import websockets  # noqa: F401 - uvicorn needs it for the page's connection
+    except ImportError as error:
+        raise MissingExtraError(
+            "the viewer needs a web server",
+            hint='install the extra: pip install "lightmatrix[viewer]"',
+        ) from error
+    if not 0 <= port <= 65535:
+        raise InputError(f"port {port}", hint="use 0 (any free one) to 65535")
     scene = Scene(
         transport, page_bytes=page_bytes, progress=progress, capture=capture, geometry=geometry
     )
@@ -292,26 +288,24 @@ def serve_viewer(
         if browser:
             # A browser in the terminal would not return before it is closed.
             threading.Thread(target=webbrowser.open, args=(guard.address,), daemon=True).start()
-        server = uvicorn.Server(_config(uvicorn, Answers(scene, guard), scene.most_message))
-        server.run(sockets=[listening])
+        settings = uvicorn.Config(
+            Answers(scene, guard),
+            lifespan="off",
+            log_level="critical",
+            access_log=False,
+            server_header=False,
+            proxy_headers=False,
+            ws="websockets-sansio",
+            ws_max_size=scene.most_message,
+            ws_per_message_deflate=False,
+            # The requests of all windows while they load, and as many again.
+            limit_concurrency=8 * MOST_SOCKETS,
+            # Open pages may say goodbye after Ctrl-C.
+            timeout_graceful_shutdown=1,
+        )
+        uvicorn.Server(settings).run(sockets=[listening])
     # Only Ctrl-C ends the server. The event loop may have swallowed its KeyboardInterrupt.
     raise KeyboardInterrupt
-
-
-def _config(uvicorn: Any, answers: Answers, most_message: int) -> Any:
-    return uvicorn.Config(
-        answers,
-        lifespan="off",
-        log_level="critical",
-        access_log=False,
-        server_header=False,
-        proxy_headers=False,
-        ws="websockets-sansio",
-        ws_max_size=most_message,
-        ws_per_message_deflate=False,
-        limit_concurrency=_MOST_REQUESTS,
-        timeout_graceful_shutdown=_GOODBYE_SECONDS,
-    )
 
 
 def _bound(port: int) -> socket.socket:
@@ -329,15 +323,3 @@ def _bound(port: int) -> socket.socket:
             hint="choose another port, or port=0 for one that is free",
         ) from error
     return listening
-
-
-def _library() -> Any:
-    try:
-        import uvicorn
-        import websockets  # noqa: F401 - uvicorn needs it for the page's connection
-    except ImportError as error:
-        raise MissingExtraError(
-            "the viewer needs a web server",
-            hint='install the extra: pip install "lightmatrix[viewer]"',
-        ) from error
-    return uvicorn
