@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import asyncio
+import contextlib
 import http.client
 import http.server
 import os
@@ -14,6 +16,7 @@ import threading
 import time
 from collections.abc import Iterator
 from pathlib import Path
+from unittest import mock
 
 import pytest
 from browser import installed, opened
@@ -21,6 +24,7 @@ from browser import installed, opened
 import lightmatrix as lm
 from lightmatrix.cli import main
 from lightmatrix.viewer import export as export_module
+from lightmatrix.viewer import server as server_module
 from tests.viewer import hostile, running
 from tests.viewer.running import shown
 
@@ -166,13 +170,69 @@ def test_hostile_requests_change_nothing(server: running.Server) -> None:
             connection.sendall(message)
             if number % 2:
                 connection.shutdown(socket.SHUT_WR)
-    # What is left of them ends by itself.
-    end = time.monotonic() + 60
-    while (status := ask(server, f"/{server.token}/").status) == 503 and time.monotonic() < end:
-        time.sleep(0.5)
-    assert status == 200
+    assert ask(server, f"/{server.token}/").status == 200
     assert server.process.poll() is None
     assert process.memory_info().rss - before < GROWTH
+
+
+def test_idle_strangers_do_not_lock_the_owner_out(
+    server: running.Server, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    place = ("127.0.0.1", server.port)
+    idle = [socket.create_connection(place, timeout=120) for _ in range(200)]
+    assert ask(server, f"/{server.token}/").status == 200
+    # The oldest ones were closed meanwhile.
+    with contextlib.suppress(ConnectionError):
+        assert idle[0].recv(1) == b""
+    for connection in idle:
+        connection.close()
+
+    async def late() -> list[bool]:
+        monkeypatch.setattr(server_module.Strangers, "_SECONDS", 0.01)
+        strangers = server_module.Strangers()
+        transports = [mock.Mock(get_extra_info=lambda _, k=k: ("127.0.0.1", k)) for k in range(2)]
+        for transport in transports:
+            strangers.came(transport)
+        strangers.showed_the_token(("127.0.0.1", 1))
+        await asyncio.sleep(0.1)
+        return [transport.abort.called for transport in transports]
+
+    assert asyncio.run(late()) == [True, False]
+
+
+def test_pings_whose_answers_nobody_reads_are_not_kept(server: running.Server) -> None:
+    import psutil
+
+    request = (
+        f"GET /{server.token}/socket HTTP/1.1\r\nHost: {server.host}\r\nUpgrade: websocket\r\n"
+        f"Connection: Upgrade\r\nOrigin: http://{server.host}\r\nSec-WebSocket-Version: 13\r\n"
+        "Sec-WebSocket-Key: AAAAAAAAAAAAAAAAAAAAAA==\r\n\r\n"
+    )
+    pings = (b"\x89\xfd" + bytes(4 + 125)) * 1000
+    process = psutil.Process(server.process.pid)
+    with socket.create_connection(("127.0.0.1", server.port), timeout=120) as connection:
+        connection.sendall(request.encode())
+        assert connection.recv(12) == b"HTTP/1.1 101"
+        before = process.memory_info().rss
+        connection.settimeout(1)
+        with contextlib.suppress(TimeoutError):
+            for _ in range(500):
+                connection.sendall(pings)
+        assert process.memory_info().rss - before < GROWTH
+    assert ask(server, f"/{server.token}/").status == 200
+
+
+@pytest.mark.skipif(not installed(), reason="no Chromium is installed")
+def test_a_window_too_many_is_told_so(server: running.Server) -> None:
+    from websockets.exceptions import ConnectionClosed
+
+    with contextlib.ExitStack() as windows, opened() as browser:
+        for _ in range(16):
+            windows.enter_context(connect(server))  # type: ignore[arg-type]
+        with pytest.raises(ConnectionClosed, match="1013"), connect(server) as extra:  # type: ignore[attr-defined]
+            extra.recv(timeout=120)
+        with shown(browser, server.address) as page:
+            page.get_by_text("The server serves no more windows").wait_for()
 
 
 def test_hostile_messages_change_nothing(tmp_path: Path) -> None:
@@ -254,19 +314,31 @@ def test_a_browser_that_does_not_return_is_served(
     store: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """As one in the terminal, which runs until it is closed."""
+    monkeypatch.setenv("HOME", str(tmp_path))
     browser = tmp_path / "browser"
     # Its outputs are closed, as the command's pipes would stay open as long as it runs.
     ending = "exec sleep 300 >/dev/null 2>&1"
-    browser.write_text(f'#!/bin/sh\necho "$1" > {tmp_path}/address\n{ending}\n')
+    # What it was given, whether others may look into that folder, and the page.
+    looking = 'page="${1#file://}"; echo "$1"; ls -ld "$(dirname "$page")"; cat "$page"'
+    given = tmp_path / "given"
+    browser.write_text(
+        f"#!/bin/sh\n({looking}) > {given}.part\nmv {given}.part {given}\n{ending}\n"
+    )
     browser.chmod(0o755)
     monkeypatch.setenv("BROWSER", f"{browser} %s")
     with running.served(store, "--browser") as server:
         assert ask(server, f"/{server.token}/").status == 200
         end = time.monotonic() + 120
-        while not (tmp_path / "address").exists() and time.monotonic() < end:
+        while not given.exists() and time.monotonic() < end:
             time.sleep(0.1)
-        assert (tmp_path / "address").read_text().strip() == server.address
+        argument, folder, page = given.read_text().split("\n", 2)
+        # Everyone can read the arguments of a process.
+        assert argument.startswith(tmp_path.as_uri())
+        assert server.token not in argument
+        assert folder.startswith("drwx------")
+        assert f"url={server.address}" in page
         assert server.stop() == 130
+    assert not list(tmp_path.glob("lightmatrix-viewer-*"))
 
 
 def test_a_port_in_use_is_refused(store: Path, capsys: pytest.CaptureFixture[str]) -> None:

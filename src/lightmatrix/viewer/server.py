@@ -3,13 +3,18 @@
 from __future__ import annotations
 
 import asyncio
+import html
 import json
+import os
 import re
 import secrets
 import socket
+import tempfile
 import threading
 import webbrowser
-from collections.abc import Awaitable, Callable
+from collections import OrderedDict
+from collections.abc import Awaitable, Callable, Iterator
+from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -82,9 +87,63 @@ class Guard:
         ]
 
 
+@contextmanager
+def _handed_to_the_browser(address: str) -> Iterator[None]:
+    """Open an address in the browser, by a file that only this user can read.
+
+    Every user of this machine can read the arguments of a process, and the address holds the token.
+    """
+    # Browsers in a sandbox, such as Ubuntu's Firefox, read no hidden folder and no temporary one.
+    home = os.path.expanduser("~")
+    place = home if os.access(home, os.W_OK) else None
+    with tempfile.TemporaryDirectory(
+        prefix="lightmatrix-viewer-", dir=place, ignore_cleanup_errors=True
+    ) as folder:
+        page = Path(folder) / "open.html"
+        target = html.escape(address)
+        page.write_text(
+            f'<!doctype html><meta http-equiv="refresh" content="0; url={target}">'
+            f'<a href="{target}">Open the viewer</a>\n'
+        )
+        # A browser in the terminal would not return before it is closed.
+        threading.Thread(target=webbrowser.open, args=(page.as_uri(),), daemon=True).start()
+        yield
+
+
 def _header(scope: dict[str, Any], name: bytes) -> list[str]:
     """All values of a header."""
     return [value.decode("latin-1") for key, value in scope["headers"] if key == name]
+
+
+class Strangers:
+    """Connections that have not shown the token yet.
+
+    They get a few seconds for a whole request, and beyond a number the oldest one is closed, so
+    that connections of others never keep the owner of the token out.
+    """
+
+    _SECONDS, _MOST = 5, 64
+
+    def __init__(self) -> None:
+        self._transports: OrderedDict[tuple[str, int], asyncio.Transport] = OrderedDict()
+
+    def came(self, transport: asyncio.Transport) -> None:
+        """A client has connected."""
+        client = transport.get_extra_info("peername")
+        self._transports[client] = transport
+        if len(self._transports) > self._MOST:
+            self._transports.popitem(last=False)[1].abort()
+        asyncio.get_running_loop().call_later(self._SECONDS, self._late, client, transport)
+
+    def showed_the_token(self, client: tuple[str, int]) -> None:
+        """A client is no stranger any more."""
+        self._transports.pop(client, None)
+
+    def _late(self, client: tuple[str, int], transport: asyncio.Transport) -> None:
+        # Another client may have come from the same port meanwhile.
+        if self._transports.get(client) is transport:
+            del self._transports[client]
+            transport.abort()
 
 
 # What the server answers, as an ASGI application: the page, the matrix, its layers, notices.
@@ -96,6 +155,8 @@ Send = Callable[[dict[str, Any]], Awaitable[None]]
 # Windows that may be open at once. More are turned away, so that a broken page cannot use up
 # sockets.
 MOST_SOCKETS = 16
+# Seconds between two looks at the store.
+_WATCH_SECONDS = 1.0
 # WebSocket's codes for "you broke the rules" and "come again later".
 _VIOLATION, _TRY_LATER = 1008, 1013
 _BINARY, _TEXT = "application/octet-stream", "text/plain; charset=utf-8"
@@ -104,12 +165,14 @@ _BINARY, _TEXT = "application/octet-stream", "text/plain; charset=utf-8"
 class Answers:
     """The ASGI application of one scene."""
 
-    def __init__(self, scene: Scene, guard: Guard) -> None:
-        self._scene, self._guard = scene, guard
+    def __init__(self, scene: Scene, guard: Guard, strangers: Strangers) -> None:
+        self._scene, self._guard, self._strangers = scene, guard, strangers
         self._sockets = 0
 
     async def __call__(self, scope: dict[str, Any], receive: Receive, send: Send) -> None:
         path = self._guard.inner_path(scope)
+        if path is not None:
+            self._strangers.showed_the_token(scope["client"])
         if scope["type"] == "websocket":
             await self._socket(path, receive, send)
         elif path is None:
@@ -149,14 +212,20 @@ class Answers:
     async def _answer(self, send: Send, status: int, kind: str, content: bytes) -> None:
         headers = [(b"content-type", kind.encode()), *self._guard.headers()]
         headers.append((b"content-length", str(len(content)).encode()))
+        if status == 403:
+            headers.append((b"connection", b"close"))
         await send({"type": "http.response.start", "status": status, "headers": headers})
         await send({"type": "http.response.body", "body": content})
 
     async def _socket(self, path: str | None, receive: Receive, send: Send) -> None:
         await receive()
-        if path != "socket" or self._sockets >= MOST_SOCKETS:
-            code = _VIOLATION if path != "socket" else _TRY_LATER
-            await send({"type": "websocket.close", "code": code})
+        if path != "socket":
+            await send({"type": "websocket.close", "code": _VIOLATION})
+            return
+        if self._sockets >= MOST_SOCKETS:
+            # The page learns the code only of a connection that was accepted.
+            await send({"type": "websocket.accept"})
+            await send({"type": "websocket.close", "code": _TRY_LATER})
             return
         self._sockets += 1
         watching = None
@@ -210,7 +279,11 @@ class Answers:
             if notice != told:
                 await send({"type": "websocket.send", "text": json.dumps({"notice": notice})})
                 told = notice
-            await asyncio.sleep(1)
+            await asyncio.sleep(_WATCH_SECONDS)
+
+
+# Seconds that open pages have to say goodbye after Ctrl-C.
+_GOODBYE_SECONDS = 1
 
 
 def serve_viewer(
@@ -285,27 +358,49 @@ def serve_viewer(
         # The socket listens already, so that whoever opens the page now is answered.
         if ready is not None:
             ready(guard.address)
-        if browser:
-            # A browser in the terminal would not return before it is closed.
-            threading.Thread(target=webbrowser.open, args=(guard.address,), daemon=True).start()
-        settings = uvicorn.Config(
-            Answers(scene, guard),
-            lifespan="off",
-            log_level="critical",
-            access_log=False,
-            server_header=False,
-            proxy_headers=False,
-            ws="websockets-sansio",
-            ws_max_size=scene.most_message,
-            ws_per_message_deflate=False,
-            # The requests of all windows while they load, and as many again.
-            limit_concurrency=8 * MOST_SOCKETS,
-            # Open pages may say goodbye after Ctrl-C.
-            timeout_graceful_shutdown=1,
-        )
-        uvicorn.Server(settings).run(sockets=[listening])
+        strangers = Strangers()
+        config = _config(uvicorn, Answers(scene, guard, strangers), strangers, scene.most_message)
+        with _handed_to_the_browser(guard.address) if browser else nullcontext():
+            uvicorn.Server(config).run(sockets=[listening])
     # Only Ctrl-C ends the server. The event loop may have swallowed its KeyboardInterrupt.
     raise KeyboardInterrupt
+
+
+def _config(uvicorn: Any, answers: Answers, strangers: Strangers, most_message: int) -> Any:
+    from uvicorn.protocols.http.h11_impl import H11Protocol
+    from uvicorn.protocols.websockets.websockets_sansio_impl import WebSocketsSansIOProtocol
+
+    class Http(H11Protocol):
+        def connection_made(self, transport: Any) -> None:
+            super().connection_made(transport)
+            strangers.came(transport)
+
+    class WebSocket(WebSocketsSansIOProtocol):
+        """Reads nothing more from a client that does not read its answers, such as pongs."""
+
+        def data_received(self, data: bytes) -> None:
+            super().data_received(data)
+            if not self.writable.is_set() and not self.transport.is_closing():
+                self.transport.pause_reading()
+
+        def resume_writing(self) -> None:
+            super().resume_writing()
+            if not self.read_paused:
+                self.transport.resume_reading()
+
+    return uvicorn.Config(
+        answers,
+        lifespan="off",
+        log_level="critical",
+        access_log=False,
+        server_header=False,
+        proxy_headers=False,
+        http=Http,
+        ws=WebSocket,
+        ws_max_size=most_message,
+        ws_per_message_deflate=False,
+        timeout_graceful_shutdown=_GOODBYE_SECONDS,
+    )
 
 
 def _bound(port: int) -> socket.socket:
