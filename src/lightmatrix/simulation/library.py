@@ -23,7 +23,7 @@ from lightmatrix.files.kinds import THUMBNAILS
 from lightmatrix.files.numpy_files import read_npz
 from lightmatrix.files.writing import atomic_folder
 from lightmatrix.simulation.mitsuba_scene import load_mitsuba, mitsuba_scene
-from lightmatrix.simulation.procedural import truth_of
+from lightmatrix.simulation.procedural import check_truth_fits, scene_of
 from lightmatrix.simulation.renderer import Progress, render
 from lightmatrix.simulation.scenes import Scene, names, scene
 from lightmatrix.simulation.truth import Truth, view_geometry
@@ -120,7 +120,16 @@ def truth(
     if str(name).lower().endswith(".npz"):
         return Truth.load(Path(name))
     if Path(name).is_dir() and not (isinstance(name, str) and name in names()):
-        return _truth_of_capture(Path(name))
+        if (Path(name) / TRUTH).is_file():
+            return Truth.load(Path(name) / TRUTH)
+        procedural = scene_of(Capture.open(name).provenance)
+        if procedural is None:
+            raise InputError(
+                f"{name} holds no {TRUTH} and is not of a {PROCEDURAL} scene",
+                hint="give a T.npz file, a capture made by `lightmatrix simulate`, or a scene",
+            )
+        check_truth_fits(procedural, name)
+        return procedural.truth()
     name = str(name)
     built = scene(name)
     if name in BUNDLED and size == BUNDLED_SIZE and samples is None and seed == 0:
@@ -146,19 +155,6 @@ def truth(
 def _with_geometry(known: Truth, built: Scene) -> Truth:
     """A truth of a whole scene whose file does not hold the geometry."""
     return replace(known, geometry=view_geometry(built, known.camera_shape, known.projector_shape))
-
-
-def _truth_of_capture(folder: Path) -> Truth:
-    """The truth of a simulated capture: from its file, or computed again."""
-    if (folder / TRUTH).is_file():
-        return Truth.load(folder / TRUTH)
-    known = truth_of(Capture.open(folder), folder)
-    if known is None:
-        raise InputError(
-            f"{folder} holds no {TRUTH} and is not of a {PROCEDURAL} scene",
-            hint="give a T.npz file, a capture made by `lightmatrix simulate`, or a scene",
-        )
-    return known
 
 
 class SceneSummary(NamedTuple):
