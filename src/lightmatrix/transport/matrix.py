@@ -135,11 +135,7 @@ class LightTransport(TransportOperator):
         """A light transport without background, such as a rendered truth."""
         background = np.zeros((matrix.shape[0], 1), np.float32)
         return cls(
-            csr_array(matrix, dtype=np.float32),
-            background,
-            camera_shape,
-            projector_shape,
-            **more,
+            csr_array(matrix, dtype=np.float32), background, camera_shape, projector_shape, **more
         )
 
     def multiplied(self, vectors: NDArray[Any]) -> NDArray[Any]:
