@@ -40,9 +40,8 @@ from lightmatrix.capture.sensor import Sensor
 from lightmatrix.judgement.judgement import verdict
 from lightmatrix.patterns.pattern_set import block_mean
 from lightmatrix.simulation import library
-from lightmatrix.simulation.binning import binned
 from lightmatrix.simulation.realism import defocus
-from lightmatrix.simulation.truth import Truth
+from lightmatrix.simulation.truth import Truth, binned
 from lightmatrix.transport.matrix import LightTransport
 
 SHAPE, NOISE = (64, 64), 0.003
