@@ -36,6 +36,7 @@ import lightmatrix as lm
 from experiments.harness import Row, show, write_json
 from experiments.harness import options as options_of
 from lightmatrix.capture.capture import Capture
+from lightmatrix.capture.exposures import exposure_sequence, parse_exposures
 from lightmatrix.capture.sensor import Sensor
 from lightmatrix.judgement.judgement import verdict
 from lightmatrix.patterns.pattern_set import block_mean
@@ -208,10 +209,9 @@ def rig_of(scene: str, blur: float, fine: bool) -> tuple[Truth, Truth | None]:
 
 
 @cache
-def exposure_of(scene: str, count: int, blur: float, fine: bool) -> float:
-    """The planned exposure."""
-    advice = lm.plan(rig_of(scene, blur, fine)[0], frames=count, noise=NOISE)
-    return float(str(advice.exposure))
+def exposure_of(scene: str, count: int, blur: float, fine: bool) -> str:
+    """The planned exposure, or several with their shares."""
+    return str(lm.plan(rig_of(scene, blur, fine)[0], frames=count, noise=NOISE).exposure)
 
 
 def capture_of(case: Case) -> Capture:
@@ -225,11 +225,11 @@ def capture_of(case: Case) -> Capture:
             truth, patterns, exposure=exposure, noise=NOISE, ambient=case.ambient, faults=faults
         )
     moved = {name: FINE * amount for name, amount in faults.items()}
-    # A thousandth of the exposure does not clip, so that the light itself is averaged.
-    dim = exposure / 1000
+    # A thousandth of the clip level does not clip, so that the light itself is averaged.
+    dim = 1e-3
     light = lm.simulate(finer, patterns, exposure=dim, bits=None, noise=0, faults=moved)
     frames = block_mean(np.stack([light.frame(k) for k in range(case.count)]), (FINE, FINE)) / dim
-    sensor = Sensor(exposure, read_noise=NOISE)
+    sensor = Sensor(exposure_sequence(parse_exposures(exposure), patterns), read_noise=NOISE)
     raw = sensor.expose(frames.reshape(case.count, -1).T)
     return Capture.from_arrays(patterns, np.ascontiguousarray(raw.T).reshape(-1, *SHAPE), sensor)
 
