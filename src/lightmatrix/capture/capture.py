@@ -403,6 +403,10 @@ class Capture:
         listed = ", ".join(f"{exposure:g}" for exposure in exposures[:4])
         if len(exposures) > 4:
             listed += f" and {len(exposures) - 4} more"
+        faults = self.provenance.get("faults")
+        # The provenance of a foreign capture may hold anything.
+        faults = faults if isinstance(faults, dict) else {}
+        stated = ", ".join(f"{name} {amount}" for name, amount in faults.items())
         return {
             "frames": self.count,
             "camera": " x ".join(map(str, self.camera_shape)),
@@ -410,7 +414,7 @@ class Capture:
             "patterns": type(self.patterns).__name__,
             "levels": str(self.frames.dtype),
             "exposure": listed,
-        }
+        } | ({"simulated faults": stated} if stated else {})
 
     @property
     def description(self) -> dict[str, Any]:

@@ -19,7 +19,7 @@ from lightmatrix.errors import InputError
 from lightmatrix.files.colours import COLOURS
 from lightmatrix.files.images import READABLE, read_image
 from lightmatrix.files.reading import read_text
-from lightmatrix.files.stacks import list_images
+from lightmatrix.files.stacks import list_images, natural_order
 from lightmatrix.patterns.pattern_set import ImagePatterns
 
 # Folders of other programs that hold patterns and photographs, and how they lie in them.
@@ -36,27 +36,28 @@ class Layout:
     """Files of a capture: a pattern and an exposure for each frame, all in one order."""
 
     name: str
-    patterns: tuple[Path, ...]
-    frames: tuple[Path, ...]
-    exposures: tuple[float, ...]
+    patterns: Sequence[Path]
+    frames: Sequence[Path]
+    # In any unit; one stands for all.
+    exposures: Sequence[float] = (1.0,)
 
 
 def find_layout(folder: str | Path) -> Layout:
-    """How patterns and frames lie in a folder.
-
-    Raises
-    ------
-    InputError
-        If the folder has none of these layouts, or files are missing.
-    """
+    """How patterns and frames lie in a folder; an InputError if in no known way, or some lack."""
     place = Path(folder)
     if not place.is_dir():
         raise InputError(f"{place}: no such folder", hint="check the name")
     for read in (_compennet, _slstudio, _brackets):
         layout = read(place)
-        if layout is not None:
-            _check(place, layout)
-            return layout
+        if layout is None:
+            continue
+        if len(layout.patterns) != len(layout.frames):
+            raise InputError(
+                f"{place}: {layout.name} with {len(layout.patterns)} patterns, but "
+                f"{len(layout.frames)} frames",
+                hint="is one missing?",
+            )
+        return layout
     raise InputError(
         f"{place}: has none of the layouts that can be converted",
         hint="CompenNet's (cam/raw/train), SLStudio's (frameSeq_*, pat_*), or numbered folders "
@@ -71,7 +72,7 @@ def _compennet(place: Path) -> Layout | None:
     # The pictures lie up to four folders above a setup: light, position, surface, cam.
     for above in (place / "prj" / "raw", place, *place.resolve().parents[:4]):
         if (above / "train").is_dir():
-            return _of("CompenNet", list_images(above / "train"), list_images(frames))
+            return Layout("CompenNet", list_images(above / "train"), list_images(frames))
     raise InputError(
         f"{place}: has cam/raw/train, but no folder above holds train/, the projected pictures",
         hint="keep the folders as the data set has them",
@@ -79,18 +80,21 @@ def _compennet(place: Path) -> Layout | None:
 
 
 def _slstudio(place: Path) -> Layout | None:
-    if not any(place.glob("frameSeq_*")):
-        return None
-    images = {
-        prefix: [file for file in _natural(place) if file.name.startswith(prefix)]
+    patterns, frames = (
+        sorted(
+            (file for file in place.glob(f"{prefix}*") if file.suffix.lower() in READABLE),
+            key=natural_order,
+        )
         for prefix in ("pat_", "frameSeq_")
-    }
-    if not images["pat_"]:
+    )
+    if not frames:
+        return None
+    if not patterns:
         raise InputError(
             f"{place}: has frames (frameSeq_*), but not their patterns (pat_0.png, ...)",
             hint="let SLStudio write them, or copy them there",
         )
-    return _of("SLStudio", images["pat_"], images["frameSeq_"])
+    return Layout("SLStudio", patterns, frames)
 
 
 def _brackets(place: Path) -> Layout | None:
@@ -119,7 +123,7 @@ def _brackets(place: Path) -> Layout | None:
             shown.append(pattern)
             frames.append(file)
             exposures.append(known)
-    return Layout("brackets", tuple(shown), tuple(frames), tuple(exposures))
+    return Layout("brackets", shown, frames, exposures)
 
 
 def _exposures(place: Path) -> dict[str, float]:
@@ -157,30 +161,6 @@ def _is_number(text: str) -> bool:
     except ValueError:
         return False
     return True
-
-
-def _natural(place: Path) -> list[Path]:
-    """The image files of a folder, frame 2 before frame 10."""
-
-    def number(file: Path) -> int:
-        digits = "".join(c for c in file.stem if c.isdecimal())
-        return int(digits or 0)
-
-    files = [file for file in place.iterdir() if file.suffix.lower() in READABLE]
-    return sorted(files, key=lambda file: (number(file), file.name))
-
-
-def _of(name: str, patterns: Sequence[Path], frames: Sequence[Path]) -> Layout:
-    return Layout(name, tuple(patterns), tuple(frames), (1.0,) * len(frames))
-
-
-def _check(place: Path, layout: Layout) -> None:
-    if len(layout.patterns) != len(layout.frames):
-        raise InputError(
-            f"{place}: {layout.name} with {len(layout.patterns)} patterns, but "
-            f"{len(layout.frames)} frames",
-            hint="is one missing?",
-        )
 
 
 def convert(

@@ -40,7 +40,7 @@ from lightmatrix.capture.settings import (
     read_description,
 )
 from lightmatrix.errors import InputError, warn
-from lightmatrix.files.images import HIGHEST_LEVELS, JPEG, READABLE, fill_image, is_grey, read_image
+from lightmatrix.files.images import JPEG, READABLE, fill_image, is_grey, likely_white, read_image
 from lightmatrix.files.kinds import CAPTURE
 from lightmatrix.files.reading import errors_naming
 from lightmatrix.files.stacks import ImageStack, is_stack, nonlinear_tag
@@ -380,9 +380,8 @@ def check_depth(frames: Frames, decoder: Decoder) -> None:
     top = 0
     for block in level_blocks(frames):
         top = max(top, int(block.max()))
-        if top > HIGHEST_LEVELS[-1]:
+        if (likely := likely_white(frames.dtype, top)) is None:
             return
-    likely = next(level for level in HIGHEST_LEVELS if level >= top)
     raise InputError(
         f"the images have 16 bits, but no level above {top}: a camera that clips at {likely}?",
         hint=f'give clip={likely}, or "clip" in capture.json; clip=65535 if they are just dark',
@@ -420,7 +419,7 @@ def _stated_response(response: Response | str | None, stack: ImageStack) -> Resp
     if tag is not None:
         warn(
             f"{stack.paths[0]}: {tag}, so probably not linear, but no response is given; "
-            "give one (srgb, gamma:2.2, ...), or linear if it is",
+            "give one (srgb, gamma:2.2, ...), or linear if it is"
         )
     return Response()
 

@@ -21,13 +21,7 @@ from lightmatrix.capture.frames import CaptureParts
 from lightmatrix.capture.settings import ReadSettings, parse_description
 from lightmatrix.files.kinds import PACKED_CAPTURE
 from lightmatrix.files.reading import check_image_size
-from lightmatrix.files.zarr_arrays import (
-    CHUNK,
-    HEADER,
-    StoredArray,
-    as_damage_error,
-    read_group,
-)
+from lightmatrix.files.zarr_arrays import CHUNK, HEADER, StoredArray, as_damage_error, read_group
 from lightmatrix.patterns.bits import BitPatterns
 from lightmatrix.patterns.making import remake_patterns
 from lightmatrix.patterns.pattern_set import ImagePatterns, PatternSet

@@ -16,16 +16,7 @@ from numpy.typing import NDArray
 from lightmatrix.capture.capture import Capture, open_capture
 from lightmatrix.capture.decoder import Decoder
 from lightmatrix.capture.frames import Frames, PixelFrames, in_order
-from lightmatrix.capture.packed import (
-    BITS,
-    BLACK,
-    CURVE,
-    FORMAT,
-    FRAMES,
-    LEVELS,
-    MASK,
-    VERSION,
-)
+from lightmatrix.capture.packed import BITS, BLACK, CURVE, FORMAT, FRAMES, LEVELS, MASK, VERSION
 from lightmatrix.capture.settings import DEPTH, GEOMETRY, TRUTH
 from lightmatrix.errors import InputError
 from lightmatrix.files.kinds import PACKED_CAPTURE

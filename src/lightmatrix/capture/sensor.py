@@ -106,12 +106,7 @@ class Sensor:
         return np.dtype(np.uint8 if self.bits == 8 else np.uint16)
 
     def expose(
-        self,
-        irradiance: NDArray[Any],
-        *,
-        seed: int = 0,
-        first_row: int = 0,
-        first_frame: int = 0,
+        self, irradiance: NDArray[Any], *, seed: int = 0, first_row: int = 0, first_frame: int = 0
     ) -> NDArray[Any]:
         """Photograph: from T p to raw levels.
 

@@ -147,9 +147,9 @@ def parse_description(
     file: Path, content: Mapping[str, Any], *, allow_outside: bool = False
 ) -> Description:
     """The description in the content of `file`, which messages name."""
-    table = _Table(file, "", content, KEYS)
-    black = table.get("black", _object, "an object with the black frame's file")
-    frame = _Table(file, "black.", black or {}, _BLACK_KEYS)
+    values = _read(file, content, KEYS)
+    black = values["black"]
+    frame = _read(file, black or {}, _BLACK_KEYS, "black.")
     if black is not None and "file" not in black:
         raise InputError(f'{file}: "black" names no file', hint='add "file": "black.png" to it')
 
@@ -163,82 +163,54 @@ def parse_description(
             )
         return named
 
-    response = table.get("response", _text, RESPONSES)
+    response, projector = values["response"], values["projector_response"]
     if response is not None:
         path(curve_file(response))
-    projector = table.get("projector_response", _text, "the name of a projector's curve, or auto")
-    exposure = table.get("exposure", _several(_above_0), "a number above 0, or one for each frame")
     with errors_naming(file):
         settings = ReadSettings(
-            black=path(frame.get("file", _text, "the name of an image")),
-            black_exposure=frame.get("exposure", _above_0, "a number above 0"),
-            black_level=table.get(
-                "black_level", _several(_level), "a level of 0 or more, or one for each frame"
-            ),
-            clip=table.get("clip", _several(_above_0), "a level above 0, or one for each frame"),
-            full_scale=table.get(
-                "full_scale", _above_0, f"a level above 0, at most {MOST_LEVEL:g}"
-            ),
-            exposure=1.0 if exposure is None else exposure,
+            black=path(frame["file"]),
+            black_exposure=frame["exposure"],
+            black_level=values["black_level"],
+            clip=values["clip"],
+            full_scale=values["full_scale"],
+            exposure=1.0 if values["exposure"] is None else values["exposure"],
             response=None if response is None else Response.parse(response, file.parent),
             projector_response=projector if projector == AUTOMATIC else path(projector),
-            mask=path(table.get("mask", _text, "the name of an image")),
-            mosaic=bool(table.get("mosaic", _truth, "true or false")),
+            mask=path(values["mask"]),
+            mosaic=bool(values["mosaic"]),
         )
-    return Description(
-        settings,
-        table.get("projector_shape", _shape, "two whole numbers, such as [64, 64]"),
-        table.get("camera_shape", _shape, "two or three whole numbers, such as [480, 640]"),
-        table.get("provenance", _object, "an object; anything may stand in it") or {},
-        KEYS - content.keys(),
-    )
+    absent = frozenset(KEYS.keys() - content.keys())
+    shapes = values["projector_shape"], values["camera_shape"]
+    return Description(settings, *shapes, values["provenance"] or {}, absent)
 
 
-KEYS = frozenset(
-    {"format", "version", "projector_shape", "camera_shape", "provenance", "mask", "black"}
-    | {"exposure", "clip", "black_level", "full_scale", "response", "projector_response", "mosaic"}
-)
-_BLACK_KEYS = frozenset({"file", "exposure"})
-# Keys whose value may be null, which states that the capture has none.
-_NULL_IS_NONE = frozenset({"black", "mask", "provenance"})
+# How a value is read, to None if it is of another kind or out of range; and what may stand there.
+_Kind = tuple[Callable[[Any], Any], str]
 
 
-@dataclass(frozen=True)
-class _Table:
-    """An object of the file, with messages that name its keys."""
-
-    file: Path
-    prefix: str
-    content: Mapping[str, Any]
-    keys: frozenset[str]
-
-    def __post_init__(self) -> None:
-        unknown = sorted(set(self.content) - self.keys)
-        if unknown:
-            names = ", ".join(repr((self.prefix + name)[:60]) for name in unknown[:5])
+def _read(
+    file: Path, content: Mapping[str, Any], kinds: Mapping[str, _Kind], prefix: str = ""
+) -> dict[str, Any]:
+    """The values of an object of the file as they are read; None for keys that it does not have."""
+    if unknown := sorted(set(content) - set(kinds)):
+        names = ", ".join(repr((prefix + name)[:60]) for name in unknown[:5])
+        raise InputError(
+            f"{file}: does not know {names}",
+            hint=f"its keys are {', '.join(sorted(prefix + key for key in kinds))}",
+        )
+    values = {}
+    for key, (read, expected) in kinds.items():
+        value = content.get(key)
+        values[key] = None if value is None else read(value)
+        # Null may state that the capture has none. For other keys it is more likely a lost value
+        # than a wish for the default.
+        none = value is None and prefix + key in ("black", "mask", "provenance")
+        if key in content and values[key] is None and not none:
             raise InputError(
-                f"{self.file}: does not know {names}",
-                hint=f"its keys are {', '.join(sorted(self.prefix + key for key in self.keys))}",
-            )
-
-    def get(self, key: str, read: Callable[[Any], Any], expected: str) -> Any:
-        """The value of a key as `read` returns it; None if it is absent, or null and may be."""
-        if key not in self.content:
-            return None
-        value = self.content[key]
-        if value is None and self.prefix + key in _NULL_IS_NONE:
-            return None
-        # For other keys a null is more likely a lost value than a wish for the default.
-        result = None if value is None else read(value)
-        if result is None:
-            raise InputError(
-                f'{self.file}: "{self.prefix}{key}" cannot be {_short(value)}',
+                f'{file}: "{prefix}{key}" cannot be {_short(value)}',
                 hint=f"give {expected}" + (", or leave it out" if value is None else ""),
             )
-        return result
-
-
-# The functions below return None for a value of another kind or out of range.
+    return values
 
 
 def _number(value: Any) -> float | None:
@@ -279,12 +251,28 @@ def _text(value: Any) -> str | None:
     return value if isinstance(value, str) and value and "\0" not in value else None
 
 
-def _truth(value: Any) -> bool | None:
-    return value if isinstance(value, bool) else None
+def _of(kind: type) -> Callable[[Any], Any]:
+    return lambda value: value if isinstance(value, kind) else None
 
 
-def _object(value: Any) -> dict[str, Any] | None:
-    return value if isinstance(value, dict) else None
+_IMAGE: _Kind = (_text, "the name of an image")
+KEYS: dict[str, _Kind] = {
+    "format": (_text, "the name of the format"),
+    "version": (_number, "the version of the format"),
+    "projector_shape": (_shape, "two whole numbers, such as [64, 64]"),
+    "camera_shape": (_shape, "two or three whole numbers, such as [480, 640]"),
+    "provenance": (_of(dict), "an object; anything may stand in it"),
+    "mask": _IMAGE,
+    "black": (_of(dict), "an object with the black frame's file"),
+    "exposure": (_several(_above_0), "a number above 0, or one for each frame"),
+    "clip": (_several(_above_0), "a level above 0, or one for each frame"),
+    "black_level": (_several(_level), "a level of 0 or more, or one for each frame"),
+    "full_scale": (_above_0, f"a level above 0, at most {MOST_LEVEL:g}"),
+    "response": (_text, RESPONSES),
+    "projector_response": (_text, "the name of a projector's curve, or auto"),
+    "mosaic": (_of(bool), "true or false"),
+}
+_BLACK_KEYS: dict[str, _Kind] = {"file": _IMAGE, "exposure": (_above_0, "a number above 0")}
 
 
 def _short(value: Any) -> str:

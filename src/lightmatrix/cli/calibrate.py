@@ -6,11 +6,11 @@ import re
 from pathlib import Path
 from typing import Annotated
 
-import typer
+from typer import Argument, Option
 
 import lightmatrix as lm
 from lightmatrix.cli.claims import claim
-from lightmatrix.cli.options import Json, Overwrite, size
+from lightmatrix.cli.options import Json, Overwrite, output_option, size
 from lightmatrix.cli.terminal import progress, say, show_json
 from lightmatrix.errors import InputError
 from lightmatrix.files.kinds import GEOMETRY
@@ -19,31 +19,25 @@ from lightmatrix.files.kinds import GEOMETRY
 def calibrate(
     poses: Annotated[
         list[Path],
-        typer.Argument(
+        Argument(
             metavar="POSE...",
             help="A capture of each pose: patterns/ and images/. With --focal, one T or file of "
             "`decode`, of a scene that is not flat.",
         ),
     ],
     board: Annotated[
-        str | None,
-        typer.Option(metavar="9x7", help="Inner corners of the board: squares less one."),
+        str | None, Option(metavar="9x7", help="Inner corners of the board: squares less one.")
     ] = None,
     square: Annotated[
-        str | None,
-        typer.Option(metavar="24mm", help="Side of a square, with or without a unit."),
+        str | None, Option(metavar="24mm", help="Side of a square, with or without a unit.")
     ] = None,
     focal: Annotated[
-        float | None,
-        typer.Option(help="Without a board: the camera's focal length in pixels."),
+        float | None, Option(help="Without a board: the camera's focal length in pixels.")
     ] = None,
     baseline: Annotated[
-        str,
-        typer.Option(metavar="200mm", help="Without a board: from the camera to the projector."),
+        str, Option(metavar="200mm", help="Without a board: from the camera to the projector.")
     ] = "1",
-    output: Annotated[
-        Path, typer.Option("-o", "--output", help="The geometry to write: .json.")
-    ] = Path("rig.json"),
+    output: Annotated[Path, output_option("The geometry to write: .json.")] = Path("rig.json"),
     overwrite: Overwrite = False,
     as_json: Json = False,
 ) -> None:

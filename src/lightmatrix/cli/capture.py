@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated, Any
 
-import typer
+from typer import Option
 
 import lightmatrix as lm
 from lightmatrix.cli.claims import claim, say_what_is_kept
@@ -18,6 +18,7 @@ from lightmatrix.cli.options import (
     RigFile,
     RigName,
     Seed,
+    output_option,
 )
 from lightmatrix.cli.terminal import progress, say, show_json, stages
 from lightmatrix.defaults import (
@@ -31,10 +32,10 @@ from lightmatrix.files.kinds import LIVE_CAPTURE, STORE
 
 
 def capture(
-    output: Annotated[Path, typer.Option("-o", "--output", help="Capture folder to write.")],
+    output: Annotated[Path, output_option("Capture folder to write.")],
     count: Annotated[
         int | None,
-        typer.Option(
+        Option(
             "-k",
             "--count",
             help="Number of patterns; with --until the most of them.",
@@ -46,7 +47,7 @@ def capture(
     camera: CameraName = None,
     pattern_folder: Annotated[
         Path | None,
-        typer.Option(
+        Option(
             "--patterns",
             help="Folder made by `lightmatrix patterns`.",
             show_default="a random mix of fine and coarse patterns",
@@ -54,35 +55,33 @@ def capture(
     ] = None,
     density: Annotated[
         float | None,
-        typer.Option(help="Share of lit pixels of random patterns.", show_default="as measured"),
+        Option(help="Share of lit pixels of random patterns.", show_default="as measured"),
     ] = None,
-    cell: Annotated[
-        int, typer.Option(help="Projector pixels along a side of each pattern pixel.")
-    ] = 1,
+    cell: Annotated[int, Option(help="Projector pixels along a side of each pattern pixel.")] = 1,
     exposure: Annotated[
         float | None,
-        typer.Option(
+        Option(
             help="Exposure of all frames, in seconds.", show_default="as measured, possibly several"
         ),
     ] = None,
     settle: Annotated[
         float | None,
-        typer.Option(help="Seconds to wait after showing a pattern.", show_default="as measured"),
+        Option(help="Seconds to wait after showing a pattern.", show_default="as measured"),
     ] = None,
     response: Annotated[
-        str, typer.Option(help="Response of the camera: linear, gamma:2.2, srgb, FILE.")
+        str, Option(help="Response of the camera: linear, gamma:2.2, srgb, FILE.")
     ] = "linear",
     patience: Patience = USUAL_PATIENCE,
     rig_file: RigFile = Path(RIG_FILE),
     check: Annotated[
-        bool, typer.Option(help="Keep only frames that are proved to show their pattern.")
+        bool, Option(help="Keep only frames that are proved to show their pattern.")
     ] = True,
     reference_every: Annotated[
-        int, typer.Option(help="Frames between two looks at black and white; 0 for none.")
+        int, Option(help="Frames between two looks at black and white; 0 for none.")
     ] = USUAL_REFERENCE,
     until: Annotated[
         str | None,
-        typer.Option(
+        Option(
             metavar="ERROR",
             help="Photograph patterns in groups of eight until the estimate states at most this "
             "relative error of T, such as 0.03, or of relit images, such as relighting:0.03; or "
@@ -91,8 +90,7 @@ def capture(
         ),
     ] = None,
     store: Annotated[
-        Path | None,
-        typer.Option("--estimate", help="Also estimate T, into this .zarr store."),
+        Path | None, Option("--estimate", help="Also estimate T, into this .zarr store.")
     ] = None,
     seed: Seed = 0,
     overwrite: Overwrite = False,

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated, Any
 
-import typer
+from typer import Argument, Option
 
 import lightmatrix as lm
 from lightmatrix.cli.options import (
@@ -19,6 +19,7 @@ from lightmatrix.cli.options import (
     RigFile,
     RigName,
     Store,
+    output_option,
     primaries,
 )
 from lightmatrix.cli.terminal import progress, say, show_json, stages
@@ -28,55 +29,50 @@ from lightmatrix.errors import InputError
 
 def compensate(
     scene: Store,
-    output: Annotated[
-        Path, typer.Option("-o", "--output", help="Image of the pattern; a folder with --video.")
-    ],
+    output: Annotated[Path, output_option("Image of the pattern; a folder with --video.")],
     wanted: Annotated[
-        Path | None,
-        typer.Argument(metavar="WANTED", help="The picture that the camera is to see."),
+        Path | None, Argument(metavar="WANTED", help="The picture that the camera is to see.")
     ] = None,
     brightness: Annotated[
         str,
-        typer.Option(
+        Option(
             metavar="auto|0.7", help="Light of wanted white, as a share of that of a white pattern."
         ),
     ] = "auto",
     black: Annotated[
-        Path | None, typer.Option(help="Photograph of a black pattern: the room's light.")
+        Path | None, Option(help="Photograph of a black pattern: the room's light.")
     ] = None,
     mask: Annotated[
-        Path | None, typer.Option(help="Image that is 0 where the picture does not matter.")
+        Path | None, Option(help="Image that is 0 where the picture does not matter.")
     ] = None,
     gamma: Annotated[
-        float, typer.Option(help="Display gamma of the picture, 2.2 for most photographs.")
+        float, Option(help="Display gamma of the picture, 2.2 for most photographs.")
     ] = 1.0,
-    resize: Annotated[
-        bool, typer.Option("--resize", help="Resize the picture to the camera.")
-    ] = False,
+    resize: Annotated[bool, Option("--resize", help="Resize the picture to the camera.")] = False,
     exposure: Annotated[
-        float, typer.Option(help="Exposure e at which samples are counted that clip.")
+        float, Option(help="Exposure e at which samples are counted that clip.")
     ] = 1.0,
     green: Green = None,
     blue: Blue = None,
     beside: Annotated[
         list[Path] | None,
-        typer.Option(
+        Option(
             metavar="OTHER.zarr", help="T of a further projector on the same scene; repeatable."
         ),
     ] = None,
     video: Annotated[
-        Path | None, typer.Option(help="Folder of frames to compensate instead of one picture.")
+        Path | None, Option(help="Folder of frames to compensate instead of one picture.")
     ] = None,
     cancel_global: Annotated[
         bool,
-        typer.Option(
+        Option(
             "--cancel-global",
             help="Show direct light only, as under the pattern WANTED, or under white.",
         ),
     ] = False,
     refine: Annotated[
         int | None,
-        typer.Option(help="Photographs on a rig that correct the pattern.", show_default="none"),
+        Option(help="Photographs on a rig that correct the pattern.", show_default="none"),
     ] = None,
     rig: RigName = None,
     projector: ProjectorName = None,

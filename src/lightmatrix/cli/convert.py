@@ -5,27 +5,22 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated, Literal
 
-import typer
+from typer import Argument, Option
 
 import lightmatrix as lm
 from lightmatrix.cli.claims import claim
-from lightmatrix.cli.options import FIND_HELP, Json, Overwrite
+from lightmatrix.cli.options import FIND_HELP, Json, Overwrite, output_option
 from lightmatrix.cli.terminal import progress, say, show_json
 from lightmatrix.files.kinds import CAPTURE
 
 
 def convert(
-    folder: Annotated[
-        Path, typer.Argument(metavar="FOLDER", help="The folder of the other program.")
-    ],
-    output: Annotated[
-        Path, typer.Option("-o", "--output", help="The capture folder to make.")
-    ] = Path("capture"),
+    folder: Annotated[Path, Argument(metavar="FOLDER", help="The folder of the other program.")],
+    output: Annotated[Path, output_option("The capture folder to make.")] = Path("capture"),
     channel: Annotated[
-        Literal["red", "green", "blue"],
-        typer.Option(help="The channel of colour images that is kept."),
+        Literal["red", "green", "blue"], Option(help="The channel of colour images that is kept.")
     ] = "green",
-    response: Annotated[str, typer.Option(help=FIND_HELP)] = "linear",
+    response: Annotated[str, Option(help=FIND_HELP)] = "linear",
     overwrite: Overwrite = False,
     as_json: Json = False,
 ) -> None:
@@ -37,12 +32,7 @@ def convert(
     claim(output, CAPTURE, overwrite=overwrite)
     with progress("converting", "frames") as step:
         layout = lm.convert(
-            folder,
-            output,
-            channel=channel,
-            response=response,
-            overwrite=overwrite,
-            progress=step,
+            folder, output, channel=channel, response=response, overwrite=overwrite, progress=step
         )
     if as_json:
         show_json({"output": output, "layout": layout})

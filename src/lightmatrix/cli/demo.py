@@ -5,17 +5,13 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated
 
-import typer
-
 import lightmatrix as lm
-from lightmatrix.cli.options import Json, Overwrite
+from lightmatrix.cli.options import Json, Overwrite, output_option
 from lightmatrix.cli.terminal import progress, say, show_columns, show_json
 
 
 def demo(
-    output: Annotated[Path, typer.Option("-o", "--output", help="Folder of the report.")] = Path(
-        "report"
-    ),
+    output: Annotated[Path, output_option("Folder of the report.")] = Path("report"),
     overwrite: Overwrite = False,
     as_json: Json = False,
 ) -> None:

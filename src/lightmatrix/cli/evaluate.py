@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated
 
-import typer
+from typer import Option
 
 import lightmatrix as lm
 from lightmatrix.cli.options import Blue, Green, Json, Store, primaries
@@ -18,7 +18,7 @@ def evaluate(
     scene: Store,
     truth: Annotated[
         str,
-        typer.Option(
+        Option(
             help="T.npz from `render` or `export`, a simulated capture, or a scene; with --green "
             "and --blue a folder with the captures red, green and blue; for the folder of a colour "
             "projector's T its simulated capture."
@@ -28,9 +28,7 @@ def evaluate(
     blue: Blue = None,
     exposure: Annotated[
         float,
-        typer.Option(
-            help="Exposure of the capture; decides which rows clip under one projector pixel."
-        ),
+        Option(help="Exposure of the capture; decides which rows clip under one projector pixel."),
     ] = 1.0,
     as_json: Json = False,
 ) -> None:

@@ -6,7 +6,7 @@ import re
 from pathlib import Path
 from typing import Annotated
 
-import typer
+from typer import Argument, Option
 
 import lightmatrix as lm
 from lightmatrix.cli.claims import claim
@@ -18,14 +18,13 @@ from lightmatrix.files.kinds import export_kind
 
 def export(
     scene: Store,
-    output: Annotated[Path, typer.Argument(metavar="T.npz|T.mat", help="File to write.")],
+    output: Annotated[Path, Argument(metavar="T.npz|T.mat", help="File to write.")],
     dense_background: Annotated[
-        bool,
-        typer.Option(help="Spread the background over all pixels: the whole of T, but not sparse."),
+        bool, Option(help="Spread the background over all pixels: the whole of T, but not sparse.")
     ] = False,
     region: Annotated[
         str | None,
-        typer.Option(
+        Option(
             metavar="ROWS,COLS",
             help="Export only these camera pixels of a store, such as 100:200,0:640.",
         ),

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any
 
-import typer
+from typer import Argument, Option
 
 import lightmatrix as lm
 from lightmatrix.cli.options import Json, Overwrite, Verbose
@@ -18,14 +18,14 @@ from lightmatrix.reprs import labelled
 def info(
     scene: Annotated[
         Path,
-        typer.Argument(
+        Argument(
             metavar="SCENE.zarr|CAPTURE",
             help="A store made by `estimate`, a T.npz, or a capture, packed or not.",
         ),
     ],
     pictures: Annotated[
         Path | None,
-        typer.Option(
+        Option(
             "--pictures",
             metavar="DIR",
             help="Write maps of correspondence, clipping, gaps and footprints as well.",

@@ -4,23 +4,25 @@ from __future__ import annotations
 
 import re
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
-import typer
+from typer import Argument, Option
 
 from lightmatrix import defaults
 from lightmatrix.errors import InputError
 
-Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace an output that exists.")]
-Json = Annotated[bool, typer.Option("--json", help="Print one JSON object instead of text.")]
-Verbose = Annotated[
-    bool, typer.Option("--verbose", help="Show every number instead of the main ones.")
-]
+
+def output_option(help: str) -> Any:
+    """The option that names what a command writes, which `help` describes."""
+    return Option("-o", "--output", help=help)
+
+
+Overwrite = Annotated[bool, Option("--overwrite", help="Replace an output that exists.")]
+Json = Annotated[bool, Option("--json", help="Print one JSON object instead of text.")]
+Verbose = Annotated[bool, Option("--verbose", help="Show every number instead of the main ones.")]
 Clip = Annotated[
     float | None,
-    typer.Option(
-        help="Raw level at which samples clip.", show_default="255, 65535, or 1 for float"
-    ),
+    Option(help="Raw level at which samples clip.", show_default="255, 65535, or 1 for float"),
 ]
 RESPONSE_HELP = "linear, gamma:2.2, srgb, or a file of `lightmatrix response`."
 # The response that `estimate` finds in the photographs.
@@ -30,34 +32,26 @@ FIND_HELP = (
     "also of a capture folder)."
 )
 ResponseCurve = Annotated[
-    str | None, typer.Option("--response", help=RESPONSE_HELP, show_default="linear")
+    str | None, Option("--response", help=RESPONSE_HELP, show_default="linear")
 ]
-Seed = Annotated[int, typer.Option(help="Seed of the random numbers.", min=0)]
-Store = Annotated[
-    Path, typer.Argument(metavar="SCENE.zarr", help="A store of `estimate`, or a T.npz.")
-]
+Seed = Annotated[int, Option(help="Seed of the random numbers.", min=0)]
+Store = Annotated[Path, Argument(metavar="SCENE.zarr", help="A store of `estimate`, or a T.npz.")]
 Green = Annotated[
     Path | None,
-    typer.Option(
-        metavar="GREEN.zarr",
-        help="T of a colour projector's green. SCENE is then T of its red.",
+    Option(
+        metavar="GREEN.zarr", help="T of a colour projector's green. SCENE is then T of its red."
     ),
 ]
-Blue = Annotated[
-    Path | None,
-    typer.Option(metavar="BLUE.zarr", help="T of a colour projector's blue."),
-]
+Blue = Annotated[Path | None, Option(metavar="BLUE.zarr", help="T of a colour projector's blue.")]
 RigName = Annotated[
     str | None,
-    typer.Option("--rig", metavar="virtual:SCENE", help="A virtual rig, which needs no hardware."),
+    Option("--rig", metavar="virtual:SCENE", help="A virtual rig, which needs no hardware."),
 ]
-ProjectorName = Annotated[
-    str | None, typer.Option("--projector", help="A projector, such as window:1.")
-]
-CameraName = Annotated[str | None, typer.Option("--camera", help="A camera, such as aravis:ID.")]
-Patience = Annotated[float, typer.Option(help="Seconds to wait for a frame after its exposure.")]
+ProjectorName = Annotated[str | None, Option("--projector", help="A projector, such as window:1.")]
+CameraName = Annotated[str | None, Option("--camera", help="A camera, such as aravis:ID.")]
+Patience = Annotated[float, Option(help="Seconds to wait for a frame after its exposure.")]
 RigFile = Annotated[
-    Path, typer.Option("--rig-file", help="The file that keeps the measurements of the rig.")
+    Path, Option("--rig-file", help="The file that keeps the measurements of the rig.")
 ]
 
 # Defaults as the texts of options.

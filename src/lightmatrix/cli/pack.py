@@ -5,11 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated
 
-import typer
-
 import lightmatrix as lm
 from lightmatrix.cli.claims import claim
-from lightmatrix.cli.options import Json, Overwrite
+from lightmatrix.cli.options import Json, Overwrite, output_option
 from lightmatrix.cli.source import Source, with_source
 from lightmatrix.cli.terminal import progress, say, show_json
 from lightmatrix.files.kinds import PACKED_CAPTURE
@@ -17,9 +15,9 @@ from lightmatrix.files.kinds import PACKED_CAPTURE
 
 @with_source(crop=False)
 def pack(
-    output: Annotated[
-        Path, typer.Option("-o", "--output", help="Packed capture to write, which ends in .zarr.")
-    ] = Path("capture.zarr"),
+    output: Annotated[Path, output_option("Packed capture to write, which ends in .zarr.")] = Path(
+        "capture.zarr"
+    ),
     *,
     source: Source,
     overwrite: Overwrite = False,

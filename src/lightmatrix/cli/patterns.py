@@ -5,11 +5,11 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
-import typer
+from typer import Argument, Option
 
 import lightmatrix as lm
 from lightmatrix.cli.claims import claim
-from lightmatrix.cli.options import Json, Overwrite, Seed, size
+from lightmatrix.cli.options import Json, Overwrite, Seed, output_option, size
 from lightmatrix.cli.terminal import say, show_json
 from lightmatrix.defaults import FEWEST_MIXED, MIX_EXAMPLE, USUAL_COUNT
 from lightmatrix.errors import InputError
@@ -26,43 +26,39 @@ Order = Literal["natural", "sequency", "random"]
 
 
 def patterns(
-    kind: Annotated[Kind, typer.Argument(metavar="KIND", help="Kind of patterns.")],
-    output: Annotated[Path, typer.Option("-o", "--output", help="Folder to write.")],
+    kind: Annotated[Kind, Argument(metavar="KIND", help="Kind of patterns.")],
+    output: Annotated[Path, output_option("Folder to write.")],
     count: Annotated[
         int | None,
-        typer.Option(
+        Option(
             "-k",
             "--count",
             help="Number of patterns.",
             show_default=f"{USUAL_COUNT}; all for onepixel and blocks; as needed for codes",
         ),
     ] = None,
-    shape: Annotated[
-        str, typer.Option("--size", help="Rows x columns of the projector.")
-    ] = "128x128",
-    density: Annotated[float, typer.Option(help="Bernoulli and mix: share of lit pixels.")] = 0.5,
+    shape: Annotated[str, Option("--size", help="Rows x columns of the projector.")] = "128x128",
+    density: Annotated[float, Option(help="Bernoulli and mix: share of lit pixels.")] = 0.5,
     mix: Annotated[
         str | None,
-        typer.Option(
+        Option(
             help="Mix: cell sizes and their shares of the patterns, "
             f"{MIX_EXAMPLE} (the default; all fine below {FEWEST_MIXED} patterns)."
         ),
     ] = None,
-    order: Annotated[Order, typer.Option(help="Hadamard: order of the patterns.")] = "sequency",
-    permute: Annotated[bool, typer.Option(help="Hadamard: shuffle the pixels.")] = False,
-    block: Annotated[str, typer.Option(help="Blocks: rows x columns of a block.")] = "8x8",
+    order: Annotated[Order, Option(help="Hadamard: order of the patterns.")] = "sequency",
+    permute: Annotated[bool, Option(help="Hadamard: shuffle the pixels.")] = False,
+    block: Annotated[str, Option(help="Blocks: rows x columns of a block.")] = "8x8",
     inverse: Annotated[
-        bool, typer.Option("--inverse", help="Graycode and phase: follow each bit by its inverse.")
+        bool, Option("--inverse", help="Graycode and phase: follow each bit by its inverse.")
     ] = False,
     period: Annotated[
         float | None,
-        typer.Option(
-            help="Phase and microphase: projector pixels of a period.", show_default="8 and 16"
-        ),
+        Option(help="Phase and microphase: projector pixels of a period.", show_default="8 and 16"),
     ] = None,
     colour: Annotated[
         Colour | None,
-        typer.Option(
+        Option(
             help="Primary of a colour projector; or rgb: Bernoulli patterns in all of them, each "
             "by itself.",
             show_default="white",
@@ -70,7 +66,7 @@ def patterns(
     ] = None,
     grey: Annotated[
         int | None,
-        typer.Option(
+        Option(
             help="--colour rgb: how many of the patterns are grey.",
             show_default="half, at most 16",
             min=0,

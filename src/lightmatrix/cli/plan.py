@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Annotated
 
-import typer
+from typer import Argument, Option
 
 import lightmatrix as lm
 from lightmatrix.cli.options import USUAL_SIZE, Clip, Json, ResponseCurve, size
@@ -16,37 +16,37 @@ from lightmatrix.defaults import FEWEST_MIXED, USUAL_NOISE
 def plan(
     source: Annotated[
         str,
-        typer.Argument(
+        Argument(
             metavar="WHITE_FRAME|SCENE|T.npz",
             help="Photograph under a white pattern; or a scene or a truth file to simulate.",
         ),
     ],
     shape: Annotated[
         str | None,
-        typer.Option("--size", help="Rows x columns of the projector.", show_default=USUAL_SIZE),
+        Option("--size", help="Rows x columns of the projector.", show_default=USUAL_SIZE),
     ] = None,
     frames: Annotated[
         int | None,
-        typer.Option("--frames", "-k", help="Number of frames; otherwise --error decides.", min=2),
+        Option("--frames", "-k", help="Number of frames; otherwise --error decides.", min=2),
     ] = None,
     error: Annotated[
-        float, typer.Option(help="Relative error of T to aim for; decides the number of frames.")
+        float, Option(help="Relative error of T to aim for; decides the number of frames.")
     ] = 0.03,
     noise: Annotated[
-        float, typer.Option(help="Noise of a sample, as a share of the clip level.")
+        float, Option(help="Noise of a sample, as a share of the clip level.")
     ] = USUAL_NOISE,
     exposure: Annotated[
         float | None,
-        typer.Option(
+        Option(
             help="Exposure of the white frame, in any unit; the advice uses the same unit.",
             show_default="1",
         ),
     ] = None,
     shortest: Annotated[
-        float | None, typer.Option(help="Shortest exposure of the camera, in the same unit.")
+        float | None, Option(help="Shortest exposure of the camera, in the same unit.")
     ] = None,
     black: Annotated[
-        str | None, typer.Option(help="Photograph under a black pattern, or the black level.")
+        str | None, Option(help="Photograph under a black pattern, or the black level.")
     ] = None,
     clip: Clip = None,
     response: ResponseCurve = None,

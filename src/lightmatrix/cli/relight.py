@@ -6,30 +6,25 @@ import math
 from pathlib import Path
 from typing import Annotated
 
-import typer
+from typer import Argument, Option
 
 import lightmatrix as lm
-from lightmatrix.cli.options import Blue, Green, Json, Overwrite, Store, primaries
+from lightmatrix.cli.options import Blue, Green, Json, Overwrite, Store, output_option, primaries
 from lightmatrix.cli.terminal import say, show_json
 
 
 def relight(
     scene: Store,
-    pattern: Annotated[
-        Path, typer.Argument(metavar="PATTERN", help="An image of the projector's size.")
-    ],
-    output: Annotated[
-        Path, typer.Option("-o", "--output", help="Image: .png, .tiff, .exr or .npy.")
-    ],
-    exposure: Annotated[float, typer.Option(help="Exposure e of the image.")] = 1.0,
+    pattern: Annotated[Path, Argument(metavar="PATTERN", help="An image of the projector's size.")],
+    output: Annotated[Path, output_option("Image: .png, .tiff, .exr or .npy.")],
+    exposure: Annotated[float, Option(help="Exposure e of the image.")] = 1.0,
     gamma: Annotated[
-        float | None,
-        typer.Option(help="Display gamma of a PNG; 1 keeps it linear.", show_default="2.2"),
+        float | None, Option(help="Display gamma of a PNG; 1 keeps it linear.", show_default="2.2")
     ] = None,
     green: Green = None,
     blue: Blue = None,
     resize: Annotated[
-        bool, typer.Option("--resize", help="Resize the pattern to the projector.")
+        bool, Option("--resize", help="Resize the pattern to the projector.")
     ] = False,
     overwrite: Overwrite = False,
     as_json: Json = False,

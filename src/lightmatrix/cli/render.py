@@ -5,11 +5,11 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated
 
-import typer
+from typer import Argument, Option
 
 import lightmatrix as lm
 from lightmatrix.cli.claims import claim
-from lightmatrix.cli.options import Json, Overwrite, Seed, size
+from lightmatrix.cli.options import Json, Overwrite, Seed, output_option, size
 from lightmatrix.cli.terminal import progress, say, show_json
 from lightmatrix.defaults import USUAL_SAMPLES
 from lightmatrix.files.kinds import TRUTH
@@ -17,24 +17,22 @@ from lightmatrix.files.kinds import TRUTH
 
 def render(
     name: Annotated[
-        str, typer.Argument(metavar="SCENE", help="A scene; `lightmatrix scenes` lists them.")
+        str, Argument(metavar="SCENE", help="A scene; `lightmatrix scenes` lists them.")
     ],
-    output: Annotated[Path, typer.Option("-o", "--output", help="The T.npz file to write.")],
+    output: Annotated[Path, output_option("The T.npz file to write.")],
     shape: Annotated[
-        str, typer.Option("--size", help="Rows x columns of camera and projector.")
+        str, Option("--size", help="Rows x columns of camera and projector.")
     ] = "128x128",
     projector: Annotated[
         str | None,
-        typer.Option(
+        Option(
             "--projector-size", help="Rows x columns of the projector.", show_default="as --size"
         ),
     ] = None,
-    samples: Annotated[
-        int, typer.Option("--spp", help="Light paths per camera pixel.")
-    ] = USUAL_SAMPLES,
-    keep: Annotated[float, typer.Option(help="Share of each row's energy to keep.")] = 0.999,
-    colour: Annotated[bool, typer.Option(help="Render three camera samples per pixel.")] = False,
-    scalar: Annotated[bool, typer.Option(help="Use the slow renderer without LLVM.")] = False,
+    samples: Annotated[int, Option("--spp", help="Light paths per camera pixel.")] = USUAL_SAMPLES,
+    keep: Annotated[float, Option(help="Share of each row's energy to keep.")] = 0.999,
+    colour: Annotated[bool, Option(help="Render three camera samples per pixel.")] = False,
+    scalar: Annotated[bool, Option(help="Use the slow renderer without LLVM.")] = False,
     seed: Seed = 0,
     overwrite: Overwrite = False,
     as_json: Json = False,

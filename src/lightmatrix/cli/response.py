@@ -5,10 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated, Literal
 
-import typer
+from typer import Argument, Option
 
 import lightmatrix as lm
-from lightmatrix.cli.options import Json, Overwrite, ResponseCurve
+from lightmatrix.cli.options import Json, Overwrite, ResponseCurve, output_option
 from lightmatrix.cli.source import level_or_file, numbers
 from lightmatrix.cli.terminal import say, show_json
 from lightmatrix.errors import InputError
@@ -19,49 +19,48 @@ Method = Literal["debevec", "robertson"]
 def response(
     photographs: Annotated[
         Path,
-        typer.Argument(
+        Argument(
             metavar="PHOTOS",
             help="One scene at several exposures: a folder, or a stack (TIFF, npy, npz).",
         ),
     ],
-    output: Annotated[Path, typer.Option("-o", "--output", help="The curve to write: .json.")],
+    output: Annotated[Path, output_option("The curve to write: .json.")],
     picture: Annotated[
-        Path | None, typer.Option("--picture", help="A picture of the curve to write: .png.")
+        Path | None, Option("--picture", help="A picture of the curve to write: .png.")
     ] = None,
     exposure: Annotated[
         str | None,
-        typer.Option(
+        Option(
             "--exposure",
             help="Exposure of each photograph, in any unit: 1,2,4 or a text file of them.",
             show_default="as the camera wrote it into JPEG and TIFF files",
         ),
     ] = None,
     method: Annotated[
-        Method,
-        typer.Option(help="Debevec's curve is smooth; Robertson's is rough and follows bends."),
+        Method, Option(help="Debevec's curve is smooth; Robertson's is rough and follows bends.")
     ] = "debevec",
     black: Annotated[
         str | None,
-        typer.Option(
+        Option(
             help="Photograph with the cap on, or the raw level without light.", show_default="0"
         ),
     ] = None,
     clip: Annotated[
         float | None,
-        typer.Option(
+        Option(
             help="Raw level at which the camera clips.", show_default="255, 65535, or 1 for float"
         ),
     ] = None,
     projector: Annotated[
         bool,
-        typer.Option(
+        Option(
             "--projector",
             help="The projector's curve: each photograph of another grey value, at one exposure.",
         ),
     ] = False,
     levels: Annotated[
         str | None,
-        typer.Option(
+        Option(
             help="The projector's grey values: 0,16,32,...,255 or a text file of them.",
             show_default="evenly from 0 to 255",
         ),

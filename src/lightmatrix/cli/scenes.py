@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated
 
-import typer
+from typer import Option
 
 import lightmatrix as lm
 from lightmatrix.cli.claims import claim
@@ -16,7 +16,7 @@ from lightmatrix.files.kinds import THUMBNAILS
 
 def scenes(
     thumbnails: Annotated[
-        Path | None, typer.Option(help="Draw a picture of each scene into this folder.")
+        Path | None, Option(help="Draw a picture of each scene into this folder.")
     ] = None,
     overwrite: Overwrite = False,
     as_json: Json = False,

@@ -5,30 +5,26 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated
 
-import typer
+from typer import Option
 
 import lightmatrix as lm
 from lightmatrix.cli.claims import claim
-from lightmatrix.cli.options import Json, Overwrite, Store
+from lightmatrix.cli.options import Json, Overwrite, Store, output_option
 from lightmatrix.cli.terminal import say, show_json
 from lightmatrix.files.kinds import SEPARATION
 
 
 def separate(
     scene: Store,
-    output: Annotated[
-        Path,
-        typer.Option("-o", "--output", help="Folder for both matrices, their images, and maps."),
-    ],
+    output: Annotated[Path, output_option("Folder for both matrices, their images, and maps.")],
     pattern: Annotated[
-        Path | None,
-        typer.Option(help="Pattern of the images.", show_default="white"),
+        Path | None, Option(help="Pattern of the images.", show_default="white")
     ] = None,
     epipolar: Annotated[
-        bool, typer.Option("--epipolar", help="Also write the part of T along epipolar lines.")
+        bool, Option("--epipolar", help="Also write the part of T along epipolar lines.")
     ] = False,
     non_epipolar: Annotated[
-        bool, typer.Option("--non-epipolar", help="Also write the part of T off epipolar lines.")
+        bool, Option("--non-epipolar", help="Also write the part of T off epipolar lines.")
     ] = False,
     overwrite: Overwrite = False,
     as_json: Json = False,

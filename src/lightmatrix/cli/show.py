@@ -5,10 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated
 
-import typer
+from typer import Option
 
 import lightmatrix as lm
-from lightmatrix.cli.options import Json, Overwrite, Store
+from lightmatrix.cli.options import Json, Overwrite, Store, output_option
 from lightmatrix.cli.terminal import say, show_json
 from lightmatrix.errors import InputError
 
@@ -17,62 +17,50 @@ def show(
     scene: Store,
     output: Annotated[
         Path,
-        typer.Option(
-            "-o",
-            "--output",
-            help="A picture (.png), or numbers (.npz; .tiff, .exr and .npy for one image).",
-        ),
+        output_option("A picture (.png), or numbers (.npz; .tiff, .exr and .npy for one image)."),
     ],
     row: Annotated[
         str | None,
-        typer.Option(
-            metavar="R,C", help="Row of T: where the light at camera pixel R,C comes from."
-        ),
+        Option(metavar="R,C", help="Row of T: where the light at camera pixel R,C comes from."),
     ] = None,
     column: Annotated[
         str | None,
-        typer.Option(
-            metavar="R,C", help="Column of T: where the light of projector pixel R,C goes."
-        ),
+        Option(metavar="R,C", help="Column of T: where the light of projector pixel R,C goes."),
     ] = None,
-    dual: Annotated[
-        bool, typer.Option("--dual", help="The scene as seen from the projector.")
-    ] = False,
+    dual: Annotated[bool, Option("--dual", help="The scene as seen from the projector.")] = False,
     correspondence: Annotated[
         bool,
-        typer.Option(
-            "--correspondence", help="The projector pixel that each camera pixel sees most."
-        ),
+        Option("--correspondence", help="The projector pixel that each camera pixel sees most."),
     ] = False,
     spectrum: Annotated[
-        bool, typer.Option("--spectrum", help="Singular values: how low the rank of the light is.")
+        bool, Option("--spectrum", help="Singular values: how low the rank of the light is.")
     ] = False,
     clipping: Annotated[
-        bool, typer.Option("--clipping", help="Share of clipped samples of each camera pixel.")
+        bool, Option("--clipping", help="Share of clipped samples of each camera pixel.")
     ] = False,
-    gap: Annotated[bool, typer.Option("--gap", help="Duality gap of each row.")] = False,
+    gap: Annotated[bool, Option("--gap", help="Duality gap of each row.")] = False,
     footprint: Annotated[
-        bool, typer.Option("--footprint", help="Size of each footprint on the projector.")
+        bool, Option("--footprint", help="Size of each footprint on the projector.")
     ] = False,
     estimated_error: Annotated[
-        bool, typer.Option("--estimated-error", help="Estimated error of each row.")
+        bool, Option("--estimated-error", help="Estimated error of each row.")
     ] = False,
     depth: Annotated[
-        bool, typer.Option("--depth", help="Depth of the surface; needs --geometry.")
+        bool, Option("--depth", help="Depth of the surface; needs --geometry.")
     ] = False,
     normals: Annotated[
-        bool, typer.Option("--normals", help="Normals of the surface; needs --geometry.")
+        bool, Option("--normals", help="Normals of the surface; needs --geometry.")
     ] = False,
     geometry: Annotated[
         Path | None,
-        typer.Option(
+        Option(
             metavar="RIG.json",
             help="Where camera and projector stand, for depth and normals: a file of `calibrate`.",
         ),
     ] = None,
     raw: Annotated[
         bool,
-        typer.Option(
+        Option(
             "--raw", help="Correspondence as a 16-bit PNG with column, row and confidence as RGB."
         ),
     ] = False,
@@ -100,10 +88,9 @@ def show(
     if len(chosen) != 1:
         count = len(chosen) or "no"
         raise InputError(
-            f"{count} views are given", hint="give one of --row R,C, --column R,C, --dual, "
-            "--correspondence, --spectrum, --clipping, --gap, --footprint, --estimated-error, "
-            "--depth, --normals",
-        )  # fmt: skip
+            f"{count} views are given",
+            hint="give one of --row R,C, --column R,C, " + ", ".join(f"--{name}" for name in named),
+        )
     view = chosen[0]
     index = _index(view, indexed.get(view))
     lm.show(scene, view, *index, geometry=geometry, output=output, raw=raw, overwrite=overwrite)

@@ -88,6 +88,14 @@ def simulate(
             show_default="white",
         ),
     ] = None,
+    fault: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="NAME=AMOUNT",
+            help="Something that the rig does wrong, such as shake=0.1 (camera pixels). Repeat it "
+            "for several; an unknown name lists all.",
+        ),
+    ] = None,
     seed: Seed = 0,
     overwrite: Overwrite = False,
     as_json: Json = False,
@@ -109,7 +117,7 @@ def simulate(
         "seed": seed,
     }
     rig: dict[str, Any] = {"blur": blur, "leak": leak, "ambient": ambient, "vignetting": vignetting}
-    rig["primary"] = primary
+    rig |= {"primary": primary, "faults": _amounts(fault or [])}
     only_procedural: dict[str, object] = {
         "--camera": camera,
         "--size": projector,
@@ -119,7 +127,8 @@ def simulate(
     capture: Capture
     with progress("simulating", "rows") as report:
         if scene == PROCEDURAL:
-            _refuse({f"--{name}": value or None for name, value in rig.items()}, PROCEDURAL)
+            options = {f"--{name}": value or None for name, value in rig.items()}
+            _refuse({**options, "--fault": options.pop("--faults")}, PROCEDURAL)
             patterns = _patterns(pattern_folder, projector, count, seed)
             capture = lm.simulate_procedural(
                 output,
@@ -149,6 +158,22 @@ def simulate(
         )
     else:
         say(f"{capture.count} frames in {output}, {100 * clipped:.1f} % of the samples clipped")
+
+
+def _amounts(faults: list[str]) -> dict[str, float]:
+    """The amount of each fault."""
+    amounts: dict[str, float] = {}
+    for text in faults:
+        name, _, amount = text.partition("=")
+        try:
+            number = float(amount)
+        except ValueError:
+            raise InputError(
+                f"a fault of {text!r}", hint="write NAME=AMOUNT, with a number such as 0.1"
+            ) from None
+        if amounts.setdefault(name, number) != number:
+            raise InputError(f"{name} twice", hint="give each fault once")
+    return amounts
 
 
 def _patterns(

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-import typer
+from typer import Argument, Option
 
 import lightmatrix as lm
 from lightmatrix.cli.options import AUTO, FIND_HELP
@@ -27,29 +27,26 @@ _EACH = "one number; or one per frame, as a,b,c or a text file"
 
 def _reading(*names: str, **settings: Any) -> Any:
     """An option under the heading of how to read photographs."""
-    return typer.Option(*names, rich_help_panel="How to read the photographs", **settings)
+    return Option(*names, rich_help_panel="How to read the photographs", **settings)
 
 
 Folder = Annotated[
     Path | None,
-    typer.Argument(
+    Argument(
         metavar="CAPTURE",
         help="A capture folder (patterns/, images/, capture.json); or the patterns.",
     ),
 ]
 Photographs = Annotated[
     Path | None,
-    typer.Argument(
-        metavar="IMAGES", help="The photographs, if the first argument is the patterns."
-    ),
+    Argument(metavar="IMAGES", help="The photographs, if the first argument is the patterns."),
 ]
 Patterns = Annotated[
     Path | None,
     _reading("--patterns", help="Pattern images: a folder, or a stack (TIFF, npy, npz)."),
 ]
 Images = Annotated[
-    Path | None,
-    _reading("--images", help="Photographs in the same order: a folder, or a stack."),
+    Path | None, _reading("--images", help="Photographs in the same order: a folder, or a stack.")
 ]
 Black = Annotated[
     str | None,
@@ -58,8 +55,7 @@ Black = Annotated[
     ),
 ]
 BlackExposure = Annotated[
-    float | None,
-    _reading(help="Exposure of the black frame.", show_default="that of the frames"),
+    float | None, _reading(help="Exposure of the black frame.", show_default="that of the frames")
 ]
 White = Annotated[
     Path | None,
@@ -67,8 +63,7 @@ White = Annotated[
 ]
 Mask = Annotated[Path | None, _reading("--mask", help="Image; pixels at 0 are left out.")]
 BlackLevel = Annotated[
-    str | None,
-    _reading(help=f"Raw level without any light: {_EACH}.", show_default="0"),
+    str | None, _reading(help=f"Raw level without any light: {_EACH}.", show_default="0")
 ]
 ClipLevel = Annotated[
     str | None,
@@ -85,9 +80,7 @@ FullScale = Annotated[
 Exposure = Annotated[
     str | None,
     _reading(
-        "--exposure",
-        help=f"Exposure, in any unit: {_EACH}. T is for exposure 1.",
-        show_default="1",
+        "--exposure", help=f"Exposure, in any unit: {_EACH}. T is for exposure 1.", show_default="1"
     ),
 ]
 Crop = Annotated[
@@ -264,8 +257,7 @@ def read_source(
         return Source(capture, None, None, None, region, find, find_projector)
     if patterns is None and images is None:
         raise InputError(
-            "no capture is given",
-            hint="give a capture folder, or --patterns and --images",
+            "no capture is given", hint="give a capture folder, or --patterns and --images"
         )
     if patterns is None or images is None:
         missing = "--patterns" if patterns is None else "--images"

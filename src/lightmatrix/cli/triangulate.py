@@ -5,11 +5,11 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated
 
-import typer
+from typer import Argument, Option
 
 import lightmatrix as lm
 from lightmatrix.cli.claims import claim
-from lightmatrix.cli.options import Json, Overwrite
+from lightmatrix.cli.options import Json, Overwrite, output_option
 from lightmatrix.cli.terminal import say, show_json
 from lightmatrix.files.kinds import CLOUD, DEPTH, PICTURE
 
@@ -17,25 +17,21 @@ from lightmatrix.files.kinds import CLOUD, DEPTH, PICTURE
 def triangulate(
     scene: Annotated[
         Path,
-        typer.Argument(
-            metavar="SCENE", help="A store of `estimate`, a T.npz, or an npz of `decode`."
-        ),
+        Argument(metavar="SCENE", help="A store of `estimate`, a T.npz, or an npz of `decode`."),
     ],
     geometry: Annotated[
-        Path, typer.Option(help="Where camera and projector stand: a file of `calibrate`.")
+        Path, Option(help="Where camera and projector stand: a file of `calibrate`.")
     ],
-    output: Annotated[Path, typer.Option("-o", "--output", help="Point cloud to write: .ply.")],
-    depth: Annotated[
-        Path | None, typer.Option(help="Depth map to write: .tif, .tiff or .npy.")
-    ] = None,
+    output: Annotated[Path, output_option("Point cloud to write: .ply.")],
+    depth: Annotated[Path | None, Option(help="Depth map to write: .tif, .tiff or .npy.")] = None,
     picture: Annotated[
-        Path | None, typer.Option(help="Maps of depth and normals to write: .png.")
+        Path | None, Option(help="Maps of depth and normals to write: .png.")
     ] = None,
     strict: Annotated[
-        bool, typer.Option("--strict", help="Keep fewer points, which are right more often.")
+        bool, Option("--strict", help="Keep fewer points, which are right more often.")
     ] = False,
     mesh: Annotated[
-        bool, typer.Option("--mesh", help="Write triangles between neighbouring points too.")
+        bool, Option("--mesh", help="Write triangles between neighbouring points too.")
     ] = False,
     overwrite: Overwrite = False,
     as_json: Json = False,

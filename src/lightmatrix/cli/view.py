@@ -7,7 +7,7 @@ from functools import cache
 from pathlib import Path
 from typing import Annotated, Any
 
-import typer
+from typer import Option
 
 import lightmatrix as lm
 from lightmatrix.cli.options import USUAL_PAGE_MEMORY, Overwrite, Store
@@ -20,7 +20,7 @@ def view(
     scene: Store,
     export: Annotated[
         Path | None,
-        typer.Option(
+        Option(
             "--export",
             metavar="PAGE.html",
             help="Write the viewer and the matrix as one page that needs no server.",
@@ -28,19 +28,19 @@ def view(
     ] = None,
     capture: Annotated[
         Path | None,
-        typer.Option(help="The capture of the estimate, whose patterns the page then offers."),
+        Option(help="The capture of the estimate, whose patterns the page then offers."),
     ] = None,
     geometry: Annotated[
         Path | None,
-        typer.Option(metavar="RIG.json", help="The geometry of the rig, for a layer of depth."),
+        Option(metavar="RIG.json", help="The geometry of the rig, for a layer of depth."),
     ] = None,
-    port: Annotated[int, typer.Option(help="Port on this machine; 0 for a free one.")] = 0,
+    port: Annotated[int, Option(help="Port on this machine; 0 for a free one.")] = 0,
     browser: Annotated[
-        bool, typer.Option("--browser/--no-browser", help="Open the page in the browser.")
+        bool, Option("--browser/--no-browser", help="Open the page in the browser.")
     ] = True,
     page_memory: Annotated[
         str,
-        typer.Option(
+        Option(
             help="Largest matrix that the page itself holds, such as 512MiB. Larger ones stay on "
             "disk, with an index of their columns, which is made if it is missing."
         ),

@@ -26,10 +26,11 @@ _EXR_COLOURS, _EXR_ALPHA = ("R", "G", "B"), "A"
 
 def load_opencv(purpose: str, extra: str) -> Any:
     """The module cv2, or an error that says what for and which extra brings it."""
-    return _load("cv2", f"{purpose} needs OpenCV", extra)
+    return load_extra("cv2", f"{purpose} needs OpenCV", extra)
 
 
-def _load(module: str, message: str, extra: str) -> Any:
+def load_extra(module: str, message: str, extra: str) -> Any:
+    """An optional module, or an error that says what needs it and which extra brings it."""
     try:
         return importlib.import_module(module)
     except ImportError as error:
@@ -40,7 +41,7 @@ def _load(module: str, message: str, extra: str) -> Any:
 
 def read_exr(file: Path) -> NDArray[Any]:
     """Read an unreduced one-part float picture: (rows, cols[, 2 to 4]) float16 or float32."""
-    library = _load("OpenEXR", "EXR files need the OpenEXR library", "exr")
+    library = load_extra("OpenEXR", "EXR files need the OpenEXR library", "exr")
     with library.File(str(file), header_only=True) as opened:
         if len(opened.parts) != 1:
             raise InputError(
@@ -70,7 +71,7 @@ def read_exr(file: Path) -> NDArray[Any]:
 
 def write_exr(file: Path, pixels: NDArray[np.float32]) -> None:
     """Write an image, (rows, cols) or (rows, cols, 3), as 32-bit float without loss."""
-    library = _load("OpenEXR", "EXR files need the OpenEXR library", "exr")
+    library = load_extra("OpenEXR", "EXR files need the OpenEXR library", "exr")
     header = {"compression": library.ZIP_COMPRESSION, "type": library.scanlineimage}
     names = ("Y",) if pixels.ndim == 2 else _EXR_COLOURS
     planes = pixels[..., None] if pixels.ndim == 2 else pixels
@@ -99,7 +100,7 @@ def read_raw(file: Path, *, mosaic: bool = False) -> NDArray[np.float32]:
 
     Noise may be below 0. Missing colours are interpolated linearly, so that light still adds up.
     """
-    library = _load("rawpy", "raw camera files need LibRaw", "raw")
+    library = load_extra("rawpy", "raw camera files need LibRaw", "raw")
     with library.imread(str(file)) as opened:
         rows, cols = opened.sizes.height, opened.sizes.width
         check_image_size(file, (rows, cols, 3))
@@ -170,7 +171,9 @@ def exposure_time(path: str | Path) -> float | None:
     file = Path(path)
     try:
         if file.suffix.lower() in RAW:
-            with _load("rawpy", "raw camera files need LibRaw", "raw").imread(str(file)) as opened:
+            with load_extra("rawpy", "raw camera files need LibRaw", "raw").imread(
+                str(file)
+            ) as opened:
                 seconds = float(opened.other.shutter_speed)
         else:
             with warnings.catch_warnings():

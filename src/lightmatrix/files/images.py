@@ -38,7 +38,7 @@ FORMATS = "PNG, TIFF, npy, EXR, DNG and other raw files, JPEG, BMP or PGM"
 # The gamma by which pictures of light are coded, since displays undo it (IEC 61966-2-1 is close).
 DISPLAY_GAMMA = 2.2
 # The highest levels of images of 8, 10, 12 and 14 bits, whose files may have 16.
-HIGHEST_LEVELS = (255, 1023, 4095, 16383)
+_HIGHEST_LEVELS = (255, 1023, 4095, 16383)
 _PNG = b"\x89PNG\r\n\x1a\n"
 # Channels of a PNG file by its kind of colour: grey, RGB, palette, which becomes RGB, and the first
 # two with an alpha channel.
@@ -123,26 +123,9 @@ def as_image_error(name: str) -> Iterator[None]:
 
 
 def read_grey(path: str | Path) -> NDArray[np.float32]:
-    """Read one pattern: grey values in [0, 1].
+    """Read one pattern: grey values (rows, cols) float32 in [0, 1], of integers the full range.
 
-    Returns
-    -------
-    (rows, cols) float32
-        Integer images over their full range; colour images only if their channels agree, or only
-        one is lit at all.
-
-    Raises
-    ------
-    InputError
-        As for `read_image`, and for images of several colours or float values outside [0, 1].
-
-    Examples
-    --------
-    >>> import lightmatrix as lm
-    >>> from lightmatrix.files.images import read_grey
-    >>> lm.write_image("grey.png", np.array([[0, 51, 255]], np.uint8))
-    >>> read_grey("grey.png")
-    array([[0. , 0.2, 1. ]], dtype=float32)
+    Images in colour are an InputError unless their channels agree, or only one is lit at all.
     """
     image = read_image(path)
     _warn_of_depth(str(path), image)
@@ -178,13 +161,17 @@ def read_light(path: str | Path) -> NDArray[np.float32]:
 def _warn_of_depth(name: str, image: NDArray[Any]) -> None:
     """Warn of a pattern of fewer bits in a file of 16, which is shown nearly black."""
     top = int(image.max())
-    if image.dtype == np.uint16 and 0 < top <= HIGHEST_LEVELS[-1]:
-        white = next(level for level in HIGHEST_LEVELS if level >= top)
+    if top and (white := likely_white(image.dtype, top)) is not None:
         warn(
             f"{name}: has 16 bits, but no level above {top}, so that it is shown "
             f"{65535 / white:.4g} times darker than a pattern of {white.bit_length()} bits; "
-            "save it over the full range if it is one",
+            "save it over the full range if it is one"
         )
+
+
+def likely_white(dtype: np.dtype[Any], top: int) -> int | None:
+    """The white of 16-bit images without a level above `top`; None if they use all bits."""
+    return next((n for n in _HIGHEST_LEVELS if n >= top), None) if dtype == np.uint16 else None
 
 
 def _as_light(name: str, image: NDArray[Any]) -> NDArray[np.float32]:

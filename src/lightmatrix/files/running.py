@@ -39,19 +39,9 @@ class RunningResults:
 
     @classmethod
     def open(cls, target: Path, ending: str) -> Self:
-        """Begin, or continue, the running results of an output.
+        """Begin, or continue, the running results of an output, as `claimed` yields it.
 
-        Parameters
-        ----------
-        target : Path
-            The output, as `claimed` yields it.
-        ending : str
-            What follows the output's name in the folder's name, such as ".partial".
-
-        Raises
-        ------
-        OutputError
-            If the folder exists and is not ours, or the disk fails.
+        The folder's name is the output's and the `ending`. An OutputError says that it is not ours.
         """
         folder = check_running(target, ending)
         with as_output_error(folder):
@@ -123,10 +113,21 @@ class RunningResults:
         return read_object(self.file(name)) if self.has(name) else None
 
     def place(self, name: str) -> Path:
-        """List a file and return where another process may write it with `write_whole`."""
-        with as_output_error(self.file(name)):
-            self._list(name)
-        return self.file(name)
+        """Note a file in the marker; where another process may write it with `write_whole`."""
+        file = self.file(name)
+        with as_output_error(file):
+            if name in self._names:
+                return file
+            if os.path.lexists(file):
+                raise OutputError(
+                    f"{file}: was not written by lightmatrix", hint="move it elsewhere"
+                )
+            with (self.path / MARKER).open("a", encoding="utf-8") as marker:
+                # The line break comes first, so that a line that a full disk cut off spoils no
+                # other.
+                marker.write(f"\n{name}")
+            self._names.append(name)
+        return file
 
     @contextmanager
     def keep(self, name: str) -> Iterator[Path]:
@@ -152,21 +153,8 @@ class RunningResults:
                 return
             warn(
                 f"{self.path}: not removed, it holds {printable(foreign[0])}, "
-                "which was not written by lightmatrix",
+                "which was not written by lightmatrix"
             )
-
-    def _list(self, name: str) -> None:
-        """Add a name to the marker, before its file appears."""
-        if name in self._names:
-            return
-        if os.path.lexists(self.file(name)):
-            raise OutputError(
-                f"{self.file(name)}: was not written by lightmatrix", hint="move it elsewhere"
-            )
-        with (self.path / MARKER).open("a", encoding="utf-8") as marker:
-            # The line break comes first, so that a line that a full disk cut off spoils no other.
-            marker.write(f"\n{name}")
-        self._names.append(name)
 
     def _sweep(self) -> None:
         """Remove files that killed processes left half-written."""

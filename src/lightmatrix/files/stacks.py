@@ -9,10 +9,11 @@ from __future__ import annotations
 
 import re
 import struct
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 import tifffile
@@ -42,24 +43,14 @@ STACKS = (".tif", ".tiff", ".npy", ".npz")
 STACK_FORMATS = "a TIFF of several pages, npy or npz"
 
 
-class _Source(Protocol):
-    """A file of several images, read one at a time."""
-
-    @property
-    def count(self) -> int:
-        """Number of images."""
-
-    def read(self, index: int) -> NDArray[Any]:
-        """One image, not checked yet."""
-
-
 @dataclass(frozen=True)
 class Page:
     """One image, number `index` from 0, of a file that holds several."""
 
     file: Path
     index: int
-    source: _Source = field(compare=False, repr=False)
+    # Reads an image of the file by its number, and does not check it.
+    reader: Callable[[int], NDArray[Any]] = field(compare=False, repr=False)
 
     @property
     def name(self) -> str:
@@ -72,7 +63,7 @@ class Page:
     def read(self) -> NDArray[Any]:
         """The image, as `read_image` returns one."""
         with as_image_error(str(self)):
-            image = self.source.read(self.index)
+            image = self.reader(self.index)
         return as_stored(str(self), image)
 
 
@@ -107,27 +98,16 @@ def pages(path: str | Path) -> list[Page]:
     if suffix not in STACKS:
         raise InputError(f"{file}: is no stack of images", hint=f"give {STACK_FORMATS}")
     with as_image_error(str(file)):
-        source: _Source
+        reader: Callable[[int], NDArray[Any]]
         if suffix == ".npz":
-            source = _Array(_single_array(file))
-        elif suffix == ".npy":
-            source = _npy(file)
+            array = _single_array(file)
+            count, reader = len(array), partial(np.take, array, axis=0)
+        elif mapped := _npy(file) if suffix == ".npy" else _contiguous(file):
+            count, reader = mapped.shape[0], mapped.read
         else:
-            source = _contiguous(file) or _tiff(file)
-    return [Page(file, index, source) for index in range(source.count)]
-
-
-@dataclass(frozen=True, eq=False)
-class _Array:
-    array: NDArray[Any]
-
-    @property
-    def count(self) -> int:
-        return len(self.array)
-
-    def read(self, index: int) -> NDArray[Any]:
-        image: NDArray[Any] = self.array[index]
-        return image
+            with tifffile.TiffFile(file) as tiff:
+                count, reader = len(tiff.pages), partial(_tiff_page, file)
+    return [Page(file, index, reader) for index in range(count)]
 
 
 @dataclass(frozen=True, eq=False)
@@ -141,10 +121,6 @@ class _Mapped:
     fortran: bool = False
     inverted: bool = False
 
-    @property
-    def count(self) -> int:
-        return self.shape[0]
-
     def read(self, index: int) -> NDArray[Any]:
         order = "F" if self.fortran else "C"
         mapped = np.memmap(self.file, self.dtype, "r", self.offset, self.shape, order)  # type: ignore[call-overload]
@@ -153,16 +129,9 @@ class _Mapped:
         return turned_back(image, 8 * image.itemsize) if self.inverted else image
 
 
-@dataclass(frozen=True, eq=False)
-class _TiffPages:
-    """Pages of a TIFF file, each with its own description."""
-
-    file: Path
-    count: int
-
-    def read(self, index: int) -> NDArray[Any]:
-        with tifffile.TiffFile(self.file) as tiff:
-            return read_page(self.file, tiff.pages[index].aspage())
+def _tiff_page(file: Path, index: int) -> NDArray[Any]:
+    with tifffile.TiffFile(file) as tiff:
+        return read_page(file, tiff.pages[index].aspage())
 
 
 def _npy(file: Path) -> _Mapped:
@@ -173,11 +142,6 @@ def _npy(file: Path) -> _Mapped:
         raise ValueError("its size does not fit its header")
     _check_shape(file, header.shape)
     return _Mapped(file, header.shape, header.dtype, offset, header.fortran)
-
-
-def _tiff(file: Path) -> _TiffPages:
-    with tifffile.TiffFile(file) as tiff:
-        return _TiffPages(file, len(tiff.pages))
 
 
 def _contiguous(file: Path) -> _Mapped | None:
@@ -242,7 +206,7 @@ def list_images(folder: str | Path) -> list[Path]:
             hint=f"give the folder that holds it, or a stack: {STACK_FORMATS}",
         )
     files = [entry for entry in place.iterdir() if not entry.is_dir() and entry.name[0] != "."]
-    images = sorted((file for file in files if file.suffix.lower() in READABLE), key=_natural)
+    images = sorted((file for file in files if file.suffix.lower() in READABLE), key=natural_order)
     for file in images:
         # A link that leads nowhere is a missing frame, not a file to ignore.
         regular_file(file)
@@ -392,7 +356,8 @@ def _words(shape: tuple[int, ...]) -> str:
     return f"{shape[0]} x {shape[1]}" + (f" with {shape[2]} channels" if len(shape) == 3 else "")
 
 
-def _natural(path: Path) -> tuple[list[tuple[int, int, str]], str]:
+def natural_order(path: Path) -> tuple[list[tuple[int, int, str]], str]:
+    """The key by which file names are sorted, frame 2 before frame 10."""
     # Only ASCII digits count: Python takes a superscript two for a digit, too.
     parts = re.split(r"([0-9]+)", path.name.casefold())
     key = [(0, int(p), "") if p[0] in "0123456789" else (1, 0, p) for p in parts if p]

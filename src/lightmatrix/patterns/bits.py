@@ -119,10 +119,6 @@ class BitPatterns(BinaryPatterns):
     def count(self) -> int:  # type: ignore[override]
         return len(self.bits)
 
-    @property
-    def description(self) -> dict[str, Any]:
-        return {"kind": "images", "shape": list(self.shape), "count": self.count}
-
 
 @dataclass(frozen=True, eq=False)
 class BernoulliPatterns(BinaryPatterns):
@@ -154,6 +150,8 @@ class BernoulliPatterns(BinaryPatterns):
     density: float = 0.5
     seed: int = 0
 
+    kind: ClassVar[str] = "bernoulli"
+
     def __post_init__(self) -> None:
         check_random(self.shape, self.count, self.density, self.seed)
 
@@ -166,16 +164,6 @@ class BernoulliPatterns(BinaryPatterns):
             lit = np.random.Generator(np.random.PCG64(child)).random(self.pixels) < self.density
             bits[k] = np.packbits(lit, bitorder="little")
         return bits
-
-    @property
-    def description(self) -> dict[str, Any]:
-        return {
-            "kind": "bernoulli",
-            "shape": list(self.shape),
-            "count": self.count,
-            "density": self.density,
-            "seed": self.seed,
-        }
 
 
 def check_random(shape: tuple[int, int], count: int, density: float, seed: int) -> None:

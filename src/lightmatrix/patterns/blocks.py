@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -42,6 +42,7 @@ class BlockPatterns(PatternSet):
     block: tuple[int, int] = (1, 1)
     selected: NDArray[np.int64] | None = None
 
+    kind: ClassVar[str] = "blocks"
     __repr__ = short_repr
 
     def __post_init__(self) -> None:
@@ -95,16 +96,6 @@ class BlockPatterns(PatternSet):
     def rows(self, start: int, stop: int) -> NDArray[np.float32]:
         lit = self.index[start:stop, None] == self._block_of_pixel[None, :]
         return lit.astype(np.float32)
-
-    @property
-    def description(self) -> dict[str, Any]:
-        selected = None if self.selected is None else [int(i) for i in self.index]
-        return {
-            "kind": "blocks",
-            "shape": list(self.shape),
-            "block": list(self.block),
-            "selected": selected,
-        }
 
 
 def one_pixel_patterns(

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import json
 import os
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -17,11 +18,11 @@ from numpy.typing import NDArray
 from lightmatrix.errors import InputError, warn
 from lightmatrix.files.colours import COLOURS
 from lightmatrix.files.images import (
-    HIGHEST_LEVELS,
     as_grey,
     colour_of,
     fill_image,
     is_grey,
+    likely_white,
     read_image,
 )
 from lightmatrix.files.kinds import PATTERNS
@@ -41,11 +42,7 @@ FORMAT, VERSION = "lightmatrix-patterns", 1
 
 
 def write_patterns(
-    folder: str | Path,
-    patterns: PatternSet,
-    *,
-    colour: str | None = None,
-    overwrite: bool = False,
+    folder: str | Path, patterns: PatternSet, *, colour: str | None = None, overwrite: bool = False
 ) -> None:
     """Write a pattern set as 8-bit PNG files and patterns.json.
 
@@ -142,7 +139,7 @@ def read_patterns(source: str | Path) -> PatternSet:
                 return operator
     if difference is not None:
         warn(
-            f"{place}: {difference} the patterns that {DESCRIPTION} describes; the images are used",
+            f"{place}: {difference} the patterns that {DESCRIPTION} describes; the images are used"
         )
     return _from_images(place, entries)
 
@@ -156,9 +153,8 @@ def _from_images(place: Path, entries: list[Path | Page]) -> PatternSet:
     pixels = shape[0] * shape[1]
     bits = np.empty((count, (pixels + 7) // 8), np.uint8)
     images: NDArray[np.float32] | None = None
-    colours, brightest = _Colours(), 0.0
-    for k, image in enumerate(work_ahead(stack.read, range(count))):
-        grey = colours.grey(entries[k], image)
+    brightest = 0.0
+    for k, grey in enumerate(_greys(entries, work_ahead(stack.read, range(count)))):
         brightest = max(brightest, float(grey.max()))
         if images is None:
             lit = grey == 1
@@ -199,13 +195,9 @@ def _in_colour(place: Path, stack: ImageStack) -> PatternSet:
 
 
 def _check_depth(place: Path, dtype: np.dtype[Any], brightest: float) -> None:
-    """Refuse 16-bit files of fewer bits, which would be shown nearly black.
-
-    T would be 257 times too large for patterns of 0 and 255. Frames are refused alike.
-    """
+    """Refuse 16-bit files of fewer bits: for 0 and 255, T would be 257 times too large."""
     top = round(brightest * 65535)
-    if dtype == np.uint16 and 0 < top <= HIGHEST_LEVELS[-1]:
-        likely = next(level for level in HIGHEST_LEVELS if level >= top)
+    if top and (likely := likely_white(dtype, top)) is not None:
         raise InputError(
             f"{place}: the patterns have 16 bits, but no level above {top}: was {likely} shown as "
             "white?",
@@ -214,24 +206,22 @@ def _check_depth(place: Path, dtype: np.dtype[Any], brightest: float) -> None:
         )
 
 
-class _Colours:
-    """Refuses patterns of a set that are shown in different colours."""
-
-    def __init__(self) -> None:
-        self._first: tuple[Path | Page, str] | None = None
-
-    def grey(self, entry: Path | Page, image: NDArray[Any]) -> NDArray[np.float32]:
-        """The grey values of the next pattern."""
+def _greys(
+    entries: Sequence[Path | Page], images: Iterable[NDArray[Any]]
+) -> Iterator[NDArray[np.float32]]:
+    """The grey values of patterns, which must all be shown in one colour."""
+    first: tuple[Path | Page, str] | None = None
+    for entry, image in zip(entries, images, strict=True):
         grey, colour = as_grey(str(entry), image), colour_of(image)
-        if colour and self._first is None:
-            self._first = entry, colour
-        if colour and self._first is not None and colour != self._first[1]:
+        if colour and first is None:
+            first = entry, colour
+        if colour and first is not None and colour != first[1]:
             raise InputError(
-                f"{entry}: is {colour}, but {self._first[0].name} is {self._first[1]}",
+                f"{entry}: is {colour}, but {first[0].name} is {first[1]}",
                 hint="a colour projector is three projectors: put the patterns of each colour, and "
                 "their photographs, into a folder of their own",
             )
-        return grey
+        yield grey
 
 
 def _read_description(file: Path) -> dict[str, Any] | None:
@@ -264,9 +254,7 @@ def _first_difference(operator: PatternSet, paths: list[Path]) -> str | None:
     """How the images differ from an operator, in words; None if they do not."""
     if len(paths) != operator.count:
         return f"its {len(paths)} images are not"
-    colours = _Colours()
-    for k, image in enumerate(work_ahead(read_image, paths)):
-        grey = to_grey(colours.grey(paths[k], image))
-        if not np.array_equal(grey, operator.greys(k, k + 1)[0]):
+    for k, grey in enumerate(_greys(paths, work_ahead(read_image, paths))):
+        if not np.array_equal(to_grey(grey), operator.greys(k, k + 1)[0]):
             return f"{paths[k].name} is not among"
     return None

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -55,6 +55,8 @@ class HadamardPatterns(PatternSet):
     order: str = "natural"
     permute: bool = False
     seed: int = 0
+
+    kind: ClassVar[str] = "hadamard"
 
     def __post_init__(self) -> None:
         check_geometry(self.shape, self.count)
@@ -132,17 +134,6 @@ class HadamardPatterns(PatternSet):
     def _lit(row: NDArray[np.int64], col: NDArray[np.int64]) -> NDArray[np.float32]:
         # An entry of Sylvester's matrix is -1 to the number of bits that row and column share.
         return 1 - _odd_parity(row[:, None] & col[None, :]).astype(np.float32)
-
-    @property
-    def description(self) -> dict[str, Any]:
-        return {
-            "kind": "hadamard",
-            "shape": list(self.shape),
-            "count": self.count,
-            "order": self.order,
-            "permute": self.permute,
-            "seed": self.seed,
-        }
 
 
 def _power_of_two(size: int) -> int:

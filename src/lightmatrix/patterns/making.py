@@ -23,15 +23,12 @@ CODES = ("graycode", "phase", "microphase")
 
 # The kinds in descriptions. Patterns of the kind "images" are only in their images.
 _DESCRIBED: Mapping[str, Callable[..., PatternSet]] = {
-    "bernoulli": BernoulliPatterns,
-    "blocks": BlockPatterns,
-    "graycode": GrayCodePatterns,
-    "hadamard": HadamardPatterns,
-    "microphase": MicroPhasePatterns,
-    "mix": MixedPatterns,
-    "phase": PhasePatterns,
-}
-_IMAGES = "images"
+    each.kind: each
+    for each in (
+        BernoulliPatterns, BlockPatterns, GrayCodePatterns, HadamardPatterns, MicroPhasePatterns,
+        MixedPatterns, PhasePatterns,
+    )
+}  # fmt: skip
 
 
 def make_patterns(
@@ -121,7 +118,7 @@ def remake_patterns(description: Mapping[str, Any]) -> PatternSet | None:
     """Remake a pattern set from its description; None for a set that only its images describe."""
     parameters = {key: value for key, value in description.items() if key != "kind"}
     kind = description.get("kind")
-    if kind == _IMAGES:
+    if kind == PatternSet.kind:
         return None
     if not isinstance(kind, str) or kind not in _DESCRIBED:
         raise InputError(

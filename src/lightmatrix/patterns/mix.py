@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -107,6 +107,8 @@ class MixedPatterns(BinaryPatterns):
     density: float = 0.5
     seed: int = 0
 
+    kind: ClassVar[str] = "mix"
+
     def __post_init__(self) -> None:
         mix = tuple(((int(grid[0]), int(grid[1])), float(share)) for grid, share in self.mix)
         object.__setattr__(self, "mix", mix)
@@ -137,17 +139,6 @@ class MixedPatterns(BinaryPatterns):
             draw = np.random.Generator(np.random.PCG64(child)).random(grid[0] * grid[1])
             bits[k] = np.packbits((draw < self.density)[cells[kind]], bitorder="little")
         return bits
-
-    @property
-    def description(self) -> dict[str, Any]:
-        return {
-            "kind": "mix",
-            "shape": list(self.shape),
-            "count": self.count,
-            "mix": [[list(grid), share] for grid, share in self.mix],
-            "density": self.density,
-            "seed": self.seed,
-        }
 
 
 def default_mix(shape: tuple[int, int], count: int) -> Mix:

@@ -13,10 +13,11 @@ content, which ties captures and estimates to their patterns.
 from __future__ import annotations
 
 import hashlib
+import json
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass
-from typing import Any, ClassVar, TypeVar
+from dataclasses import dataclass, fields
+from typing import Any, ClassVar, TypeVar, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,7 +26,7 @@ from scipy.ndimage import convolve
 from lightmatrix import _core
 from lightmatrix.errors import InputError
 from lightmatrix.ranges import real_array
-from lightmatrix.reprs import short_repr
+from lightmatrix.reprs import jsonable, short_repr
 from lightmatrix.resources.threads import computed_once, work_ahead
 
 # The longest side of a bin in pixels, more than any camera or projector has.
@@ -156,6 +157,8 @@ class PatternSet(ABC):
 
     shape: tuple[int, int]
     count: int
+    # The name of sets that their parameters remake; "images" are only in their images.
+    kind: ClassVar[str] = "images"
     # Whether parts of the matrix are at hand, so that products with them are fast.
     has_matrix: ClassVar[bool] = False
 
@@ -210,9 +213,12 @@ class PatternSet(ABC):
         """Patterns start..stop of P as float32 (stop - start, N)."""
 
     @property
-    @abstractmethod
     def description(self) -> dict[str, Any]:
         """The parameters that remake the set, JSON-ready, with its ``kind``."""
+        if self.kind == "images":
+            return {"kind": self.kind, "shape": list(self.shape), "count": self.count}
+        parameters = {each.name: getattr(self, each.name) for each in fields(cast(Any, self))}
+        return {"kind": self.kind, **json.loads(json.dumps(parameters, default=jsonable))}
 
     @computed_once
     def sums(self) -> NDArray[np.float64]:
@@ -467,7 +473,3 @@ class ImagePatterns(PatternSet):
     @computed_once
     def _double(self) -> NDArray[np.float64]:
         return self.matrix.astype(np.float64)
-
-    @property
-    def description(self) -> dict[str, Any]:
-        return {"kind": "images", "shape": list(self.shape), "count": self.count}

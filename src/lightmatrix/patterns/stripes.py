@@ -6,9 +6,10 @@ The codes of structured light are of this kind: Gray code, phase shifts, micro p
 from __future__ import annotations
 
 from abc import abstractmethod
+from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -38,6 +39,12 @@ class Stripes:
     axes: NDArray[np.int64]
     profiles: tuple[NDArray[np.float32], ...]
 
+    @classmethod
+    def of(cls, parts: Iterable[tuple[int, NDArray[np.float32]]]) -> Stripes:
+        """The stripes of several profiles (k, length) along each of some axes."""
+        pairs = [(axis, profile) for axis, profiles in parts for profile in profiles]
+        return cls(np.array([axis for axis, _ in pairs]), tuple(profile for _, profile in pairs))
+
 
 class StripePatterns(PatternSet):
     """Patterns of stripes as an operator: sums over rows or columns, then a small product."""
@@ -56,22 +63,20 @@ class StripePatterns(PatternSet):
         sums = {ROWS: images.sum(axis=2), COLUMNS: images.sum(axis=1)}
         samples = np.empty((len(x), self.count), x.dtype)
         for axis, light in sums.items():
-            frames, profiles = self._along(axis)
+            frames, profiles = self._along[axis]
             samples[:, frames] = light @ profiles.astype(x.dtype).T
         return samples
 
     def adjoint(self, e: NDArray[Any]) -> NDArray[Any]:
         parts = []
-        for axis in (ROWS, COLUMNS):
-            frames, profiles = self._along(axis)
+        for frames, profiles in self._along.values():
             parts.append(e[:, frames] @ profiles.astype(e.dtype))
         return np.asarray(parts[0][:, :, None] + parts[1][:, None, :]).reshape(len(e), self.pixels)
 
     def columns(self, index: NDArray[np.integer]) -> NDArray[np.float32]:
         place = np.divmod(np.asarray(index, np.int64), self.shape[1])
         values = np.empty((self.count, len(place[0])), np.float32)
-        for axis in (ROWS, COLUMNS):
-            frames, profiles = self._along(axis)
+        for axis, (frames, profiles) in self._along.items():
             values[frames] = profiles[:, place[axis]]
         return values
 
@@ -82,12 +87,9 @@ class StripePatterns(PatternSet):
             image[:] = profile[:, None] if self.stripes.axes[k] == ROWS else profile
         return images.reshape(len(images), self.pixels)
 
-    def _along(self, axis: int) -> tuple[NDArray[np.int64], NDArray[np.float32]]:
-        """The patterns that vary along an axis, with uniform ones among the rows; their values."""
-        return self._sorted[axis]
-
     @cached_property
-    def _sorted(self) -> dict[int, tuple[NDArray[np.int64], NDArray[np.float32]]]:
+    def _along(self) -> dict[int, tuple[NDArray[np.int64], NDArray[np.float32]]]:
+        """The patterns along each axis, with uniform ones among the rows, and their values."""
         result = {}
         for axis in (ROWS, COLUMNS):
             chosen = self.stripes.axes == axis
@@ -171,24 +173,18 @@ class GrayCodePatterns(StripePatterns):
     shape: tuple[int, int]
     inverse: bool = False
 
+    kind: ClassVar[str] = "graycode"
+
     def __post_init__(self) -> None:
         check_code_shape(self.shape)
 
     @cached_property
     def stripes(self) -> Stripes:
-        axes, profiles = [], []
-        for axis, length in both_axes(self.shape):
-            for bit in with_inverses(gray_bits(np.arange(length)), self.inverse):
-                axes.append(axis)
-                profiles.append(bit)
-        for value in (1, 0):
-            axes.append(NOTHING)
-            profiles.append(np.full(1, value, np.float32))
-        return Stripes(np.array(axes), tuple(profiles))
-
-    @property
-    def description(self) -> dict[str, Any]:
-        return {"kind": "graycode", "shape": list(self.shape), "inverse": self.inverse}
+        codes = [
+            (axis, with_inverses(gray_bits(np.arange(length)), self.inverse))
+            for axis, length in both_axes(self.shape)
+        ]
+        return Stripes.of([*codes, (NOTHING, np.array([[1], [0]], np.float32))])
 
 
 def gray_bits(number: NDArray[np.int64]) -> NDArray[np.float32]:
@@ -235,32 +231,21 @@ class PhasePatterns(StripePatterns):
     period: float = 8.0
     inverse: bool = False
 
+    kind: ClassVar[str] = "phase"
+
     def __post_init__(self) -> None:
         check_code_shape(self.shape)
         check_period(self.period)
 
     @cached_property
     def stripes(self) -> Stripes:
-        axes, profiles = [], []
+        codes = []
         for axis, length in both_axes(self.shape):
             pixel = np.arange(length)
-            half = (2 * pixel / self.period).astype(np.int64)
-            bits = gray_bits(half)
-            shifts = np.arange(4) / 4
-            waves = sinusoid(pixel[None, :] / self.period - shifts[:, None])
-            for profile in (*with_inverses(bits, self.inverse), *waves):
-                axes.append(axis)
-                profiles.append(profile)
-        return Stripes(np.array(axes), tuple(profiles))
-
-    @property
-    def description(self) -> dict[str, Any]:
-        return {
-            "kind": "phase",
-            "shape": list(self.shape),
-            "period": self.period,
-            "inverse": self.inverse,
-        }
+            bits = gray_bits((2 * pixel / self.period).astype(np.int64))
+            waves = sinusoid(pixel / self.period - np.arange(4)[:, None] / 4)
+            codes.append((axis, np.concatenate([with_inverses(bits, self.inverse), waves])))
+        return Stripes.of(codes)
 
 
 def sinusoid(phase: NDArray[np.float64]) -> NDArray[np.float32]:
@@ -310,6 +295,8 @@ class MicroPhasePatterns(StripePatterns):
     total: int = 14
     period: float = 16.0
 
+    kind: ClassVar[str] = "microphase"
+
     def __post_init__(self) -> None:
         check_code_shape(self.shape)
         check_period(self.period * (1 - _BAND))
@@ -323,23 +310,12 @@ class MicroPhasePatterns(StripePatterns):
 
     @cached_property
     def stripes(self) -> Stripes:
-        axes, profiles = [], []
-        each = self.total // len(both_axes(self.shape))
-        for axis, length in both_axes(self.shape):
-            periods = _periods(length, each - 2, self.period)
-            for profile in _profiles(np.arange(length, dtype=float), periods):
-                axes.append(axis)
-                profiles.append(profile)
-        return Stripes(np.array(axes), tuple(profiles))
-
-    @property
-    def description(self) -> dict[str, Any]:
-        return {
-            "kind": "microphase",
-            "shape": list(self.shape),
-            "total": self.total,
-            "period": self.period,
-        }
+        axes = both_axes(self.shape)
+        count = self.total // len(axes) - 2
+        return Stripes.of(
+            (axis, _profiles(np.arange(length, dtype=float), _periods(length, count, self.period)))
+            for axis, length in axes
+        )
 
 
 def _profiles(pixel: NDArray[np.float64], periods: NDArray[np.float64]) -> NDArray[np.float32]:

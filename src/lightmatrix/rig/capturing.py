@@ -11,7 +11,7 @@ from __future__ import annotations
 import shutil
 from collections import Counter
 from collections.abc import Callable
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -48,67 +48,53 @@ GROUP, FIRST = 8, 16
 _BLACK, _WHITE = "black.npy", "white.npy"
 
 
-@dataclass(frozen=True)
-class Target:
-    """The error at which to stop: of T, or of images that T predicts."""
-
-    error: float
-    relighting: bool = False
-
-    def stated(self, transport: LightTransport) -> float | None:
-        """What an estimate states of this error; None if it states none."""
-        return prediction_error(transport) if self.relighting else OwnError(transport).stated
-
-
-@dataclass(frozen=True)
-class Outcome:
-    """How photographing until a target ended."""
+@dataclass
+class Goal:
+    """The error at which to stop, and how photographing until then went."""
 
     target: float
+    # Whether it is the error of images that T predicts, not that of T.
     relighting: bool
     # Frames and the stated relative error with them, group by group.
-    errors: list[tuple[int, float]]
-    reached: bool
-    sentence: str
+    errors: list[tuple[int, float]] = field(default_factory=list)
+    reached: bool = False
+    sentence: str = ""
 
 
 def photograph_until(
-    session: CaptureSession, target: Target, estimate: Callable[[], LightTransport]
-) -> Outcome:
-    """Photograph group by group, until the target is reached or more patterns do not help.
+    session: CaptureSession, goal: Goal, estimate: Callable[[], LightTransport]
+) -> Goal:
+    """Photograph group by group, until the goal is reached or more patterns do not help.
 
     `estimate` returns the estimate from all frames so far.
     """
     total = session.patterns.count
     # A session that goes on starts with the frames that it has.
     count = max(FIRST, -(-len(session.record.state.frames) // GROUP) * GROUP)
-    errors: list[tuple[int, float]] = []
-    while True:
+    while not goal.sentence:
         count = min(count, total)
         session.run(count)
         transport = estimate()
-        error = target.stated(transport)
+        error = prediction_error(transport) if goal.relighting else OwnError(transport).stated
         frames = len(session.record.state.frames)
-        errors.append((frames, float("nan") if error is None else error))
-        reached, sentence = False, ""
-        before = [e for n, e in errors if n <= frames - 24]
-        if error is not None and error <= target.error:
-            reached, sentence = True, f"{percent(error)} after {frames} frames"
+        goal.errors.append((frames, float("nan") if error is None else error))
+        before = [e for n, e in goal.errors if n <= frames - 24]
+        if error is not None and error <= goal.target:
+            goal.reached, goal.sentence = True, f"{percent(error)} after {frames} frames"
         # Errors of sparse estimates may stay high for 64 frames and then fall at once.
         elif error is None and frames >= 64:
-            doubts = [] if target.relighting else OwnError(transport).doubts
-            sentence = " ".join(["no error can be stated.", *doubts])
-        elif frames >= 64 and before and errors[-1][1] > 0.9 * min(before):
-            sentence = f"more patterns do not help; {_cause(transport)}"
+            doubts = [] if goal.relighting else OwnError(transport).doubts
+            goal.sentence = " ".join(["no error can be stated.", *doubts])
+        elif frames >= 64 and before and goal.errors[-1][1] > 0.9 * min(before):
+            goal.sentence = f"more patterns do not help; {_cause(transport)}"
         elif count == total:
-            sentence = f"all {total} patterns are photographed: allow more"
-        if sentence:
-            return Outcome(target.error, target.relighting, errors, reached, sentence)
+            goal.sentence = f"all {total} patterns are photographed: allow more"
         count += GROUP
+    return goal
 
 
-def parse_until(text: str | float) -> Target:
-    """The target of a text such as 0.03, an error of T, or relighting:0.03, of relit images."""
+def parse_until(text: str | float) -> Goal:
+    """The goal of a text such as 0.03, an error of T, or relighting:0.03, of relit images."""
     kind, _, number = str(text).rpartition(":")
     try:
         error = float(number)
@@ -120,7 +106,7 @@ def parse_until(text: str | float) -> Target:
             hint="give a relative error of T, such as 0.03 for 3 %, or of relit images, such as "
             "relighting:0.03",
         )
-    return Target(error, kind == "relighting")
+    return Goal(error, kind == "relighting")
 
 
 def _cause(transport: LightTransport) -> str:
@@ -392,7 +378,7 @@ def _write(
     session: CaptureSession,
     known: RigMeasurements,
     settings: CaptureSettings,
-    outcome: Outcome | None = None,
+    outcome: Goal | None = None,
     *,
     overwrite: bool = False,
 ) -> None:

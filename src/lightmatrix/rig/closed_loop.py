@@ -15,7 +15,6 @@ from lightmatrix.errors import InputError
 from lightmatrix.files.kinds import IMAGE
 from lightmatrix.files.writing import check_output
 from lightmatrix.patterns.pattern_set import ImagePatterns
-from lightmatrix.ranges import check_number
 from lightmatrix.reprs import short_repr
 from lightmatrix.rig.devices.base import set_exposure
 from lightmatrix.rig.photograph import (
@@ -32,6 +31,7 @@ from lightmatrix.uses.compensation import (
     Compensation,
     Compensator,
     Picture,
+    check_brightness,
     compensator,
     wanted_samples,
     write_shown,
@@ -156,9 +156,7 @@ def refine_compensation(
     """
     if not hasattr(steps, "__index__") or not 0 <= steps <= 100:
         raise InputError(f"{steps} corrections", hint="use 0 to 100, such as 3")
-    if brightness is not None:
-        hint = "use a number above 0, such as 0.7, or leave it out"
-        check_number("a brightness", brightness, most=1e6, above=True, hint=hint)
+    check_brightness(brightness)
     curve = Response.parse(response)
     if output is not None:
         check_output(output, IMAGE, overwrite=overwrite)

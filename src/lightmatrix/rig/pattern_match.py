@@ -22,12 +22,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from lightmatrix.check.pursuit import (
-    SEARCHED_WHOLE,
-    column_scale,
-    fold_count,
-    predict_by_pursuit,
-)
+from lightmatrix.check.pursuit import SEARCHED_WHOLE, column_scale, fold_count, predict_by_pursuit
 from lightmatrix.patterns.pattern_set import PatternSet
 from lightmatrix.rig.photograph import MEDIAN_TO_DEVIATION
 

@@ -72,10 +72,7 @@ class Photographer:
     _recent: deque[NDArray[Any]] = field(default_factory=lambda: deque(maxlen=3))
 
     def take(
-        self,
-        image: NDArray[np.uint8],
-        exposure: float | None = None,
-        settle: float | None = None,
+        self, image: NDArray[np.uint8], exposure: float | None = None, settle: float | None = None
     ) -> Shot:
         """Show an image and photograph it (exposure and settle time in seconds; None: as set).
 
@@ -117,8 +114,7 @@ class Photographer:
                     )
                 return Shot(frame, actual, shown)
         raise UntrustedFrameError(
-            "32 frames came, all of before the pattern",
-            hint="are the camera's timestamps right?",
+            "32 frames came, all of before the pattern", hint="are the camera's timestamps right?"
         )
 
     def _set_exposure(self, exposure: float | None) -> float:
@@ -155,10 +151,7 @@ class Photographer:
 
 
 def copied_rows(
-    data: NDArray[Any],
-    earlier: NDArray[Any],
-    changing: NDArray[np.float64],
-    clip_level: float,
+    data: NDArray[Any], earlier: NDArray[Any], changing: NDArray[np.float64], clip_level: float
 ) -> int:
     """How many rows at the top or bottom of a frame are copies of an earlier frame's; 0 for none.
 

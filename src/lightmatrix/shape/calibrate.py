@@ -13,7 +13,6 @@ and so the size of the scene, cannot be known.
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -25,7 +24,7 @@ from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
 from lightmatrix.capture.capture import Capture, open_capture
-from lightmatrix.errors import InputError, LightMatrixWarning
+from lightmatrix.errors import InputError, warn
 from lightmatrix.estimators.estimate import estimate
 from lightmatrix.files.extras import load_opencv
 from lightmatrix.files.kinds import GEOMETRY
@@ -454,16 +453,14 @@ def calibrate_rig(
         for name, corner, use, a, b in zip(names, corners, fit.used, seen, lit, strict=True)
     )
     for name, reason in left_out.items():
-        warnings.warn(f"{name} is left out: {reason}", LightMatrixWarning, stacklevel=2)
+        warn(f"{name} is left out: {reason}")
     usual = float(np.median([pose.rms_projector for pose in used_poses]))
     for pose in used_poses:
         if pose.rms_projector > 3 * usual:
-            warnings.warn(
+            warn(
                 f"{pose.name} fits badly: its corners are off by {pose.rms_projector:.2f} "
                 f"projector pixels, those of other poses by {usual:.2f}; photograph it again, or "
-                "leave it out",
-                LightMatrixWarning,
-                stacklevel=2,
+                "leave it out"
             )
     if output is not None:
         geometry.save(output, overwrite=overwrite)

@@ -66,11 +66,8 @@ class Codes:
 def find_codes(patterns: PatternSet) -> Codes:
     """The codes of the columns and of the rows.
 
-    Raises
-    ------
-    InputError
-        If a pattern varies along both rows and columns, or if the patterns of an axis show two of
-        its pixels alike.
+    An InputError says that a pattern varies along both, or that the patterns of an axis show two of
+    its pixels alike.
     """
     stripes = stripes_of(patterns)
     if stripes is None:

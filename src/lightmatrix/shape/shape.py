@@ -14,7 +14,7 @@ from matplotlib.colors import BoundaryNorm, ListedColormap
 from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter
 
-from lightmatrix.errors import MissingExtraError
+from lightmatrix.files.extras import load_extra
 from lightmatrix.files.kinds import CLOUD, DEPTH, PLY_MARK
 from lightmatrix.files.writing import atomic_file
 from lightmatrix.geometry.rig_geometry import RigGeometry, decomposed
@@ -330,12 +330,7 @@ class Shape:
         MissingExtraError
             If trimesh is not installed.
         """
-        try:
-            import trimesh
-        except ImportError as error:
-            raise MissingExtraError(
-                "meshes need trimesh", hint="install it with `pip install 'lightmatrix[shape]'`"
-            ) from error
+        trimesh = load_extra("trimesh", "meshes need trimesh", "shape")
         faces = surface_faces(self.depth, self.geometry)
         used, corners = np.unique(faces, return_inverse=True)
         points = self.points.reshape(-1, 3)[used]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -15,6 +14,7 @@ from lightmatrix.errors import InputError
 from lightmatrix.files.kinds import CLOUD, DEPTH, PICTURE
 from lightmatrix.files.writing import check_output
 from lightmatrix.geometry.rig_geometry import RigGeometry
+from lightmatrix.resources.threads import work_ahead
 from lightmatrix.shape.shape import Shape, ShapeTest, local_mean, surface_normals
 from lightmatrix.transport.correspondence import Correspondence, pixel_rows
 from lightmatrix.transport.matrix import LightTransport
@@ -46,28 +46,21 @@ def find_line_spots(
     `lines` (P, 3) are a, b, c with a^2 + b^2 = 1 and a col + b row + c = 0, `pixels` (N, 2) the
     column and row of each projector pixel without distortion.
     """
-    place = np.full((matrix.shape[0], 2), np.nan)
-    light, total = np.zeros(len(place)), np.zeros(len(place))
     if not matrix.has_sorted_indices:
         matrix = matrix.copy()
         matrix.sort_indices()
 
-    def find(rows: slice) -> None:
-        place[rows], light[rows], total[rows] = _of_block(
-            csr_array(matrix[rows]), lines[rows], pixels, shape, half_width
-        )
+    def find(rows: slice) -> tuple[NDArray[np.float64], ...]:
+        return _of_block(csr_array(matrix[rows]), lines[rows], pixels, shape, half_width)
 
-    # Each block takes about 400 MiB. `list` raises what a thread raised.
-    with ThreadPoolExecutor(2) as threads:
-        list(threads.map(find, blocks_of(matrix)))
+    # Two at a time, since each block takes about 400 MiB.
+    parts = work_ahead(find, blocks_of(matrix), threads=2)
+    place, light, total = map(np.concatenate, zip(*parts, strict=True))
     return Spots(place, light, total + np.maximum(background, 0))
 
 
 def uncut_places(
-    place: NDArray[np.float64],
-    lines: NDArray[np.float64],
-    shape: tuple[int, int],
-    margin: float,
+    place: NDArray[np.float64], lines: NDArray[np.float64], shape: tuple[int, int], margin: float
 ) -> NDArray[np.float64]:
     """Places of spots, corrected where the projector's border cuts a spot off.
 
@@ -303,17 +296,13 @@ def geometry_of(
         camera_shape, projector_shape = source.confidence.shape, source.projector_shape
     else:
         camera_shape, projector_shape = source.camera_shape[:2], source.projector_shape
-    return _fitted_geometry(rig, (camera_shape[0], camera_shape[1]), projector_shape)
-
-
-def _fitted_geometry(
-    geometry: RigGeometry, camera_shape: tuple[int, int], projector_shape: tuple[int, int] | None
-) -> RigGeometry:
-    """The geometry, scaled to binned images; an error if no whole factors lead to them."""
-    shapes = {"camera": camera_shape, "projector": projector_shape or geometry.projector_shape}
+    shapes = {
+        "camera": (camera_shape[0], camera_shape[1]),
+        "projector": projector_shape or rig.projector_shape,
+    }
     blocks = {}
     for device, shape in shapes.items():
-        whole = getattr(geometry, f"{device}_shape")
+        whole = getattr(rig, f"{device}_shape")
         block = tuple(max(1, round(w / s)) for w, s in zip(whole, shape, strict=True))
         # Blocks at the border may be smaller.
         if tuple(-(-w // b) for w, b in zip(whole, block, strict=True)) != tuple(shape):
@@ -325,8 +314,8 @@ def _fitted_geometry(
             )
         blocks[device] = block
     if set(blocks.values()) == {(1, 1)}:
-        return geometry
-    scaled = geometry.scaled(camera=blocks["camera"], projector=blocks["projector"])
+        return rig
+    scaled = rig.scaled(camera=blocks["camera"], projector=blocks["projector"])
     return replace(scaled, camera_shape=shapes["camera"], projector_shape=shapes["projector"])
 
 

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -23,6 +24,7 @@ from lightmatrix.ranges import check_seed
 from lightmatrix.regions import Region
 from lightmatrix.simulation import library, realism
 from lightmatrix.simulation.colour import in_all_primaries, in_primary, is_of_all_primaries
+from lightmatrix.simulation.faults import Faults
 from lightmatrix.simulation.irradiance import irradiance
 from lightmatrix.simulation.truth import Truth
 
@@ -135,6 +137,7 @@ def simulate(
     ambient: float = 0.0,
     vignetting: float = 0.0,
     primary: str | None = None,
+    faults: Mapping[str, float] | None = None,
     seed: int = 0,
     progress: Progress | None = None,
 ) -> SimulatedCapture:
@@ -172,8 +175,12 @@ def simulate(
     primary : {"red", "green", "blue"}, optional
         The primary of a colour projector that shows the patterns. The camera then has three
         channels, whose filters overlap. None: a grey projector and the camera of the scene.
+    faults : mapping, optional
+        What the rig does wrong, by name and amount, such as ``{"shake": 0.1}``; the names and
+        units are those of `FAULTS` in simulation/faults.py, and an unknown name lists them. The
+        truth has no faults. None: nothing.
     seed : int
-        Seed of the noise.
+        Seed of the noise and of the faults.
     progress : callable, optional
         Called with (done, total): paths while the scene is rendered, then rows.
 
@@ -185,7 +192,7 @@ def simulate(
     Raises
     ------
     InputError
-        On unknown scenes, patterns of another size, and values out of range.
+        On unknown scenes and faults, patterns of another size, and values out of range.
 
     Examples
     --------
@@ -211,6 +218,11 @@ def simulate(
     realism.check_realism(
         patterns.shape, blur=blur, vignetting=vignetting, leak=leak, ambient=ambient
     )
+    wrong = Faults(faults or {}, seed)
+    if wrong.black_exposure != 1 and not (leak or ambient):
+        raise InputError(
+            "a fault black without a black frame", hint="add room light too, such as ambient=0.05"
+        )
     shape = patterns.primary_shape if isinstance(patterns, ColourPatterns) else patterns.shape
     truth = library.truth(scene, shape, progress=progress)
     if blur and is_of_all_primaries(truth):
@@ -224,27 +236,38 @@ def simulate(
     if isinstance(patterns, ColourPatterns) and not is_of_all_primaries(truth):
         truth = in_all_primaries(truth)
     room = realism.ambient(truth, ambient)
-    light = irradiance(truth.matrix, patterns, progress=progress)
+    light = irradiance(truth.matrix, wrong.emitted(patterns), progress=progress)
     # A leak is affine in the pattern, so it can be applied to the light instead of the patterns.
     white = np.asarray(truth.matrix.sum(axis=1), np.float32).ravel()
     dark = (leak * white + room)[:, None]
-    light = (1 - leak) * light + dark
+    light = (1 - leak) * light
+    about = (patterns, truth.camera_shape, sensor.exposure)
+    if wrong.amounts:
+        glow = leak * white[:, None]
+        light = wrong.of_light(light + glow, *about) - glow
+    light = wrong.of_camera(light + dark, *about)
     raw = sensor.expose(light, seed=seed)
     frames = np.ascontiguousarray(raw.T).reshape(patterns.count, *truth.camera_shape)
     decoder = sensor.decoder()
     if leak or ambient:
         longest = max(e for e, _ in exposures)
         # The black frame counts as one more frame, so that its noise repeats no other's.
-        black = replace(sensor, exposure=longest).expose(
+        black = replace(sensor, exposure=longest * wrong.black_exposure).expose(
             dark, seed=seed, first_frame=patterns.count
         )
         decoder = replace(decoder, black_frame=black.ravel(), black_exposure=longest)
-    name = "a truth in memory" if isinstance(scene, Truth) else str(scene)
+    provenance: dict[str, Any] = {
+        "scene": "a truth in memory" if isinstance(scene, Truth) else str(scene),
+        "seed": seed,
+        **truth.metadata,
+    }
+    if wrong.amounts:
+        provenance["faults"] = wrong.amounts
     return SimulatedCapture(
         patterns,
         ArrayStack(frames),
         decoder,
-        provenance={"scene": name, "seed": seed, **truth.metadata},
+        provenance=provenance,
         truth=_without_leak(truth, leak),
         sensor=sensor,
     )

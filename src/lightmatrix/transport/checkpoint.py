@@ -65,22 +65,11 @@ class Checkpoint:
     def open(
         cls, path: str | Path, fingerprint: Mapping[str, Any], *, overwrite: bool = False
     ) -> Checkpoint:
-        """Begin, or continue, the running results of an output.
+        """Begin, or continue, the running results of an output, in scene.zarr.partial.
 
-        Parameters
-        ----------
-        path : str or Path
-            The output, such as scene.zarr; the tiles are kept in scene.zarr.partial.
-        fingerprint : mapping
-            Everything the result depends on, JSON-ready: digest of the input, parameters.
-        overwrite : bool
-            Whether an existing output may be replaced, and tiles of other inputs thrown away.
-
-        Raises
-        ------
-        OutputError
-            If the output exists, is being written by another run, there are tiles of other inputs,
-            or the disk fails.
+        The `fingerprint` is everything the result depends on, JSON-ready. An OutputError refuses an
+        output that exists or that another run writes, and tiles of another fingerprint; with
+        `overwrite` both are replaced.
         """
         wanted = json.loads(json.dumps(dict(fingerprint), default=str))
         with ExitStack() as claim:

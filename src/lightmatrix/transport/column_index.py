@@ -54,10 +54,7 @@ _REMEDY = "make it again with index_columns"
 
 
 def index_columns(
-    path: str | Path,
-    *,
-    overwrite: bool = False,
-    progress: Callable[[int, int], None] | None = None,
+    path: str | Path, *, overwrite: bool = False, progress: Callable[[int, int], None] | None = None
 ) -> None:
     """Add an index of its columns to a matrix on disk.
 

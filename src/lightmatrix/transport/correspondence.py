@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -100,18 +101,11 @@ def correspondence(transport: LightTransport) -> Correspondence:
     [20.1, 29.8]
     """
     matrix, background = pixel_rows(transport)
-    count, (_, width) = len(background), transport.projector_shape
-    pixel = np.full((count, 2), -1, np.int32)
-    place = np.full((count, 2), np.nan, np.float32)
-    confidence, light = np.zeros(count, np.float32), np.zeros(count, np.float32)
-    per_row = max(1, matrix.nnz // max(1, count))
-    step = max(1, _ENTRIES // per_row)
-    for start in range(0, count, step):
-        part = csr_array(matrix[start : start + step])
-        rows = slice(start, start + part.shape[0])
-        pixel[rows], place[rows], confidence[rows], light[rows] = _strongest(
-            part, background[rows], width
-        )
+    width = transport.projector_shape[1]
+    step = max(1, _ENTRIES // max(1, matrix.nnz // len(background)))
+    blocks = [slice(start, start + step) for start in range(0, len(background), step)]
+    parts = (_strongest(csr_array(matrix[rows]), background[rows], width) for rows in blocks)
+    pixel, place, confidence, light = map(np.concatenate, zip(*parts, strict=True))
     shape = transport.camera_shape[:2]
     return Correspondence(
         pixel.reshape(*shape, 2),
@@ -139,7 +133,7 @@ def pixel_rows(transport: LightTransport) -> tuple[csr_array, NDArray[np.float64
 
 def _strongest(
     matrix: csr_array, background: NDArray[np.float64], width: int
-) -> tuple[NDArray[np.int32], NDArray[np.float32], NDArray[np.float32], NDArray[np.float64]]:
+) -> tuple[NDArray[Any], ...]:
     """The strongest pixel, its place, its confidence and the light around it, for some rows."""
     count = int(matrix.shape[0])
     owner = np.repeat(np.arange(count), np.diff(matrix.indptr))
@@ -161,4 +155,5 @@ def _strongest(
         offset = [np.bincount(owner, near * distance[:, axis], count) / window for axis in (0, 1)]
         confidence = np.where(valid, window / total, 0)
     place = np.where(valid[:, None], pixel + np.stack(offset, axis=1), np.nan)
-    return pixel.astype(np.int32), place.astype(np.float32), confidence.astype(np.float32), window
+    single = (values.astype(np.float32) for values in (place, confidence, window))
+    return pixel.astype(np.int32), *single

@@ -307,29 +307,7 @@ def _text(value: NDArray[Any]) -> str:
 def write_correspondence(
     path: str | Path, matches: Correspondence, *, overwrite: bool = False
 ) -> None:
-    """Write a correspondence as an npz file.
-
-    Parameters
-    ----------
-    path : str or Path
-        The file, .npz.
-    matches : Correspondence
-        What to write.
-    overwrite : bool
-        Whether an existing correspondence may be replaced.
-
-    Raises
-    ------
-    OutputError
-        If the file exists, is another one, or cannot be written.
-
-    Examples
-    --------
-    >>> import lightmatrix as lm
-    >>> from lightmatrix.transport.npz import write_correspondence
-    >>> matches = lm.correspondence(lm.truth("metal").transport())
-    >>> write_correspondence("matches.npz", matches)
-    """
+    """Write a correspondence as an npz file, which `read_correspondence` reads."""
     arrays = {name: getattr(matches, name) for name in _MATCHES}
     content: dict[str, Any] = {CORRESPONDENCE_MARK: np.array(VERSION)}
     content |= {name: array for name, array in arrays.items() if array is not None}
@@ -344,7 +322,7 @@ def write_correspondence(
 
 
 def read_correspondence(path: str | Path) -> Correspondence:
-    """Read a correspondence that `decode` or `write_correspondence` wrote.
+    """Read a correspondence that `decode` wrote.
 
     Parameters
     ----------
@@ -363,9 +341,8 @@ def read_correspondence(path: str | Path) -> Correspondence:
     Examples
     --------
     >>> import lightmatrix as lm
-    >>> from lightmatrix.transport.npz import write_correspondence
-    >>> matches = lm.correspondence(lm.truth("metal").transport())
-    >>> write_correspondence("matches.npz", matches)
+    >>> code = lm.make_patterns("graycode", (64, 64), inverse=True)
+    >>> _ = lm.decode(lm.simulate("metal", code, exposure=0.2), output="matches.npz")
     >>> lm.read_correspondence("matches.npz").projector_shape
     (64, 64)
     """

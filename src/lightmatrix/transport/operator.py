@@ -69,21 +69,15 @@ class Operator(ABC):
     def __rmatmul__(self, other: Any) -> NDArray[Any]:
         raise InputError("a product with T on the right", hint="write transport.T @ c")
 
-    def matvec(self, vector: NDArray[Any]) -> NDArray[Any]:
-        """The product with a vector, as SciPy's iterative solvers call it."""
-        return self @ vector
-
     def matmat(self, vectors: NDArray[Any]) -> NDArray[Any]:
-        """The product with (n, k) vectors."""
+        """The product with a vector (n,) or with (n, k) vectors, as SciPy's solvers call it."""
         return self @ vectors
 
-    def rmatvec(self, vector: NDArray[Any]) -> NDArray[Any]:
-        """The product of the transpose with a vector."""
-        return self.T @ vector
-
     def rmatmat(self, vectors: NDArray[Any]) -> NDArray[Any]:
-        """The product of the transpose with (m, k) vectors."""
+        """The product of the transpose with a vector (m,) or with (m, k) vectors."""
         return self.T @ vectors
+
+    matvec, rmatvec = matmat, rmatmat
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -24,13 +24,7 @@ from numpy.typing import NDArray
 
 from lightmatrix.errors import InputError
 from lightmatrix.files.colours import COLOURS, colour_paths
-from lightmatrix.files.kinds import (
-    COLOUR_STORES,
-    CORRESPONDENCE_MARK,
-    PARTIAL,
-    STORE,
-    holds_member,
-)
+from lightmatrix.files.kinds import COLOUR_STORES, CORRESPONDENCE_MARK, PARTIAL, STORE, holds_member
 from lightmatrix.files.reading import read_bytes
 from lightmatrix.files.writing import atomic_folder
 from lightmatrix.files.zarr_arrays import (

@@ -653,7 +653,7 @@ def compensate(
     >>> lm.read_image("shown.png").shape
     (64, 64)
     """
-    _check_brightness(brightness)
+    check_brightness(brightness)
     if not hasattr(iterations, "__index__") or iterations < 1:
         raise InputError(f"{iterations} iterations", hint="use at least 1, such as 25")
     if output is not None:
@@ -666,7 +666,8 @@ def compensate(
     return found
 
 
-def _check_brightness(brightness: float | None) -> None:
+def check_brightness(brightness: float | None) -> None:
+    """Refuse a brightness that is not above 0; None is automatic."""
     if brightness is not None:
         hint = "use a number above 0, such as 0.7, or leave it out"
         check_number("a brightness", brightness, most=1e6, above=True, hint=hint)
@@ -764,7 +765,7 @@ def compensate_video(
     >>> lm.read_patterns("patterns").count
     3
     """
-    _check_brightness(brightness)
+    check_brightness(brightness)
     if output is not None:
         check_output(output, PATTERNS, overwrite=overwrite)
     pictures: Any = list_images(frames) if isinstance(frames, str | Path) else frames

@@ -137,9 +137,7 @@ def on_surface(surface: NDArray[np.float64], camera: NDArray[np.float64]) -> NDA
 
 
 def fit_epipolar(
-    camera: NDArray[np.float64],
-    projector: NDArray[np.float64],
-    surface: NDArray[np.float64],
+    camera: NDArray[np.float64], projector: NDArray[np.float64], surface: NDArray[np.float64]
 ) -> EpipolarGeometry:
     """Fit parallel lines to matches (n, 2) each, n >= 4, or lines that meet where those miss."""
     row, col = camera.mean(axis=0)

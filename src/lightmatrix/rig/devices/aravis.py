@@ -8,13 +8,7 @@ from contextlib import suppress
 from typing import Any
 
 from lightmatrix.errors import DeviceError, FrameTimeoutError
-from lightmatrix.rig.devices.base import (
-    Address,
-    AvailableDevice,
-    Frame,
-    FrameStamps,
-    missing_extra,
-)
+from lightmatrix.rig.devices.base import Address, AvailableDevice, Frame, FrameStamps, missing_extra
 from lightmatrix.rig.devices.genicam import BUFFERS, GenICamCamera, PixelFormat
 
 

@@ -16,13 +16,7 @@ import numpy as np
 
 from lightmatrix.errors import DeviceError, InputError
 from lightmatrix.files.images import READABLE, read_image
-from lightmatrix.rig.devices.base import (
-    Address,
-    AvailableDevice,
-    Camera,
-    Frame,
-    load,
-)
+from lightmatrix.rig.devices.base import Address, AvailableDevice, Camera, Frame, load
 
 # The setting that chooses where pictures are stored, and its value for the camera's own memory.
 _TARGET, _MEMORY = "capturetarget", "Internal RAM"

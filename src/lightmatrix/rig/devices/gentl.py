@@ -11,13 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from lightmatrix.errors import DeviceError
-from lightmatrix.rig.devices.base import (
-    Address,
-    AvailableDevice,
-    Frame,
-    FrameStamps,
-    load,
-)
+from lightmatrix.rig.devices.base import Address, AvailableDevice, Frame, FrameStamps, load
 from lightmatrix.rig.devices.genicam import BUFFERS, GenICamCamera, PixelFormat
 
 # The standard's environment variable for the folders of producers.

@@ -20,14 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lightmatrix.errors import DeviceError, InputError
-from lightmatrix.rig.devices.base import (
-    Address,
-    AvailableDevice,
-    Camera,
-    Frame,
-    FrameStamps,
-    load,
-)
+from lightmatrix.rig.devices.base import Address, AvailableDevice, Camera, Frame, FrameStamps, load
 
 # FFmpeg's input format on each system.
 _SYSTEMS = {"linux": "v4l2", "darwin": "avfoundation", "win32": "dshow"}
