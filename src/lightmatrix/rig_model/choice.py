@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -37,32 +37,42 @@ class Limits:
 
 def choose_terms(
     seen: Prediction, terms: Sequence[Term], limits: Limits = Limits()
-) -> tuple[dict[str, Array], dict[str, Array], Prediction]:
-    """The numbers of the terms that are there, and their errors, by name; and the prediction used.
+) -> tuple[dict[str, Array], dict[str, Array]]:
+    """The numbers of the terms that are there, and their standard errors, by name.
 
-    Rows count by the inverse of what they miss anyway, so that glossy rows invent no curve. The
-    sharpness of the images is fitted with their shifts.
+    Rows count by the inverse of what they miss anyway, so that glossy rows invent no curve.
     """
     enough = seen.free >= 3
     found: dict[str, Array] = {}
     errors: dict[str, Array] = {}
     if enough.sum() < 100:
-        return found, errors, seen
+        return found, errors
     left = seen.left
-    fixed = {each.name: each.regressors(seen) for each in terms if each.name != "shift"}
-    for _ in range(3):
-        known = {each.name: each for each in terms}
-        now = {**fixed, "shift": known["shift"].regressors(seen)} if "shift" in known else fixed
-        regressors = {name: each for name, each in now.items() if each is not None}
+    known = {each.name: each for each in terms}
+    every = {name: each.regressors(seen) for name, each in known.items()}
+    regressors = {name: each for name, each in every.items() if each is not None}
+    per_frame = {name: known[name].per_frame for name in regressors}
+    for _ in range(2):
         missed = (left**2).sum(axis=1) / np.maximum(seen.free, 1)
         weight = np.where(enough, 1 / (missed + np.median(missed[enough])), 0)
-        regression = Regression(
-            seen, regressors, {name: known[name].per_frame for name in regressors}, weight
-        )
+        regression = Regression(seen, regressors, per_frame, weight)
         found, errors = _forward(regression, known, limits)
         effects = {name: regression.effect(name, numbers) for name, numbers in found.items()}
         left = seen.left - seen.projected(sum(effects.values(), np.zeros_like(seen.left)))
-        if "shift" not in found:
+    return found, errors
+    left = seen.left
+    known = {each.name: each for each in terms}
+    every = {name: each.regressors(seen) for name, each in known.items()}
+    regressors = {name: each for name, each in every.items() if each is not None}
+    per_frame = {name: known[name].per_frame for name in regressors}
+    for _ in range(2):
+        missed = (left**2).sum(axis=1) / np.maximum(seen.free, 1)
+        weight = np.where(enough, 1 / (missed + np.median(missed[enough])), 0)
+        regression = Regression(seen, regressors, per_frame, weight)
+        found, errors = _forward(regression, known, limits)
+        effects = {name: regression.effect(name, numbers) for name, numbers in found.items()}
+        left = seen.left - seen.projected(sum(effects.values(), np.zeros_like(seen.left)))
+        if "shift" not in found or FIXED:
             continue
         # The slope of what is left with the sharpness, by a finite difference.
         sharper = replace(seen, sharpness=seen.sharpness + 0.02)
@@ -72,7 +82,7 @@ def choose_terms(
         change = seen.projected(change)
         step = (weight[:, None] * change * left).sum() / (weight[:, None] * change**2).sum()
         seen = replace(seen, sharpness=float(np.clip(seen.sharpness + step, 0, 0.4)))
-    return found, errors, seen
+    return found, errors
 
 
 def _forward(
@@ -89,12 +99,12 @@ def _forward(
     while True:
         best = 0.0
         candidate = None
-        for name in regression.places:
-            if name in chosen:
+        for name in regression.numbers:
+            if name in chosen or name not in terms:
                 continue
             numbers, stated, together = regression.solve([*chosen, name])
             more, rest = together - explained, regression.total - explained
-            by_chance = len(regression.places[name]) / free * (regression.total - together)
+            by_chance = regression.numbers[name] / free * (regression.total - together)
             effect = regression.effect(name, numbers[name])
             size = np.sqrt((weight * effect**2).sum() / light)
             score = more - limits.chance * by_chance
@@ -106,6 +116,10 @@ def _forward(
             if size > terms[name].least and score > best:
                 best, candidate = score, (name, numbers, stated, together)
         if candidate is None:
+            # Pictures that move are blurred in T, which looks as if the camera sharpened them.
+            if "shift" in found and "camera-sharpening" in found:
+                others = {name: each for name, each in terms.items() if name != "camera-sharpening"}
+                return _forward(regression, others, limits)
             return found, errors
         name, found, errors, explained = candidate
         chosen.append(name)

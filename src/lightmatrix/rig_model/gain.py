@@ -26,14 +26,20 @@ class Gain(Term):
     def based(self, values: Array) -> Array:
         return (1 + values) / (1 + values[:, :1]) - 1
 
+    def label_of(self, values: Array) -> str:
+        return "gain" if _step(values[0]) is None else "exposure"
+
     def sentence(self, values: Array) -> str:
-        gain = values[0]
-        # One step that leaves a tenth of the variance is an exposure that was changed.
-        steps = [
-            gain[:k].var() * k + gain[k:].var() * (len(gain) - k) for k in range(1, len(gain))
-        ]
-        k = int(np.argmin(steps)) + 1
-        if steps[k - 1] < 0.1 * gain.var() * len(gain):
-            change = (1 + gain[k:].mean()) / (1 + gain[:k].mean()) - 1
-            return f"the exposure changed by {100 * change:+.1f} % before frame {k}"
-        return f"the light varied by {100 * deviation(values):.1f} % from frame to frame"
+        k = _step(values[0])
+        if k is None:
+            return f"the light varied by {100 * deviation(values):.1f} % from frame to frame"
+        change = (1 + values[0, k:].mean()) / (1 + values[0, :k].mean()) - 1
+        return f"the exposure changed by {100 * change:+.1f} % before frame {k}"
+
+
+def _step(gain: Array) -> int | None:
+    """The frame before which the light changed once, if that leaves a tenth of its variance."""
+    cuts = range(1, len(gain))
+    left = [gain[:k].var() * k + gain[k:].var() * (len(gain) - k) for k in cuts]
+    best = int(np.argmin(left))
+    return best + 1 if left[best] < 0.1 * gain.var() * len(gain) else None

@@ -42,67 +42,77 @@ class Regression:
         return float((self.weight[:, None] * self.seen.left**2).sum())
 
     @cached_property
-    def places(self) -> dict[str, NDArray[np.int64]]:
-        """Where the numbers of each term stand among all."""
-        found, start = {}, 0
+    def numbers(self) -> dict[str, int]:
+        """How many numbers each term has."""
+        return {
+            name: len(each) * (self.seen.count if self.per_frame[name] else 1)
+            for name, each in self.regressors.items()
+        }
+
+    @cached_property
+    def _parts(self) -> dict[str, tuple[Array, Array]]:
+        """The usable and the swallowed part of each regressor, (P, m, K) and (P, m d, K) by name.
+
+        Those of terms that all frames share are projected, and have no second part.
+        """
+        seen, root = self.seen, np.sqrt(self.weight)[:, None]
+        found = {}
         for name, each in self.regressors.items():
-            size = len(each) * (self.seen.count if self.per_frame[name] else 1)
-            found[name] = np.arange(start, start + size)
-            start += size
+            if self.per_frame[name]:
+                usable = each * seen.usable
+                inside = np.einsum("pmk,mkd->pmdk", usable * root, seen.basis)
+                found[name] = usable, inside.reshape(len(each), -1, seen.count)
+            else:
+                found[name] = np.stack([seen.projected(one) for one in each]), np.empty(0)
         return found
 
     @cached_property
-    def equations(self) -> tuple[Array, Array]:
-        """The normal matrix of all numbers, and its right side."""
-        seen, weight = self.seen, self.weight[:, None]
-        count = seen.count
-        size = sum(map(len, self.places.values()))
-        matrix, side = np.zeros((size, size)), np.zeros(size)
-        single, shared = [], []
-        for name, each in self.regressors.items():
-            for number, values in enumerate(each):
-                if self.per_frame[name]:
-                    place = self.places[name][number * count : (number + 1) * count]
-                    values = values * seen.usable
-                    swallowed = (np.sqrt(weight) * values)[:, None, :] * seen.basis.transpose(
-                        0, 2, 1
-                    )
-                    single.append((place, values, swallowed.reshape(-1, count)))
-                else:
-                    shared.append((self.places[name][number], seen.projected(values)))
-        for number, (place, values, swallowed) in enumerate(single):
-            side[place] = (weight * values * seen.left).sum(axis=0)
-            for other, others, also in single[: number + 1]:
-                block = np.diag((weight * values * others).sum(axis=0)) - swallowed.T @ also
-                matrix[np.ix_(place, other)] = block
-                matrix[np.ix_(other, place)] = block.T
-            for one, projected in shared:
-                matrix[place, one] = matrix[one, place] = (weight * values * projected).sum(axis=0)
-        for one, projected in shared:
-            side[one] = (weight * projected * seen.left).sum()
-            for two, others in shared:
-                matrix[one, two] = (weight * projected * others).sum()
-        # The mean over the frames is T's own: a term that all frames share would explain nothing.
-        scale = np.trace(matrix) / max(1, size)
-        for place, _, _ in single:
-            matrix[np.ix_(place, place)] += 10 * scale / count
-        return matrix, side
+    def _blocks(self) -> dict[tuple[str, str], Array]:
+        return {}
+
+    def _block(self, one: str, two: str) -> Array:
+        """The normal equations between the numbers of two terms, made when they are needed."""
+        if (one, two) in self._blocks:
+            return self._blocks[one, two]
+        (first, inside), (second, also) = self._parts[one], self._parts[two]
+        weight, count = self.weight[:, None], self.seen.count
+        if self.per_frame[one] and self.per_frame[two]:
+            blocks = [
+                [np.diag((weight * f * g).sum(axis=0)) - a.T @ b for g, b in zip(second, also, strict=True)]
+                for f, a in zip(first, inside, strict=True)
+            ]
+            block = np.block(blocks)
+            if one == two:
+                # The mean over the frames is T's own: a change that all share explains nothing.
+                mean = np.full((count, count), 10 * np.trace(block) / len(block) / count)
+                block += np.kron(np.eye(len(first)), mean)
+        elif self.per_frame[one]:
+            block = np.einsum("pmk,jmk->pkj", weight * first, second).reshape(-1, len(second))
+        elif self.per_frame[two]:
+            block = self._block(two, one).T
+        else:
+            block = np.einsum("imk,jmk->ij", weight * first, second)
+        self._blocks[one, two], self._blocks[two, one] = block, block.T
+        return block
+
+    def _side(self, name: str) -> Array:
+        along = "pmk,mk->pk" if self.per_frame[name] else "pmk,mk->p"
+        return np.einsum(along, self._parts[name][0], self.weight[:, None] * self.seen.left).ravel()
 
     def solve(self, names: Sequence[str]) -> tuple[dict[str, Array], dict[str, Array], float]:
         """The numbers of some terms, (P,) or (P, K), their standard errors, and what they explain."""
-        matrix, side = self.equations
-        index = np.concatenate([self.places[name] for name in names])
-        part = matrix[np.ix_(index, index)]
+        part = np.block([[self._block(one, two) for two in names] for one in names])
+        side = np.concatenate([self._side(name) for name in names])
         scale = 1 / np.sqrt(np.maximum(np.diag(part), 1e-30))
         strength, vectors = np.linalg.eigh(part * scale * scale[:, None])
         kept = strength > 1e-6 * strength[-1]
         strength, vectors = strength[kept], vectors[:, kept]
-        along = vectors.T @ (side[index] * scale)
+        along = vectors.T @ (side * scale)
         numbers = scale * (vectors @ (along / strength))
         errors = scale * np.sqrt((vectors**2 / strength).sum(axis=1))
         found, stated, start = {}, {}, 0
         for name in names:
-            stop = start + len(self.places[name])
+            stop = start + self.numbers[name]
             shape = (len(self.regressors[name]), -1) if self.per_frame[name] else (-1,)
             found[name] = numbers[start:stop].reshape(shape)
             stated[name] = errors[start:stop].reshape(shape)

@@ -39,9 +39,6 @@ class RigModel:
         camera-sharpening: strength. dynamic-contrast: change of the light from black to white.
     errors : mapping of str to array
         Their standard errors, of the same shapes.
-    sharpness : float
-        How sharp the camera's images are between pixels, from 0 (as the central difference has it)
-        to 0.268 (cubic splines) and beyond; fitted with `shift`.
 
     Examples
     --------
@@ -55,15 +52,15 @@ class RigModel:
 
     values: Mapping[str, Array] = field(default_factory=dict)
     errors: Mapping[str, Array] = field(default_factory=dict)
-    sharpness: float = 0.1
 
     def __repr__(self) -> str:
         return f"RigModel({'; '.join(self.sentences) or 'nothing found'})"
 
     @property
     def names(self) -> tuple[str, ...]:
-        """The terms that are there."""
-        return tuple(self.values)
+        """The terms that are there, by the names that `correct` takes and the user reads."""
+        labels = (TERMS[name]().label_of(values) for name, values in self.values.items())
+        return tuple(dict.fromkeys(labels))
 
     @property
     def sentences(self) -> tuple[str, ...]:
@@ -88,9 +85,8 @@ class RigModel:
 
         `transport` is T estimated from `capture`. None if nothing else is found.
         """
-        seen = replace(Prediction.of(capture, sent, transport), sharpness=self.sharpness)
         terms = [each() for name, each in TERMS.items() if name in allowed]
-        steps, errors, seen = choose_terms(seen, terms)
+        steps, errors = choose_terms(Prediction.of(capture, sent, transport), terms)
         if not steps:
             return None
         values = dict(self.values)
@@ -99,15 +95,13 @@ class RigModel:
             step = term.based(step)
             values[name] = term.based(term.added(values[name], step)) if name in values else step
         ordered = {name: values[name] for name in TERMS if name in values}
-        return RigModel(ordered, {**self.errors, **errors}, seen.sharpness)
+        return RigModel(ordered, {**self.errors, **errors})
 
     def corrected(self, capture: Capture, transport: LightTransport) -> Capture:
         """The capture without what the rig did, by a T that tells how images move."""
         draft = Draft(capture, np.ones(capture.count), np.zeros(capture.count))
         for name, values in self.values.items():
             term = TERMS[name]()
-            if hasattr(term, "sharpness"):
-                term.sharpness = self.sharpness
             term.take_out(values, draft)
         changed = draft.capture
         if draft.patterns:

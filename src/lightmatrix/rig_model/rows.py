@@ -8,8 +8,13 @@ from lightmatrix.rig_model.prediction import Prediction
 from lightmatrix.rig_model.term import Array, Draft, Term, deviation
 
 
+def _waves(height: Array) -> Array:
+    """Half a period to three over the picture's height, of places from 0 to 1."""
+    return np.stack([np.sqrt(2) * np.cos(np.pi * number * height) for number in range(1, 7)])
+
+
 class Rows(Term):
-    """The light of frame k varies as a sine and a cosine over the camera's rows."""
+    """The light of frame k varies over the camera's rows, as a sum of six cosines."""
 
     name = "rows"
     per_frame = True
@@ -17,17 +22,13 @@ class Rows(Term):
     # than the first frame.
     of_first_frame = False
 
-    def _waves(self, height: Array) -> Array:
-        return np.stack([np.sin(2 * np.pi * height), np.cos(2 * np.pi * height)])
-
     def regressors(self, seen: Prediction) -> Array:
-        return self._waves(seen.height) * seen.predicted
+        return _waves(seen.position[0]) * seen.predicted
 
     def take_out(self, values: Array, draft: Draft) -> None:
         rows = draft.capture.camera_shape[0]
-        waves = self._waves((np.arange(rows)[:, None] + 0.5) / rows)
-        draft.profile = 1 + (waves * values[:, None, :]).sum(axis=0)
+        draft.profile = 1 + np.tensordot(_waves((np.arange(rows) + 0.5) / rows), values, (0, 0))
 
     def sentence(self, values: Array) -> str:
-        amplitude = 100 * deviation(values)
+        amplitude = 100 * np.sqrt(2) * deviation(values)
         return f"the light varied by {amplitude:.1f} % along the camera's rows (rolling shutter?)"

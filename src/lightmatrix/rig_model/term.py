@@ -46,6 +46,8 @@ class Term(ABC):
     # A term that changes the photographs by a smaller share (root mean square) is not named. T
     # errs by 1 to 4 % anyway.
     least: ClassVar[float] = 0.004
+    # The name that the user reads, where several terms describe one thing.
+    label: ClassVar[str] = ""
     # The sum of the numbers of a term that all frames share lies in this range.
     between: ClassVar[tuple[float, float]] = (-np.inf, np.inf)
 
@@ -64,6 +66,10 @@ class Term(ABC):
     def added(self, values: Array, step: Array) -> Array:
         """The numbers after a further step, which was found once they were taken out."""
         return values + step
+
+    def label_of(self, values: Array) -> str:
+        """The name that the user reads."""
+        return self.label or self.name
 
     def based(self, values: Array) -> Array:
         """The numbers as changes from the first frame."""

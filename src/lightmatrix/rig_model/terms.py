@@ -14,6 +14,7 @@ from lightmatrix.rig_model.rows import Rows
 from lightmatrix.rig_model.sharpening import Sharpening
 from lightmatrix.rig_model.shift import Shift
 from lightmatrix.rig_model.term import Term
+from lightmatrix.rig_model.zoom import Zoom
 
 TERMS: dict[str, type[Term]] = {
     each.name: each
@@ -24,6 +25,7 @@ TERMS: dict[str, type[Term]] = {
         Previous,
         CameraSharpening,
         Shift,
+        Zoom,
         DynamicContrast,
         Gain,
         Rows,
