@@ -132,7 +132,8 @@ def _brightest(
     count: int,
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Row and column of the brightest 3 x 3 pixels of each row of T, around `possible` entries."""
-    # Entries are sorted by row and pixel. Numbers of the pixels of all rows, with a border, so that no neighbour lies across an edge.
+    # Entries are sorted by row and pixel. The numbers of the pixels of all rows have a border, so
+    # that no neighbour lies across an edge.
     width = shape[1] + 2
     place = (row.astype(np.int64) + 1) * width + col.astype(np.int64) + 1
     number = owner * ((shape[0] + 2) * width) + place
