@@ -22,7 +22,7 @@ from lightmatrix.files.images import decode_image, encode_image
 from lightmatrix.patterns.bits import BernoulliPatterns
 from lightmatrix.patterns.pattern_set import ImagePatterns, PatternSet
 from lightmatrix.simulation import library
-from lightmatrix.simulation.binning import binned
+from lightmatrix.simulation.truth import binned
 from lightmatrix.transport.matrix import LightTransport
 
 Floats = NDArray[np.float32]

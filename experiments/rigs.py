@@ -33,11 +33,10 @@ from lightmatrix.patterns.colour import ColourPatterns, colour_bernoulli
 from lightmatrix.pictures.style import COLOURS, figure, fix_ticks, save
 from lightmatrix.planning.plan import plan
 from lightmatrix.simulation import library
-from lightmatrix.simulation.binning import binned
 from lightmatrix.simulation.colour import in_all_primaries, of_primary
 from lightmatrix.simulation.realism import defocus
 from lightmatrix.simulation.simulate import SimulatedCapture, simulate
-from lightmatrix.simulation.truth import Truth
+from lightmatrix.simulation.truth import Truth, binned
 from lightmatrix.transport.matrix import LightTransport
 
 # "Tinted" surfaces have a random colour in each square of this many camera pixels.

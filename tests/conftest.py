@@ -10,9 +10,8 @@ from typing import Any
 import pytest
 
 from lightmatrix.simulation import library
-from lightmatrix.simulation.binning import coarse
 from lightmatrix.simulation.library import read_bundled
-from lightmatrix.simulation.truth import Truth
+from lightmatrix.simulation.truth import Truth, binned
 
 
 @pytest.fixture(scope="session", autouse=True)
@@ -42,7 +41,7 @@ def small_scenes() -> Iterator[None]:
         name: str | Path | Truth, size: tuple[int, int] = library.BUNDLED_SIZE, **options: Any
     ) -> Truth:
         if name in library.BUNDLED and size == (32, 32):
-            return coarse(bundled(name), 2)
+            return binned(bundled(name), 2)
         return bundled(name, size, **options)
 
     with pytest.MonkeyPatch.context() as patch:

@@ -15,9 +15,6 @@ import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from lightmatrix.capture.capture import Capture
-from lightmatrix.capture.folder import write_capture
-from lightmatrix.capture.sensor import Sensor
 from lightmatrix.defaults import USUAL_NOISE
 from lightmatrix.estimators.choice import choose_estimator
 from lightmatrix.estimators.plain import PlainEstimator
@@ -36,11 +33,11 @@ from lightmatrix.patterns.bits import BernoulliPatterns
 from lightmatrix.pictures.maps import WHITE_TO_RED
 from lightmatrix.pictures.style import display, figure, mark_clipped, panel, save
 from lightmatrix.report.elements import Gallery, Section, Table, image_of_file
-from lightmatrix.report.facts import Estimator
+from lightmatrix.report.facts import Estimator, Facts, validate
 from lightmatrix.report.make import write_page
 from lightmatrix.simulation import library
-from lightmatrix.simulation.binning import coarse
-from lightmatrix.simulation.irradiance import irradiance
+from lightmatrix.simulation.simulate import simulate
+from lightmatrix.simulation.truth import binned
 from lightmatrix.solvers import ADMM, ROMP, Fidelity, SaturationADMM
 from lightmatrix.transport.matrix import LightTransport
 
@@ -56,7 +53,6 @@ ESTIMATORS: dict[str, Estimator | EstimateSettings] = {
     "Saturation ADMM": PlainEstimator(SaturationADMM(Fidelity.CLIPPED)),
     DEFAULT: EstimateSettings(),
 }
-PICTURE = "methods"
 
 
 def demo(
@@ -92,58 +88,57 @@ def demo(
     >>> import lightmatrix as lm
     >>> result = lm.demo("report")  # doctest: +SKIP
     """
-    with atomic_folder(folder, DEMO, overwrite=overwrite) as part:
-        return _run(part, progress)
-
-
-def _run(out: Path, progress: Callable[[int, int], None] | None) -> dict[str, Any]:
-    report = progress or (lambda done, total: None)
+    step = progress or (lambda done, total: None)
     steps = len(ESTIMATORS) + 2
-    truth = coarse(library.truth(SCENE), 2)
-    known = truth.transport()
-    exposure = 1 / float(np.quantile(row_maximum(known), UNCLIPPED_QUANTILE))
-    patterns = BernoulliPatterns(truth.projector_shape, PATTERNS)
-    sensor = Sensor(exposure, 0.0, USUAL_NOISE, 0.0, 8)
-    frames = sensor.expose(irradiance(truth.matrix, patterns))
-    stack = np.ascontiguousarray(frames.T).reshape(PATTERNS, *truth.camera_shape)
-    folder = out / "capture"
-    write_capture(folder, patterns, stack, sensor=sensor, camera_shape=truth.camera_shape)
-    capture = Capture.open(folder)
-    report(1, steps)
-    estimates = {}
-    for done, (name, estimator) in enumerate(ESTIMATORS.items(), start=2):
-        if isinstance(estimator, EstimateSettings):
-            estimator = choose_estimator(capture, estimator)
-        estimates[name] = estimator.estimate(capture)
-        report(done, steps)
-    tests = unseen_patterns(known.projector_shape)
-    result: dict[str, Any] = {
-        "scene": SCENE,
-        "size": list(truth.camera_shape),
-        "patterns": PATTERNS,
-        "exposure": exposure,
-        "noise": USUAL_NOISE,
-        "clipped_samples": float((frames >= sensor.clip_level).mean()),
-        "clipping_responses": float((row_maximum(known) * exposure > 1).mean()),
-        "methods": [
-            _errors(name, estimate, known, tests, exposure) for name, estimate in estimates.items()
-        ],
-    }
-    with figure(8.6, 6.8) as drawing:
-        _draw(drawing, stack, known, estimates, tests["disc"], exposure)
-        save(drawing, out, PICTURE)
-    result["report"] = write_page(
-        out,
-        estimates[DEFAULT],
-        capture,
-        truth=known,
-        title="Demo: a pile of L-shaped blocks",
-        viewer=True,
-        geometry=truth.geometry,
-        more=[_comparison(result["methods"], out / f"{PICTURE}.png")],
-    )
-    (out / "demo.json").write_text(json.dumps(result, indent=2) + "\n")
-    report(steps, steps)
+    with atomic_folder(folder, DEMO, overwrite=overwrite) as out:
+        truth = binned(library.truth(SCENE), 2)
+        known = truth.transport()
+        exposure = 1 / float(np.quantile(row_maximum(known), UNCLIPPED_QUANTILE))
+        patterns = BernoulliPatterns(truth.projector_shape, PATTERNS)
+        capture = simulate(truth, patterns, exposure=exposure)
+        capture.save(out / "capture")
+        step(1, steps)
+        estimates = {}
+        for done, (name, estimator) in enumerate(ESTIMATORS.items(), start=2):
+            if isinstance(estimator, EstimateSettings):
+                estimator = choose_estimator(capture, estimator)
+            estimates[name] = estimator.estimate(capture)
+            step(done, steps)
+        tests = unseen_patterns(known.projector_shape)
+        shown = np.stack(list(tests.values()))
+        result: dict[str, Any] = {
+            "scene": SCENE,
+            "size": list(truth.camera_shape),
+            "patterns": PATTERNS,
+            "exposure": exposure,
+            "noise": USUAL_NOISE,
+            "clipped_samples": capture.raw_clipped_share,
+            "clipping_responses": float((row_maximum(known) * exposure > 1).mean()),
+            "methods": [
+                {
+                    "method": name,
+                    "rmse": response_rmse(one, known, clip_level=1 / exposure, step=2, offset=1),
+                    "relative_error": relative_error(one, known),
+                    "relighting_error": relighting_error(one, known, shown),
+                }
+                for name, one in estimates.items()
+            ],
+        }
+        with figure(8.6, 6.8) as drawing:
+            stack = np.stack([capture.frames.read(k) for k in range(PATTERNS)])
+            _draw(drawing, stack, known, estimates, tests["disc"], exposure)
+            save(drawing, out, "methods")
+        validation = validate(capture, EstimateSettings())
+        facts = Facts(estimates[DEFAULT], capture, known, validation, truth.geometry)
+        result["report"] = write_page(
+            out,
+            facts,
+            "Demo: a pile of L-shaped blocks",
+            viewer=True,
+            more=[_comparison(result["methods"], out / "methods.png")],
+        )
+        (out / "demo.json").write_text(json.dumps(result, indent=2) + "\n")
+        step(steps, steps)
     return result
 
 
@@ -174,21 +169,6 @@ def _comparison(methods: list[dict[str, Any]], picture: Path) -> Section:
     )
 
 
-def _errors(
-    name: str,
-    estimate: LightTransport,
-    known: LightTransport,
-    tests: Mapping[str, NDArray[np.float32]],
-    exposure: float,
-) -> dict[str, Any]:
-    return {
-        "method": name,
-        "rmse": response_rmse(estimate, known, clip_level=1 / exposure, step=2, offset=1),
-        "relative_error": relative_error(estimate, known),
-        "relighting_error": relighting_error(estimate, known, np.stack(list(tests.values()))),
-    }
-
-
 def _draw(
     drawing: Figure,
     stack: NDArray[Any],
@@ -208,40 +188,30 @@ def _draw(
     panel(panels[0, 3], often, "share of frames clipped", cmap=WHITE_TO_RED)
     panel(panels[0, 4], pattern, "unseen pattern")
 
-    place = _often_clipped_pixel(stack, known, exposure)
-    matrices = {"truth": known, **estimates}
+    # An inner camera pixel that clips in about 40 % of the frames by sums of responses alone.
+    rows, cols = often.shape
+    quiet = row_maximum(known).reshape(rows, cols) * exposure < 0.9
+    quiet[[*range(rows // 4), *range(rows - rows // 4, rows)]] = False
+    quiet[:, [*range(cols // 4), *range(cols - cols // 4, cols)]] = False
+    distance = np.where(quiet, np.abs(often - 0.4), np.inf)
+    place = [int(k) for k in np.unravel_index(int(np.argmin(distance)), (rows, cols))]
     expected = known.relight(pattern)
-    for column, (name, transport) in enumerate(matrices.items()):
+    bright = float(np.quantile(expected, 0.98))
+    for column, (name, transport) in enumerate({"truth": known, **estimates}.items()):
         row = exposure * transport.row(*place)
         panel(panels[1, column], display(row, float(exposure * known.row(*place).max())), name)
         image = transport.relight(pattern)
-        panel(panels[2, column], display(image, float(np.quantile(expected, 0.98))))
-        error = (image - expected) / float(np.quantile(expected, 0.98))
+        panel(panels[2, column], display(image, bright))
+        error = image - expected
         limits: dict[str, Any] = {"cmap": "RdBu_r", "vmin": -0.5, "vmax": 0.5}
-        error_panel = panel(panels[3, column], error, **limits)
-        panels[2, column].set_xlabel("" if name == "truth" else _psnr(image, expected))
+        error_panel = panel(panels[3, column], error / bright, **limits)
+        if name != "truth":
+            off = max(float(np.sqrt(np.mean(error**2))), 1e-12)
+            psnr = 20 * np.log10(float(expected.max()) / off)
+            panels[2, column].set_xlabel(f"PSNR {psnr:.1f} dB")
     panels[1, 0].set_ylabel(f"row of T, pixel {place[0]}, {place[1]}")
     panels[2, 0].set_ylabel("relit image")
     panels[3, 0].set_ylabel("error of relighting")
     drawing.colorbar(
         error_panel, ax=panels[3, :].tolist(), shrink=0.8, label="error, share of white"
     )
-
-
-def _psnr(image: NDArray[np.float32], expected: NDArray[np.float32]) -> str:
-    error = float(np.sqrt(np.mean((image - expected) ** 2)))
-    return f"PSNR {20 * np.log10(float(expected.max()) / max(error, 1e-12)):.1f} dB"
-
-
-def _often_clipped_pixel(
-    stack: NDArray[Any], known: LightTransport, exposure: float
-) -> tuple[int, int]:
-    """An inner camera pixel that clips in about 40 % of the frames by sums of responses alone."""
-    rows, cols = known.camera_shape[:2]
-    share = (stack == 255).mean(axis=0)
-    quiet = row_maximum(known).reshape(rows, cols) * exposure < 0.9
-    inside = np.zeros((rows, cols), bool)
-    inside[rows // 4 : rows - rows // 4, cols // 4 : cols - cols // 4] = True
-    distance = np.where(quiet & inside, np.abs(share - 0.4), np.inf)
-    row, col = np.unravel_index(int(np.argmin(distance)), (rows, cols))
-    return int(row), int(col)

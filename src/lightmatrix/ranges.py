@@ -35,6 +35,15 @@ def check_number(
         raise InputError(f"{what} of {value}", hint=hint)
 
 
+def check_type(what: str, value: Any, *kinds: type, hint: str | None = None) -> None:
+    """Refuse a value that is of none of the kinds; `what` says in the message what is wanted."""
+    if not isinstance(value, kinds):
+        raise InputError(
+            f"{type(value).__name__} in place of {what}",
+            hint=hint or f"give a {' or '.join(kind.__name__ for kind in kinds)}",
+        )
+
+
 def check_seed(seed: int) -> None:
     """Refuse seeds that are not whole numbers of 64 bits."""
     if not hasattr(seed, "__index__") or not 0 <= int(seed) <= LARGEST_SEED:

@@ -26,7 +26,7 @@ from lightmatrix.cli import main
 from lightmatrix.errors import InputError, OutputError
 from lightmatrix.estimators.plain import PlainEstimator
 from lightmatrix.patterns.pattern_set import PatternSet
-from lightmatrix.simulation.binning import coarse
+from lightmatrix.simulation.truth import binned
 
 SHAPE, COUNT = (6, 9), 5
 
@@ -192,7 +192,7 @@ def test_packing_through_a_file_gives_the_same_capture(tmp_path: Path, small_chu
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A simulated capture as a folder, and packed."""
     place = tmp_path_factory.mktemp("simulated")
-    known = coarse(lm.truth("metal"), 4)
+    known = binned(lm.truth("metal"), 4)
     simulated = lm.simulate(known, lm.BernoulliPatterns((16, 16), 24), exposure=0.3, leak=0.1)
     simulated.save(place / "capture")
     simulated.save(place / "simulated.zarr")

@@ -24,9 +24,9 @@ from lightmatrix.report import facts as report_facts
 from lightmatrix.report import sections as uses
 from lightmatrix.report.facts import Facts
 from lightmatrix.report.make import recommendations
-from lightmatrix.simulation.binning import coarse
 from lightmatrix.simulation.procedural import ProceduralScene
 from lightmatrix.simulation.simulate import SimulatedCapture
+from lightmatrix.simulation.truth import binned
 
 NOISE = 0.003
 
@@ -97,7 +97,7 @@ def test_depth_and_normals_are_shown_where_the_geometry_is_known(
     assert known.geometry is not None
     monkeypatch.chdir(tmp_path)
     known.geometry.save("rig.json")
-    coarse(known, 2).save(tmp_path / "T.npz")
+    binned(known, 2).save(tmp_path / "T.npz")
     for line in (
         "patterns bernoulli -k 24 --size 32x32 -o patterns",
         "simulate T.npz --patterns patterns --exposure 0.5 -o capture",
@@ -219,7 +219,7 @@ def test_pictures_stay_small_whatever_they_show() -> None:
     noise = np.random.default_rng(0).random((1000, 900, 3))
     errors = maps.error_map(noise[..., 0])
     pictures = (
-        elements.photograph(noise, "noise", exact=True),
+        elements.photograph(noise, "noise"),
         elements.pattern_image(noise[..., 0], "noise"),
         elements.difference_image(noise - 0.5, 1, "noise", "noise"),
         elements.faint_image(noise[..., 0], "noise", "noise"),
@@ -228,7 +228,7 @@ def test_pictures_stay_small_whatever_they_show() -> None:
     for picture in pictures:
         assert len(picture.source) < 150_000
         assert max(picture.width, picture.height) <= elements.MOST_PIXELS
-    thumbnail = elements.photograph(noise, "noise", most=elements.THUMB_PIXELS)
+    thumbnail = elements.photograph(noise, "noise", most=elements.THUMB_PIXELS, exact=False)
     assert len(thumbnail.source) < 8_000
 
 

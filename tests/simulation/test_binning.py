@@ -7,9 +7,8 @@ import pytest
 
 from lightmatrix.errors import InputError
 from lightmatrix.patterns.pattern_set import block_mean
-from lightmatrix.simulation.binning import binned, coarse
 from lightmatrix.simulation.procedural import ProceduralScene
-from lightmatrix.simulation.truth import Truth
+from lightmatrix.simulation.truth import Truth, binned
 
 
 @pytest.fixture(scope="module")
@@ -20,7 +19,7 @@ def truth() -> Truth:
 @pytest.mark.parametrize("factor", [2, 4])
 def test_images_under_coarse_patterns_are_the_binned_images(truth: Truth, factor: int) -> None:
     """The definition: coarse T times q is the block mean of T times q spread over its blocks."""
-    small = coarse(truth, factor)
+    small = binned(truth, factor)
     assert small.camera_shape == (12 // factor, 8 // factor)
     assert small.projector_shape == (8 // factor, 12 // factor)
     patterns = np.random.default_rng(0).random((5, *small.projector_shape)).astype(np.float32)
@@ -32,7 +31,7 @@ def test_images_under_coarse_patterns_are_the_binned_images(truth: Truth, factor
 
 
 def test_direct_light_stays_a_part_of_all_light(truth: Truth) -> None:
-    small = coarse(truth, 2)
+    small = binned(truth, 2)
     assert len(small.direct_data) == small.matrix.nnz
     assert (small.direct_data <= small.matrix.data * (1 + 1e-6)).all()
     assert (small.direct_data >= 0).all()
@@ -49,24 +48,24 @@ def test_colour_channels_are_not_mixed() -> None:
     matrix = type(grey.matrix)(rows.reshape(-1, 24))
     direct = np.zeros(matrix.nnz, np.float32)
     colour = Truth(matrix, direct, (4, 6, 3), (6, 4))
-    small = coarse(colour, 2)
+    small = binned(colour, 2)
     assert small.camera_shape == (2, 3, 3)
-    expected = coarse(grey, 2).matrix.toarray()[:, None, :] * gains[:, None]
+    expected = binned(grey, 2).matrix.toarray()[:, None, :] * gains[:, None]
     np.testing.assert_allclose(small.matrix.toarray(), expected.reshape(18, 6), rtol=1e-5)
 
 
 def test_a_factor_of_one_changes_nothing(truth: Truth) -> None:
-    assert coarse(truth, 1) is truth
+    assert binned(truth, 1) is truth
 
 
 @pytest.mark.parametrize("factor", [0, -2, 3, 8])
 def test_factors_that_do_not_divide_are_refused(truth: Truth, factor: int) -> None:
     with pytest.raises(InputError, match="common divisor"):
-        coarse(truth, factor)
+        binned(truth, factor)
 
 
 def test_camera_and_projector_are_binned_independently(truth: Truth) -> None:
-    both = coarse(truth, 2)
+    both = binned(truth, 2)
     one_after_the_other = binned(binned(truth, 2, 1), 1, 2)
     assert binned(truth, 2, 1).projector_shape == truth.projector_shape
     assert binned(truth, 1, 2).camera_shape == truth.camera_shape

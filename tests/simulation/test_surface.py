@@ -10,11 +10,10 @@ import pytest
 import tifffile
 
 import lightmatrix as lm
-from lightmatrix.simulation.binning import binned
 from lightmatrix.simulation.mitsuba_scene import load_mitsuba, mitsuba_scene
 from lightmatrix.simulation.scenes import Part, Scene, View, matt, names, scene
 from lightmatrix.simulation.shapes import Mesh, ball, sheet
-from lightmatrix.simulation.truth import trace_surface, view_geometry
+from lightmatrix.simulation.truth import binned, trace_surface, view_geometry
 
 
 def pixels(shape: tuple[int, ...]) -> np.ndarray:

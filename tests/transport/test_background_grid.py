@@ -101,5 +101,5 @@ def test_errors_need_no_dense_matrix() -> None:
 @pytest.mark.parametrize("grid", [(51, 16), (16, 38), (0, 16)])
 def test_grids_that_do_not_fit_are_refused(fine: LightTransport, grid: tuple[int, int]) -> None:
     background = np.zeros((ROWS, grid[0] * grid[1]), np.float32)
-    with pytest.raises(InputError, match=f"a grid of {grid[0]} x {grid[1]} cells.*50 x 37"):
+    with pytest.raises(InputError, match=f"grid.* {grid[0]} x {grid[1]}"):
         LightTransport(fine.sparse, background, CAMERA, PROJECTOR, grid)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -13,6 +14,8 @@ from scipy.sparse import csr_array
 
 from lightmatrix.errors import InputError
 from lightmatrix.transport.matrix import LightTransport
+from lightmatrix.transport.store import open as open_store
+from lightmatrix.transport.store import save
 
 sizes = st.integers(1, 6)
 
@@ -91,6 +94,62 @@ def test_bad_shapes_are_refused() -> None:
     ):
         with pytest.raises(InputError, match=message):
             call()
+
+
+def _parts(**changed: Any) -> dict[str, Any]:
+    """What a small matrix consists of, with something changed."""
+    sparse = csr_array((np.ones(4), np.arange(4), np.array([0, 1, 2, 3, 4, 4, 4])), shape=(6, 4))
+    for name in ("data", "indices", "indptr"):
+        setattr(sparse, name, changed.pop(name, getattr(sparse, name)))
+    usual = {"sparse": sparse, "background": np.zeros((6, 1), np.float32)}
+    return {**usual, "camera_shape": (2, 3), "projector_shape": (2, 2), **changed}
+
+
+@pytest.mark.parametrize(
+    ("changed", "message"),
+    [
+        # As MATLAB counts. SciPy accepts them, and reads what lies behind the vector.
+        ({"indices": np.array([1, 2, 3, 4])}, "outside the 4 columns.*\n.*MATLAB counts from 1"),
+        ({"indices": np.array([-1, 1, 2, 3])}, "outside"),
+        ({"indptr": np.array([0, 1, 2, 3, 9, 4, 4])}, "indptr does not rise"),
+        ({"data": np.array([1, np.nan, 1, 1], np.float32)}, "not finite"),
+        ({"data": np.array([1, 1e39, 1, 1])}, "not finite"),
+        ({"data": np.ones(4, complex)}, "complex128 values"),
+        ({"sparse": np.ones((6, 4))}, "ndarray as the sparse part.*\n.*from_matrix"),
+        ({"sparse": None}, "NoneType as the sparse part"),
+        ({"background": np.full((6, 1), np.inf)}, "background that are not all finite"),
+        ({"background": np.ma.MaskedArray(np.ones((6, 1)), mask=True)}, "6 masked values"),
+        ({"camera_shape": (2, 3.0)}, "camera_shape is no shape"),
+        ({"projector_shape": 4}, "projector_shape is no shape"),
+        ({"diagnostics": {"a/b": np.zeros(6)}}, "letters, digits"),
+        ({"diagnostics": {"gap": np.zeros(6, "O")}}, "'gap' of type object"),
+        ({"diagnostics": [1]}, "list in place of diagnostics"),
+        ({"provenance": None}, "NoneType in place of a provenance"),
+    ],
+)  # fmt: skip
+def test_what_no_store_could_hold_is_refused(changed: dict[str, Any], message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        LightTransport(**_parts(**changed))
+
+
+def test_what_is_accepted_can_be_saved_and_opened(tmp_path: Path) -> None:
+    listed = LightTransport(
+        **_parts(
+            data=np.ones(4, int),
+            background=np.zeros((6, 1)),
+            camera_shape=[2, 3],
+            diagnostics={"gap": [0] * 6},
+        )
+    )
+    empty = LightTransport.from_matrix(np.zeros((6, 4)), (2, 3), (2, 2))
+    for number, transport in enumerate((listed, empty)):
+        save(tmp_path / f"{number}.zarr", transport)
+        again = open_store(tmp_path / f"{number}.zarr")
+        np.testing.assert_array_equal(again.sparse.toarray(), transport.sparse.toarray())
+        assert again.camera_shape == (2, 3)
+    listed.sparse.data[0] = np.nan
+    with pytest.raises(InputError, match="not finite"):
+        save(tmp_path / "changed.zarr", listed)
 
 
 @pytest.mark.parametrize(

@@ -376,15 +376,14 @@ def test_patterns_of_the_capture(transport: lm.LightTransport) -> None:
     frames = np.zeros((8, *transport.camera_shape), np.uint8)
     capture = lm.Capture.from_arrays(patterns, frames, lm.Sensor())
     scene = Scene(transport, capture=capture)
-    assert scene.frames is not None
-    assert scene.frames.count == 8
+    assert scene.pattern_count == 8
     # The matrix has the projector binned by 2.
     expected = patterns.images()[3].reshape(16, 2, 18, 2).mean(axis=(1, 3))
-    levels = scene.frames.levels(3)[-16 * 18 :]
+    levels = scene.pattern(3)[-16 * 18 :]
     np.testing.assert_allclose(np.frombuffer(levels, np.uint8), 255 * expected.ravel(), atol=0.51)
     for number in (-1, 8):
         with pytest.raises(lm.InputError, match=f"pattern {number} of 8"):
-            scene.frames.levels(number)
+            scene.pattern(number)
     other = lm.Capture.from_arrays(lm.BernoulliPatterns((8, 8), 8), frames, lm.Sensor())
     with pytest.raises(lm.InputError, match="projector of 8 x 8"):
         Scene(transport, capture=other)

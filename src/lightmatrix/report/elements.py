@@ -141,10 +141,6 @@ THUMB_PIXELS = 72
 # Photographs of up to this many pixels a side are stored without loss: single pixels are visible on
 # the page, and noise does not make the file large.
 MOST_LOSSLESS = 128
-# The scale of a difference holds this share of its pixels. Chosen by eye.
-_SCALED = 0.99
-# WebP quality of images with and without loss. Chosen by eye and by file size.
-_LOSSY_QUALITY, _LOSSLESS_QUALITY = 88, 60
 _BAR_PIXELS = 64
 
 Shrinking = Literal["mean", "largest", "sampled"]
@@ -170,7 +166,7 @@ def image_of_map(shown: Map, caption: str = "") -> Image:
 
 def photograph(
     light: NDArray[Any], alternative: str, title: str = "", caption: str = "",
-    *, white: float | None = None, most: int = MOST_PIXELS, exact: bool = False,
+    *, white: float | None = None, most: int = MOST_PIXELS, exact: bool = True,
 ) -> Image:  # fmt: skip
     """A linear image (rows, cols[, 3]) with gamma 2.2 and a longer side of `most` pixels."""
     level = white_level(light) if white is None else white
@@ -215,8 +211,9 @@ def difference_image(
 
     The scale holds all but the largest differences, and ends at `least` or above.
     """
-    grey = _grey(np.asarray(difference, float))
-    most = max(least, float(np.quantile(abs(grey), _SCALED)))
+    grey = np.asarray(difference, float)
+    grey = grey if grey.ndim == 2 else grey.mean(axis=2)
+    most = max(least, float(np.quantile(abs(grey), 0.99)))
     shown = np.clip(0.5 + 0.5 * _shrink(grey, MOST_PIXELS, "mean") / max(most, 1e-12), 0, 1)
     bar = _bytes(np.linspace(0, 1, _BAR_PIXELS)[None])
     scale = Scale(_address(bar), _number(-most), f"+{_number(most)}", "relative to the clip level")
@@ -240,9 +237,8 @@ def _image(
 
 def _address(pixels: NDArray[np.uint8], exact: bool = True) -> str:
     """An image as a data: address, lossless if `exact`."""
-    options: dict[str, Any] = {"quality": _LOSSY_QUALITY}
-    if exact:
-        options = {"lossless": True, "quality": _LOSSLESS_QUALITY}
+    # The qualities of WebP were chosen by eye and by file size.
+    options: dict[str, Any] = {"lossless": True, "quality": 60} if exact else {"quality": 88}
     coloured = pixels if pixels.ndim == 3 else np.repeat(pixels[..., None], 3, axis=2)
     encoded = encode_image(coloured, "webp", **options)
     return "data:image/webp;base64," + base64.b64encode(encoded).decode("ascii")
@@ -264,10 +260,6 @@ def _shrink(image: NDArray[Any], most: int, how: Shrinking) -> NDArray[Any]:
     if image.ndim == 2:
         return block_mean(image[None], (block, block))[0]
     return np.moveaxis(block_mean(np.moveaxis(image, 2, 0), (block, block)), 0, 2)
-
-
-def _grey(image: NDArray[Any]) -> NDArray[Any]:
-    return image if image.ndim == 2 else image.mean(axis=2)
 
 
 def _bytes(shown: NDArray[Any]) -> NDArray[np.uint8]:

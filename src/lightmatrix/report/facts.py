@@ -41,9 +41,6 @@ from lightmatrix.transport.matrix import LightTransport
 # others, and its predictions are compared with the frames.
 
 
-# At most this many unseen photographs are shown and predicted. Chosen by hand: a second estimate
-# needs nearly all frames.
-_MOST = 4
 # Cameras of more samples are tested on a rectangle of about this many, as the docs say.
 MOST_ROWS = 16_384
 
@@ -87,7 +84,8 @@ def validate(
     Cameras of more than 16,384 samples are tested on a rectangle of about as many, around the
     middle of their light.
     """
-    held = HeldOut.choose(capture.patterns, judged=_MOST)
+    # More would leave too few for the second estimate. Chosen by hand.
+    held = HeldOut.choose(capture.patterns, judged=4)
     frames = held.judged
     if capture.count < FEWEST:
         return f"{capture.count} photographs are too few to hold any out"
@@ -134,17 +132,6 @@ def validate(
     )
 
 
-# A camera pixel hardly sees the projector if its white level is below this share of a bright one's
-# (0.99 quantile). Chosen by hand, as in `planning`.
-_DARK = 0.02
-# Errors over kinds of rows are computed only if T has at most this many entries, zeros included:
-# finding the diffuse rows of larger matrices takes minutes.
-_MOST_ENTRIES = 1 << 30
-# An estimate is doubtful if its prediction error exceeds this share of the error of the mean
-# photograph, which knows nothing of T. Chosen by hand.
-_BARELY_BETTER = 0.5
-
-
 @dataclass(frozen=True, eq=False)
 class FrameFacts:
     """The share of clipped samples of each frame, (K,), and its mean relative to the clip level."""
@@ -189,7 +176,8 @@ class Facts:
     def dark_share(self) -> float:
         """Share of the camera pixels that hardly see the projector."""
         white = self.white if self.white.ndim == 2 else self.white.sum(axis=2)
-        return float(np.mean(white <= _DARK * np.quantile(white, 0.99)))
+        # They see less than 2 % of what a bright pixel sees, as in `planning`.
+        return float(np.mean(white <= 0.02 * np.quantile(white, 0.99)))
 
     @cached_property
     def singly_clipped(self) -> float:
@@ -204,7 +192,8 @@ class Facts:
     @cached_property
     def errors(self) -> Errors | None:
         """Errors over kinds of rows, where the truth is known and T is not too large."""
-        if self.truth is None or self.transport.shape[0] * self.transport.shape[1] > _MOST_ENTRIES:
+        # Finding the diffuse rows of matrices with more entries, zeros included, takes minutes.
+        if self.truth is None or self.transport.shape[0] * self.transport.shape[1] > 1 << 30:
             return None
         return errors_by_rows(self.transport, self.truth, float(self.capture.exposures.max()))
 
@@ -255,7 +244,8 @@ class Facts:
 def _validation_error(validation: Validation) -> float:
     """The prediction error; doubtful where the mean photograph predicts nearly as well."""
     error, baseline = validation.error, validation.mean_error
-    return error if error < _BARELY_BETTER * baseline else max(error, 2 * FAIR)
+    # The mean photograph knows nothing of T. The factor was chosen by hand.
+    return error if error < 0.5 * baseline else max(error, 2 * FAIR)
 
 
 def _validation_sentence(validation: Validation) -> str:

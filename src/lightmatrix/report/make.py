@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +16,6 @@ from lightmatrix._version import __version__
 from lightmatrix.capture.capture import Capture
 from lightmatrix.check.curves import as_estimated
 from lightmatrix.check.finding import Finding
-from lightmatrix.errors import InputError
 from lightmatrix.estimators.settings import EstimateSettings
 from lightmatrix.files.kinds import REPORT
 from lightmatrix.files.writing import atomic_folder
@@ -31,8 +29,9 @@ from lightmatrix.judgement.judgement import (
     percent,
     stored_findings,
 )
+from lightmatrix.judgement.metrics import check_same_rig
 from lightmatrix.pictures.maps import has_diagnostic
-from lightmatrix.report.elements import Points, Section, Strip
+from lightmatrix.report.elements import Points, Section
 from lightmatrix.report.facts import Estimator, Facts, Validation, validate
 from lightmatrix.report.sections import (
     error_estimates,
@@ -49,137 +48,78 @@ from lightmatrix.solvers.loop import Progress
 from lightmatrix.transport.matrix import LightTransport
 from lightmatrix.viewer.export import export_viewer
 
-# Recommendations for the next capture, one sentence or two for each problem.
-
-
-# The report recommends something if more than these shares of the rows clip in half of their
-# samples, do not converge, or hardly see the projector. All limits here were chosen by hand.
-_OFTEN_CLIPPED, _UNFINISHED, _DARK = 0.1, 0.01, 0.2
-# A longer exposure is recommended if the brightest frame's mean lies below this share of the clip
-# level and hardly any sample clips. It is to reach half of the clip level in one step of at most 8.
-_DIM, _HARDLY_ANY = 0.1, 0.001
-_WANTED_LEVEL, _LONGEST_STEP = 0.5, 8.0
-# A projector in focus has footprints of fewer projector pixels than this (median over the rows).
-_WIDE = 12
-# A background that holds more than this share of the light is worth coarse patterns.
-_DIFFUSE = 0.3
-
 
 def recommendations(facts: Facts) -> tuple[str, ...]:
-    """Recommendations for the user, the most urgent first."""
-    sentences = [
-        *_about_exposure(facts),
-        *_about_prediction(facts),
-        *_about_convergence(facts),
-        *_about_the_rig(facts),
-    ]
-    return tuple(sentences) or (
-        "Nothing needs to change: use the same exposure, patterns and number of photographs.",
-    )
-
-
-def _about_exposure(facts: Facts) -> list[str]:
-    sentences = []
-    shares = np.asarray(facts.transport.diagnostics.get("clipped_share", np.zeros(1)))
-    often = float(np.mean(shares > 0.5))
+    """Recommendations for the next capture, the most urgent first. Limits were chosen by hand."""
+    transport, frames, validation = facts.transport, facts.frames, facts.validation
+    diagnostics, count = transport.diagnostics, facts.capture.count
+    sentences = list[str]()
+    often = float(np.mean(np.asarray(diagnostics.get("clipped_share", 0.0)) > 0.5))
     if facts.singly_clipped > SINGLY_CLIPPED:
         sentences.append(
             f"{percent(facts.singly_clipped)} of the rows clip under a single projector pixel, so "
             "their strongest entry is only a lower bound. Take a few frames at a quarter of the "
             "exposure (`lightmatrix plan` says how many)."
         )
-    elif often > _OFTEN_CLIPPED:
+    elif often > 0.1:
         sentences.append(
             f"{percent(often)} of the rows clipped in more than half of their samples. Choose an "
             "exposure at which a white pattern just does not clip, or light fewer projector pixels "
             "at a time (`lightmatrix plan` on a white frame)."
         )
-    brightest = float(facts.frames.level.max())
-    if brightest < _DIM and float(facts.frames.clipped.max()) < _HARDLY_ANY:
-        factor = min(_LONGEST_STEP, _WANTED_LEVEL / max(brightest, 1e-3))
+    brightest = float(frames.level.max())
+    if brightest < 0.1 and float(frames.clipped.max()) < 0.001:
+        # Half of the clip level is wanted, in one step of at most 8.
+        factor = min(8.0, 0.5 / max(brightest, 1e-3))
         sentences.append(
             f"The brightest frame reaches {percent(brightest)} of the clip level on average, and "
             f"nothing clips. An exposure {factor:.2g} times as long would leave less noise."
         )
-    return sentences
-
-
-def _about_prediction(facts: Facts) -> list[str]:
-    validation = facts.validation
     if not isinstance(validation, Validation):
-        return [
+        sentences.append(
             f"The estimate was not tested on unseen photographs: {validation}. A few more random "
             "patterns would make a test possible."
-        ]
-    if validation.error <= GOOD:
-        return []
-    error = f"Prediction error on unseen photographs: {percent(validation.error)}."
-    count = facts.capture.count
-    if validation.error <= FAIR:
-        return [f"{error} More patterns ({2 * count} instead of {count}) would lower it."]
-    return [
-        f"{error} Check that the frames follow the patterns, that they are linear in light and "
-        f"that the camera did not move. If so, take twice the patterns ({2 * count}), or average "
-        "projector pixels (bin_projector=2)."
-    ]
-
-
-def _about_convergence(facts: Facts) -> list[str]:
-    converged = facts.transport.diagnostics.get("converged")
-    if converged is None or 1 - float(np.mean(converged)) <= _UNFINISHED:
-        return []
-    return [
-        f"{percent(1 - float(np.mean(converged)))} of the rows reached the iteration limit. Raise "
-        "the number of iterations."
-    ]
-
-
-def _about_the_rig(facts: Facts) -> list[str]:
-    sentences = []
-    transport = facts.transport
-    if facts.dark_share > _DARK:
+        )
+    elif validation.error > GOOD:
+        error = f"Prediction error on unseen photographs: {percent(validation.error)}."
+        sentences.append(
+            f"{error} More patterns ({2 * count} instead of {count}) would lower it."
+            if validation.error <= FAIR
+            else f"{error} Check that the frames follow the patterns, that they are linear in "
+            "light and that the camera did not move. If so, take twice the patterns "
+            f"({2 * count}), or average projector pixels (bin_projector=2)."
+        )
+    unfinished = 1 - float(np.mean(diagnostics.get("converged", True)))
+    if unfinished > 0.01:
+        sentences.append(
+            f"{percent(unfinished)} of the rows reached the iteration limit. Raise the number of "
+            "iterations."
+        )
+    if facts.dark_share > 0.2:
         sentences.append(
             f"{percent(facts.dark_share)} of the camera pixels hardly see the projector. A mask "
             "of them, or a camera that sees only the lit part, saves their time."
         )
     if has_diagnostic(transport, "footprint"):
-        size = float(np.nanmedian(transport.diagnostics["footprint"]))
-        if size > _WIDE:
+        size = float(np.nanmedian(diagnostics["footprint"]))
+        # Footprints of a projector in focus are smaller.
+        if size > 12:
             sentences.append(
                 f"Footprints cover {size:.0f} projector pixels (median). Focus the projector, or "
                 "take more patterns."
             )
-    is_mixed = int(np.max(facts.capture.patterns.kinds)) > 0
-    if transport.background_share > _DIFFUSE and not is_mixed:
+    if transport.background_share > 0.3 and not np.any(facts.capture.patterns.kinds):
         sentences.append(
             f"{percent(transport.background_share)} of the light is in the faint background. A few "
             "coarse patterns among the fine ones resolve it (`lightmatrix patterns mix`)."
         )
-    return sentences
+    return tuple(sentences) or (
+        "Nothing needs to change: use the same exposure, patterns and number of photographs.",
+    )
 
 
-# The page of a report: sections laid out as HTML that needs no network and no script.
-
-
-@dataclass(frozen=True)
-class Page:
-    """The content of a report."""
-
-    title: str
-    verdicts: Verdicts
-    # The few numbers of the first screen.
-    numbers: dict[str, str]
-    # The viewer's page beside this one, if there is one.
-    viewer: str | None
-    # Problems of the frames, with remedies.
-    findings: tuple[str, ...]
-    first_frames: Strip
-    sections: tuple[Section, ...]
-    version: str
-
-
-def html(page: Page) -> str:
-    """A page as one self-contained HTML document."""
+def _html(**content: Any) -> str:
+    """A report as one HTML document that needs no network and no script."""
     environment = Environment(
         loader=PackageLoader("lightmatrix.report"),
         # Names and values are text, whatever they hold.
@@ -189,19 +129,13 @@ def html(page: Page) -> str:
         lstrip_blocks=True,
     )
     environment.filters["code"] = _code
-    return environment.get_template("report.html").render(page=page) + "\n"
+    return environment.get_template("report.html").render(content) + "\n"
 
 
 def _code(text: str) -> Markup:
     """Escaped text with `words` in backticks as code, and no line break before a %."""
     together = str(escape(text)).replace(" %", "\N{NO-BREAK SPACE}%")
     return Markup(re.sub(r"`([^`]+)`", r"<code>\1</code>", together))
-
-
-# The files of a report folder.
-PAGE, NUMBERS, VIEWER = "report.html", "report.json", "viewer.html"
-# A finding lists at most this many frames.
-_MOST_LISTED = 8
 
 
 def report(
@@ -277,60 +211,57 @@ def report(
     """
     known = truth.transport() if isinstance(truth, Truth) else truth
     capture = as_estimated(capture, transport.provenance)
-    _check(transport, capture, known)
+    check_same_rig(transport, capture, "capture")
+    if known is not None:
+        check_same_rig(transport, known)
     rig = None if geometry is None else geometry_of(transport, geometry)
     with atomic_folder(folder, REPORT, overwrite=overwrite) as part:
-        return write_page(
-            part,
-            transport,
-            capture,
-            truth=known,
-            estimator=estimator,
-            held_out=held_out,
-            findings=findings,
-            title=title,
-            viewer=viewer,
-            geometry=rig,
-            progress=progress,
-        )
+        validation: Validation | str = "the test was not requested"
+        if held_out:
+            validation = validate(capture, estimator or EstimateSettings(), progress=progress)
+        facts = Facts(transport, capture, known, validation, rig)
+        return write_page(part, facts, title, findings=findings, viewer=viewer)
 
 
 def write_page(
     folder: Path,
-    transport: LightTransport,
-    capture: Capture,
-    *,
-    truth: LightTransport | None = None,
-    estimator: Estimator | EstimateSettings | None = None,
-    held_out: bool = True,
-    findings: Sequence[Finding] = (),
+    facts: Facts,
     title: str,
+    *,
+    findings: Sequence[Finding] = (),
     viewer: bool = False,
-    geometry: RigGeometry | None = None,
     more: Sequence[Section] = (),
-    progress: Progress | None = None,
 ) -> dict[str, Any]:
     """Write the files of `report` into an existing folder, with `more` sections near the end."""
-    validation: Validation | str = "the test was not requested"
-    if held_out:
-        validation = validate(capture, estimator or EstimateSettings(), progress=progress)
-    facts = Facts(transport, capture, truth, validation, geometry)
-    advice = recommendations(facts)
+    transport, capture = facts.transport, facts.capture
     kinds = {*stored_findings(transport), *(finding.kind for finding in findings)}
     judged = facts.verdict
     if facts.relative_error is None:
         judged = judged.with_findings(kinds)
     of_each = Verdicts(correspondence_verdict(transport, kinds), facts.relighting_verdict, judged)
     if viewer:
-        export_viewer(folder / VIEWER, transport, geometry=geometry)
-    page = Page(
-        title,
-        of_each,
-        _first_numbers(facts),
-        VIEWER if viewer else None,
-        tuple(_sentences(finding) for finding in findings),
-        first_frames(facts),
-        (
+        export_viewer(folder / "viewer.html", transport, geometry=facts.geometry)
+    clipped = float(facts.frames.clipped.mean())
+    first_numbers = {
+        "camera": " x ".join(map(str, transport.camera_shape)),
+        "projector": " x ".join(map(str, transport.projector_shape)),
+        "photographs": str(capture.count),
+        "clipped samples": percent(clipped),
+    }
+    test = facts.validation if isinstance(facts.validation, Validation) else None
+    if test is not None:
+        first_numbers["prediction error on unseen photographs"] = percent(test.error)
+    if facts.relative_error is not None:
+        first_numbers["error of T against the truth"] = percent(facts.relative_error)
+    advice = recommendations(facts)
+    page = _html(
+        title=title,
+        verdicts=of_each,
+        numbers=first_numbers,
+        viewer="viewer.html" if viewer else None,
+        findings=[_sentences(finding) for finding in findings],
+        first_frames=first_frames(facts),
+        sections=(
             photographs(facts),
             error_estimates(facts),
             transport_matrix(facts),
@@ -340,9 +271,8 @@ def write_page(
             Section("recommendations", "Recommendations", "", (Points(advice),)),
             parameters(facts),
         ),
-        __version__,
+        version=__version__,
     )
-    test = validation if isinstance(validation, Validation) else None
     result: dict[str, Any] = {
         "verdict": judged.level,
         "sentence": judged.sentence,
@@ -351,51 +281,21 @@ def write_page(
         "held_out_frames": test.frames.tolist() if test else [],
         "mean_photograph_error": test.mean_error if test else None,
         "relative_error": facts.relative_error,
-        "clipped_samples": float(facts.frames.clipped.mean()),
+        "clipped_samples": clipped,
         "findings": [finding.kind for finding in findings],
         "advice": list(advice),
     }
     # A file name that is no text holds characters that UTF-8 has no code for.
-    (folder / PAGE).write_text(html(page), encoding="utf-8", errors="replace")
-    (folder / NUMBERS).write_text(json.dumps(result, indent=2) + "\n", encoding="utf-8")
+    (folder / "report.html").write_text(page, encoding="utf-8", errors="replace")
+    (folder / "report.json").write_text(json.dumps(result, indent=2) + "\n", encoding="utf-8")
     return result
 
 
 def _sentences(finding: Finding) -> str:
-    """A finding in words, with its frames."""
-    frames = ", ".join(map(str, finding.frames[:_MOST_LISTED]))
-    if len(finding.frames) > _MOST_LISTED:
-        frames += f" and {len(finding.frames) - _MOST_LISTED} more"
+    """A finding in words, with its first frames."""
+    frames = ", ".join(map(str, finding.frames[:8]))
+    if len(finding.frames) > 8:
+        frames += f" and {len(finding.frames) - 8} more"
     where = f" (frames {frames})" if frames else ""
-    return f"{_capital(finding.message)}{where}. {_capital(finding.advice)}."
-
-
-def _capital(text: str) -> str:
-    return f"{text[:1].upper()}{text[1:]}"
-
-
-def _first_numbers(facts: Facts) -> dict[str, str]:
-    capture, transport = facts.capture, facts.transport
-    numbers = {
-        "camera": " x ".join(map(str, transport.camera_shape)),
-        "projector": " x ".join(map(str, transport.projector_shape)),
-        "photographs": str(capture.count),
-        "clipped samples": percent(float(facts.frames.clipped.mean())),
-    }
-    if isinstance(facts.validation, Validation):
-        numbers["prediction error on unseen photographs"] = percent(facts.validation.error)
-    if facts.relative_error is not None:
-        numbers["error of T against the truth"] = percent(facts.relative_error)
-    return numbers
-
-
-def _check(transport: LightTransport, capture: Capture, truth: LightTransport | None) -> None:
-    for name in ("camera_shape", "projector_shape"):
-        shape = getattr(transport, name)
-        for origin, other in (("capture", capture), ("truth", truth)):
-            if other is not None and getattr(other, name) != shape:
-                raise InputError(
-                    f"the estimate's {name.replace('_', ' ')} is {shape}, the {origin}'s is "
-                    f"{getattr(other, name)}",
-                    hint="give the capture of this estimate, with the same binning",
-                )
+    message, advice = (text[:1].upper() + text[1:] for text in (finding.message, finding.advice))
+    return f"{message}{where}. {advice}."

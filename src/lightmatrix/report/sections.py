@@ -1,4 +1,4 @@
-"""The estimated T in pictures: correspondence, white and dual image, background, rows, columns."""
+"""The sections of a report: photographs, T in pictures, its accuracy, relighting, uses."""
 
 from __future__ import annotations
 
@@ -13,7 +13,6 @@ from lightmatrix.geometry.rig_geometry import RigGeometry
 from lightmatrix.judgement.judgement import percent
 from lightmatrix.judgement.metrics import relighting_error, unseen_patterns
 from lightmatrix.pictures.maps import (
-    Map,
     clipping_map,
     correspondence_maps,
     error_map,
@@ -46,18 +45,12 @@ from lightmatrix.reprs import labelled, shown_value
 from lightmatrix.shape.shape import depth_map, normal_colours
 from lightmatrix.shape.triangulation import triangulate
 from lightmatrix.transport.matrix import LightTransport
-from lightmatrix.uses.compensation import Compensation, compensator
+from lightmatrix.uses.compensation import compensator
 from lightmatrix.uses.separation import separate
-
-# All parameters of the estimate, enough to repeat it.
-
-
-# Longer values, such as lists of one exposure per frame, are cut to this many characters.
-_LONGEST = 200
 
 
 def parameters(facts: Facts) -> Section:
-    """The provenance of the estimate."""
+    """The provenance of the estimate, enough to repeat it."""
     rows = tuple(_flat(facts.transport.provenance))
     lead = "The parameters as the store of the estimate holds them."
     tables = (Table("Parameters", ("parameter", "value"), rows),) if rows else ()
@@ -71,7 +64,8 @@ def _flat(values: Mapping[str, Any], before: str = "") -> Iterator[tuple[str, st
             yield from _flat(value, f"{name}: ")
             continue
         text = shown_value(value)
-        yield name, text if len(text) <= _LONGEST else f"{text[:_LONGEST]} ..."
+        # Long values, such as lists of one exposure per frame, are cut.
+        yield name, text if len(text) <= 200 else f"{text[:200]} ..."
 
 
 # What this T can be used for: direct and global light, a compensated picture, the shape.
@@ -87,19 +81,14 @@ def uses(facts: Facts) -> Section:
     lead = "What this T is good for, under patterns that were never projected."
     transport = facts.transport
     if transport.shape[0] > _MOST_SAMPLES:
-        elements: tuple[Element, ...] = (
-            Text(
-                "For a camera of this size, use `lightmatrix separate SCENE.zarr -o FOLDER`, "
-                "`lightmatrix compensate SCENE.zarr WANTED.png -o PATTERN.png` and "
-                "`lightmatrix triangulate SCENE.zarr --geometry RIG.json -o CLOUD.ply`."
-            ),
+        words = (
+            "For a camera of this size, use `lightmatrix separate SCENE.zarr -o FOLDER`, "
+            "`lightmatrix compensate SCENE.zarr WANTED.png -o PATTERN.png` and "
+            "`lightmatrix triangulate SCENE.zarr --geometry RIG.json -o CLOUD.ply`."
         )
-    else:
-        elements = (
-            *_separated(transport),
-            *_compensated(transport),
-            *_triangulated(transport, facts.geometry),
-        )
+        return Section("uses", "Uses", lead, (Text(words),))
+    shape = _triangulated(transport, facts.geometry)
+    elements = (*_separated(transport), *_compensated(transport), *shape)
     return Section("uses", "Uses", lead, elements)
 
 
@@ -117,31 +106,36 @@ def _separated(transport: LightTransport) -> tuple[Element, ...]:
         f"Direct light met one surface, global light several: {percent(share)} of the light is "
         "global. `lightmatrix separate` splits T itself, so that both parts can be relit."
     )
+    alternative = f"Global light under a white pattern, {percent(share)} of all light"
     images = (
-        photograph(
-            direct, "Direct light under a white pattern", "Direct light", white=level, exact=True
-        ),
-        photograph(
-            others,
-            f"Global light under a white pattern, {percent(share)} of all light",
-            "Global light",
-            "On the same scale.",
-            white=level,
-            exact=True,
-        ),
+        photograph(direct, "Direct light under a white pattern", "Direct light", white=level),
+        photograph(others, alternative, "Global light", "On the same scale.", white=level),
     )
     return Text(text), Gallery(images)
 
 
 def _compensated(transport: LightTransport) -> tuple[Element, ...]:
     """A chart, what the camera sees without and with compensation, and the pattern for it."""
-    chart = _chart(transport.camera_shape)
+    rows, cols = transport.camera_shape[:2]
+    # The camera is to see grey steps above a bright disc and a dark one.
+    down, right = np.meshgrid(np.linspace(0, 1, rows), np.linspace(0, 1, cols), indexing="ij")
+    image = np.where(down < 1 / 3, 0.25 + 0.75 * np.floor(right * 5.999) / 5, 0.5)
+    for centre, level in ((0.3, 1.0), (0.7, 0.25)):
+        image[(down - 0.67) ** 2 + (right - centre) ** 2 < 0.17**2] = level
+    channels = transport.camera_shape[2:] or (1,)
+    chart = np.repeat(image[..., None], channels[0], axis=2).reshape(transport.camera_shape)
+    chart = chart.astype(np.float32)
     shared = compensator(transport)
     try:
         found = shared.solve(chart.ravel())
     except InputError as error:
         return (Text(f"No picture can be compensated: {error.message}."),)
-    plain = transport.relight(_placed(transport, chart))
+    # Without compensation, each projector pixel shows the mean of what it is to light.
+    weight = transport.dual(np.ones(transport.camera_shape, np.float32))
+    light = transport.dual(chart)
+    placed = np.divide(light, weight, out=np.zeros_like(light), where=weight > 0)
+    plain = transport.relight(np.clip(placed, 0, 1))
+    plain = plain * float(found.predicted.sum() / max(float(plain.sum()), 1e-12))
     level = float(np.quantile(found.target, 0.99))
     reached = float(found.reachable.mean())
     text = (
@@ -149,23 +143,19 @@ def _compensated(transport: LightTransport) -> tuple[Element, ...]:
         f"light arrives: {found.psnr:.0f} dB; {percent(reached)} of the camera pixels are within "
         "5 % of wanted white. `lightmatrix compensate` takes a picture of your own."
     )
-    return Text(text), Gallery(
-        (
-            photograph(found.target, "The wanted chart", "Wanted", white=level, exact=True),
-            photograph(
-                plain * _same_light(plain, found),
-                "The chart projected onto the scene without compensation",
-                "Without compensation",
-                "The chart at its place, in the scene's own colours; as bright as the next image.",
-                white=level,
-                exact=True,
-            ),
-            photograph(
-                found.predicted, "The compensated chart", "Compensated", white=level, exact=True
-            ),
-            pattern_image(found.patterns[0], "The pattern of the compensated chart", "Its pattern"),
-        )
+    images = (
+        photograph(found.target, "The wanted chart", "Wanted", white=level),
+        photograph(
+            plain,
+            "The chart projected onto the scene without compensation",
+            "Without compensation",
+            "The chart at its place, in the scene's own colours; as bright as the next image.",
+            white=level,
+        ),
+        photograph(found.predicted, "The compensated chart", "Compensated", white=level),
+        pattern_image(found.patterns[0], "The pattern of the compensated chart", "Its pattern"),
     )
+    return Text(text), Gallery(images)
 
 
 def _triangulated(transport: LightTransport, geometry: RigGeometry | None) -> tuple[Element, ...]:
@@ -202,45 +192,10 @@ def _triangulated(transport: LightTransport, geometry: RigGeometry | None) -> tu
     )
 
 
-def _chart(camera_shape: tuple[int, ...]) -> NDArray[np.float32]:
-    """Grey steps above a bright disc and a dark one, as the camera is to see them."""
-    rows, cols = camera_shape[:2]
-    down, right = np.meshgrid(np.linspace(0, 1, rows), np.linspace(0, 1, cols), indexing="ij")
-    steps = 0.25 + 0.75 * np.floor(right * 5.999) / 5
-    image = np.where(down < 1 / 3, steps, 0.5)
-    for centre, level in ((0.3, 1.0), (0.7, 0.25)):
-        image[(down - 0.67) ** 2 + (right - centre) ** 2 < 0.17**2] = level
-    channels = camera_shape[2:] or (1,)
-    whole = np.repeat(image[..., None], channels[0], axis=2).reshape(camera_shape)
-    return np.asarray(whole, np.float32)
-
-
-def _placed(transport: LightTransport, chart: NDArray[np.float32]) -> NDArray[np.float32]:
-    """The chart on the projector: each pixel shows the mean of what it is to light."""
-    weight = transport.dual(np.ones(transport.camera_shape, np.float32))
-    light = transport.dual(chart)
-    placed = np.divide(light, weight, out=np.zeros_like(light), where=weight > 0)
-    return np.clip(placed, 0, 1)
-
-
-def _same_light(plain: NDArray[np.float32], found: Compensation) -> float:
-    """The factor that makes an image as bright as the compensated one."""
-    return float(found.predicted.sum() / max(float(plain.sum()), 1e-12))
-
-
-# The scene relit by patterns that were never projected, beside the truth where it is known.
-
-
-_SHOWN = ("disc", "stripes")
-# White is this quantile of the true image, and the scale of its difference does not end below this
-# share of white. Chosen by eye.
-_WHITE_QUANTILE, _SMALLEST_SCALE = 0.99, 0.01
-
-
 def relighting(facts: Facts) -> Section:
     """Relit images, and the errors of T where the truth is known."""
     patterns = unseen_patterns(facts.transport.projector_shape)
-    elements: list[Element] = [_images(facts, name, patterns[name]) for name in _SHOWN]
+    elements: list[Element] = [_relit(facts, name, patterns[name]) for name in ("disc", "stripes")]
     lead = "The scene under patterns that were never projected, without clipping: c = T p."
     if facts.truth is None:
         if isinstance(facts.validation, Validation):
@@ -249,37 +204,34 @@ def relighting(facts: Facts) -> Section:
     else:
         error = relighting_error(facts.transport, facts.truth, np.stack(list(patterns.values())))
         lead += f" Mean error of the images: {percent(error)}."
-        elements.append(_against_truth(facts))
+        assert facts.row_errors is not None
+        caption = "Error of each camera pixel's rows of T, relative to their size."
+        errors = Gallery((image_of_map(error_map(facts.row_errors), caption),))
+        values = {"relative error of T": facts.relative_error}
+        if facts.errors is not None:
+            values = labelled(facts.errors.as_dict())
+        rows = tuple((name, shown_value(value)) for name, value in values.items())
+        table = Table("Errors against the truth", ("error", "value"), rows)
+        elements.append(Columns((table,), (errors,)))
     return Section("relighting", "Relighting", lead, tuple(elements))
 
 
-def _against_truth(facts: Facts) -> Columns:
-    assert facts.row_errors is not None
-    caption = "Error of each camera pixel's rows of T, relative to their size."
-    errors = Gallery((image_of_map(error_map(facts.row_errors), caption),))
-    values = {"relative error of T": facts.relative_error}
-    if facts.errors is not None:
-        values = labelled(facts.errors.as_dict())
-    rows = tuple((name, shown_value(value)) for name, value in values.items())
-    return Columns((Table("Errors against the truth", ("error", "value"), rows),), (errors,))
-
-
-def _images(facts: Facts, name: str, pattern: np.ndarray) -> Gallery:
+def _relit(facts: Facts, name: str, pattern: np.ndarray) -> Gallery:
+    """The scene relit by a pattern, beside the truth where it is known."""
     image = facts.transport.relight(pattern)
     images = [pattern_image(pattern, f"The pattern: {name}", f"Pattern: {name}")]
     if facts.truth is None:
         alternative = f"The relit scene ({name}), computed from T"
-        images.append(photograph(image, alternative, "The relit scene", exact=True))
-        return Gallery(tuple(images))
+        return Gallery((*images, photograph(image, alternative, "The relit scene")))
     known = facts.truth.relight(pattern)
-    white = float(np.quantile(known, _WHITE_QUANTILE))
+    white = float(np.quantile(known, 0.99))
     error = float(np.linalg.norm(image - known) / max(float(np.linalg.norm(known)), 1e-12))
     images += [
-        photograph(image, f"Computed from T: {name}", "Computed from T", white=white, exact=True),
-        photograph(known, f"The truth: {name}", "The truth", white=white, exact=True),
+        photograph(image, f"Computed from T: {name}", "Computed from T", white=white),
+        photograph(known, f"The truth: {name}", "The truth", white=white),
         difference_image(
             image - known,
-            _SMALLEST_SCALE * white,
+            0.01 * white,
             f"Difference: {percent(error)} of the image",
             "Difference",
             f"Relative error of the image: {percent(error)}.",
@@ -288,42 +240,28 @@ def _images(facts: Facts, name: str, pattern: np.ndarray) -> Gallery:
     return Gallery(tuple(images))
 
 
-# How accurate the estimate is: its summary, duality gaps, estimated errors, unseen photographs.
-
-
-# The page shows this many of the unseen photographs.
-_COMPARED = 2
-# The scale of a difference does not end below this share of the clip level, three times the usual
-# noise, so that noise does not look like an error. Chosen by eye.
-_SMALLEST_SCALE_ERROR_ESTIMATES = 0.01
-
-
 def error_estimates(facts: Facts) -> Section:
     """The summary of the estimate, maps of its errors, and predictions beside photographs."""
     summary = labelled(facts.transport.summary())
     rows = tuple((name, shown_value(value)) for name, value in summary.items())
     table = Table("The estimate", ("property", "value"), rows)
-    maps = tuple(image_of_map(shown, caption) for shown, caption in _maps(facts))
-    elements = [Columns((table,), (Gallery(maps),) if maps else ()), *_unseen_photographs(facts)]
-    lead = (
-        "A duality gap certifies that the solver solved its problem. Whether the solution is what "
-        "the camera sees, only unseen photographs can show."
-    )
-    return Section("accuracy", "Accuracy of the estimate", lead, tuple(elements))
-
-
-def _maps(facts: Facts) -> list[tuple[Map, str]]:
     maps = []
     if has_diagnostic(facts.transport, "estimated_error"):
         caption = "Each camera pixel's own estimate, from its samples and its neighbours."
-        maps.append((estimated_error_map(facts.transport), caption))
+        maps.append(image_of_map(estimated_error_map(facts.transport), caption))
     if has_diagnostic(facts.transport, "gap"):
         caption = (
             "How far the objective of each row can be from its optimum. A small gap means solved, "
             "not necessarily right."
         )
-        maps.append((gap_map(facts.transport), caption))
-    return maps
+        maps.append(image_of_map(gap_map(facts.transport), caption))
+    columns = Columns((table,), (Gallery(tuple(maps)),) if maps else ())
+    elements = [columns, *_unseen_photographs(facts)]
+    lead = (
+        "A duality gap certifies that the solver solved its problem. Whether the solution is what "
+        "the camera sees, only unseen photographs can show."
+    )
+    return Section("accuracy", "Accuracy of the estimate", lead, tuple(elements))
 
 
 def _unseen_photographs(facts: Facts) -> list[Element]:
@@ -338,7 +276,10 @@ def _unseen_photographs(facts: Facts) -> list[Element]:
             f"{rows.start} to {rows.stop - 1} and columns {cols.start} to {cols.stop - 1} were "
             "tested."
         )
-    count = min(_COMPARED, len(validation.frames))
+    numbers = [str(k) for k in validation.frames]
+    named = f"Photograph {numbers[0]} was"
+    if len(numbers) > 1:
+        named = f"Photographs {', '.join(numbers[:-1])} and {numbers[-1]} were"
     return [
         Text(
             f"Prediction error on unseen photographs: {percent(validation.error)}. For comparison: "
@@ -346,13 +287,13 @@ def _unseen_photographs(facts: Facts) -> list[Element]:
             f"{percent(validation.mean_error)}."
         ),
         Text(
-            f"{_named(validation)} left out, T was estimated again from the other "
+            f"{named} left out, T was estimated again from the other "
             f"{validation.others}, and each of the unseen photographs was predicted from its "
             "pattern. The error is relative; samples that clip in both images are left out. The "
             "second estimate has fewer photographs, so it is a little worse than the one that this "
             f"report describes.{where}"
         ),
-        *(Gallery(_comparison(facts, validation, k)) for k in range(count)),
+        *(Gallery(_comparison(facts, validation, k)) for k in range(min(2, len(numbers)))),
     ]
 
 
@@ -369,7 +310,6 @@ def _comparison(facts: Facts, validation: Validation, index: int) -> tuple[Image
             f"Photograph {number}",
             "White is the clip level.",
             white=1.0,
-            exact=True,
         ),
         photograph(
             validation.predictions[index],
@@ -377,11 +317,11 @@ def _comparison(facts: Facts, validation: Validation, index: int) -> tuple[Image
             "Its prediction",
             "From an estimate that has not seen the photograph.",
             white=1.0,
-            exact=True,
         ),
         difference_image(
             difference,
-            _SMALLEST_SCALE_ERROR_ESTIMATES,
+            # Three times the usual noise, so that noise does not look like an error.
+            0.01,
             f"Difference: {percent(mean)} of the clip level on average",
             "Prediction minus photograph",
             "Grey where they agree.",
@@ -389,20 +329,8 @@ def _comparison(facts: Facts, validation: Validation, index: int) -> tuple[Image
     )
 
 
-def _named(validation: Validation) -> str:
-    numbers = [str(k) for k in validation.frames]
-    if len(numbers) == 1:
-        return f"Photograph {numbers[0]} was"
-    return f"Photographs {', '.join(numbers[:-1])} and {numbers[-1]} were"
-
-
-# The photographs: patterns and frames in order, and how many samples clipped.
-
-
 # The first screen shows this many frames, and the whole page at most this many.
 FIRST, MOST = 8, 48
-# A chart has at most this many bars; of more frames, a bar stands for several.
-_BARS = 256
 
 
 def first_frames(facts: Facts) -> Strip:
@@ -421,7 +349,20 @@ def photographs(facts: Facts) -> Section:
             "clips in nearly every frame carries little information."
         )
         maps.append(Gallery((image_of_map(clipping_map(facts.transport), caption),)))
-    rows = tuple((name, str(value)) for name, value in _settings(facts).items())
+    clipped = percent(float(frames.clipped.mean()))
+    decoder, masked = capture.decoder, int((~capture.valid).sum())
+    settings: dict[str, object] = {
+        **capture.summary(),
+        "clipped samples": clipped,
+        "response": decoder.response.name,
+        "black frame": "subtracted" if decoder.black_frame is not None else "none",
+    }
+    for device, block in (("camera", capture.bin_camera), ("projector", capture.bin_projector)):
+        if block != (1, 1):
+            settings[f"{device} binning"] = " x ".join(map(str, block))
+    if masked:
+        settings["masked camera samples"] = masked
+    rows = tuple((name, str(value)) for name, value in settings.items())
     table = Table("The capture", ("property", "value"), rows)
     charts = (
         _bars("Clipped samples per frame", frames.clipped),
@@ -433,54 +374,34 @@ def photographs(facts: Facts) -> Section:
         elements.append(Strip(tuple(_pair(facts, int(k)) for k in shown)))
     lead = (
         f"The capture has {capture.count} photographs, one per pattern. "
-        f"{percent(float(frames.clipped.mean()))} of the samples clipped."
+        f"{clipped} of the samples clipped."
     )
     if capture.count > MOST:
         lead += f" The page shows {MOST} of them, spread over the capture."
     return Section("photographs", "Patterns and photographs", lead, tuple(elements))
 
 
-def _settings(facts: Facts) -> dict[str, object]:
-    capture = facts.capture
-    decoder = capture.decoder
-    settings: dict[str, object] = dict(capture.summary())
-    settings["clipped samples"] = percent(float(facts.frames.clipped.mean()))
-    settings["response"] = decoder.response.name
-    settings["black frame"] = "subtracted" if decoder.black_frame is not None else "none"
-    if capture.bin_camera != (1, 1):
-        settings["camera binning"] = " x ".join(map(str, capture.bin_camera))
-    if capture.bin_projector != (1, 1):
-        settings["projector binning"] = " x ".join(map(str, capture.bin_projector))
-    masked = int((~capture.valid).sum())
-    if masked:
-        settings["masked camera samples"] = masked
-    return settings
-
-
 def _pair(facts: Facts, index: int) -> Pair:
-    capture = facts.capture
+    capture, decoder = facts.capture, facts.capture.decoder
     pattern = capture.patterns.images(index, index + 1)[0]
     note = f"{percent(float(facts.frames.clipped[index]))} clip"
     if np.ptp(capture.exposures) > 0:
         note += f", exposure {capture.exposures[index]:g}"
+    # The frame as linear light, 1 at its clip level, with black not subtracted.
+    raw = np.asarray(capture.frame(index), float)
+    light = decoder.response.linearise(np.clip(raw / decoder.full_scale, 0, None))
+    clip = np.broadcast_to(np.asarray(decoder.clip, float), (capture.count,))[index]
+    light = np.asarray(light / decoder.response.linearise(clip / decoder.full_scale))
     image = photograph(
-        _linear_frame(facts, index), f"Photograph {index}: {note}", white=1.0, most=THUMB_PIXELS
+        light, f"Photograph {index}: {note}", white=1.0, most=THUMB_PIXELS, exact=False
     )
     return Pair(index, pattern_image(pattern, f"Pattern {index}", most=THUMB_PIXELS), image, note)
 
 
-def _linear_frame(facts: Facts, index: int) -> NDArray[np.float64]:
-    """A frame as linear light, 1 at its clip level, with black not subtracted."""
-    decoder = facts.capture.decoder
-    raw = np.asarray(facts.capture.frame(index), float)
-    light = decoder.response.linearise(np.clip(raw / decoder.full_scale, 0, None))
-    clip = np.broadcast_to(np.asarray(decoder.clip, float), (facts.capture.count,))[index]
-    return np.asarray(light / decoder.response.linearise(clip / decoder.full_scale))
-
-
 def _bars(title: str, values: NDArray[np.float64]) -> Bars:
     """A chart of one value per frame, or of the largest value of several frames."""
-    starts = np.unique(np.linspace(0, len(values), _BARS + 1).astype(int)[:-1])
+    # A chart has at most 256 bars; of more frames, a bar stands for several.
+    starts = np.unique(np.linspace(0, len(values), 257).astype(int)[:-1])
     largest = np.maximum.reduceat(values, starts)
     top = float(largest.max())
     if len(starts) < len(values):
@@ -533,60 +454,47 @@ def _views(facts: Facts) -> tuple[Image, ...]:
     rows, cols, *_ = transport.camera_shape
     background = transport.background.sum(axis=1).reshape(transport.camera_shape)
     share = percent(transport.background_share)
-    level = float(np.quantile(facts.white, 0.99))
-    dual = transport.dual_image()
     return (
         photograph(
             facts.white,
             f"The scene under a white pattern, {rows} x {cols} pixels, computed from T",
             "White pattern",
             "The scene with every projector pixel lit, without clipping.",
-            exact=True,
         ),
         photograph(
             background,
             f"Light of the background: {share} of all light",
             "Background",
             f"{share} of the light comes faintly from everywhere; shown on the same scale.",
-            white=level,
-            exact=True,
+            white=float(np.quantile(facts.white, 0.99)),
         ),
         photograph(
-            dual,
+            transport.dual_image(),
             "The scene seen from the projector, lit from the camera",
             "Dual image",
             "The scene as the projector would photograph it, lit from the camera.",
-            exact=True,
         ),
     )
 
 
 def _rows_and_columns(facts: Facts) -> tuple[Image, ...]:
     transport = facts.transport
-    images = []
-    pixels = _example_pixels(facts)
-    for why, (row, col) in pixels.items():
-        index = (row, col) if len(transport.camera_shape) == 2 else (row, col, 0)
-        images.append(
-            faint_image(
-                transport.row(*index),
-                f"Row of T on the projector: camera pixel {row}, {col}",
-                f"Row of camera pixel {row}, {col}",
-                why,
-            )
-        )
-    for why, (row, col) in pixels.items():
-        seen = facts.correspondence.pixel[row, col]
-        image = transport.column(int(seen[0]), int(seen[1]))
-        images.append(
+    rows, columns = [], []
+    for why, (row, col) in _example_pixels(facts).items():
+        light = transport.row(row, col, *[0] * (len(transport.camera_shape) - 2))
+        alternative = f"Row of T on the projector: camera pixel {row}, {col}"
+        rows.append(faint_image(light, alternative, f"Row of camera pixel {row}, {col}", why))
+        v, u = (int(k) for k in facts.correspondence.pixel[row, col])
+        image = transport.column(v, u)
+        columns.append(
             faint_image(
                 image if image.ndim == 2 else image.mean(axis=2),
-                f"Column of T over the camera: projector pixel {seen[0]}, {seen[1]} alone",
-                f"Column of projector pixel {seen[0]}, {seen[1]}",
+                f"Column of T over the camera: projector pixel {v}, {u} alone",
+                f"Column of projector pixel {v}, {u}",
                 f"The projector pixel that {why[0].lower()}{why[1:]} sees most.",
             )
         )
-    return tuple(images)
+    return (*rows, *columns)
 
 
 def _example_pixels(facts: Facts) -> dict[str, tuple[int, int]]:
@@ -609,8 +517,5 @@ def _example_pixels(facts: Facts) -> dict[str, tuple[int, int]]:
         often = np.asarray(shares).reshape(*white.shape, -1).max(axis=2)
         most_clipped = np.argmax(np.where(matches.valid, often, -1))
         chosen["The camera pixel that clipped most often"] = most_clipped
-    pixels = {}
-    for why, flat in chosen.items():
-        row, col = np.unravel_index(int(flat), white.shape)
-        pixels[why] = int(row), int(col)
-    return pixels
+    places = {why: np.unravel_index(int(flat), white.shape) for why, flat in chosen.items()}
+    return {why: (int(row), int(col)) for why, (row, col) in places.items()}

@@ -30,7 +30,7 @@ from lightmatrix.pictures.transport import (
     draw_spectrum,
     spectrum,
 )
-from lightmatrix.shape.shape import Shape, depth_map, normals_picture
+from lightmatrix.shape.shape import depth_map, normals_picture
 from lightmatrix.shape.triangulation import triangulate
 from lightmatrix.transport import store
 from lightmatrix.transport.correspondence import correspondence
@@ -165,29 +165,51 @@ def show(
             "view takes one",
         )
     if output is not None:
-        _check_format(view, Path(output), raw)
-        kind = NUMBERS if Path(output).suffix.lower() == ".npz" else IMAGE
+        suffix = Path(output).suffix.lower()
+        if raw and (suffix != ".png" or view != "correspondence"):
+            raise InputError(
+                f"raw numbers of the view {view} in {output}",
+                hint="only a correspondence has a raw PNG; write .npz for the numbers of any view",
+            )
+        if view in ("correspondence", "spectrum") and suffix not in (".png", ".npz"):
+            raise InputError(
+                f"a {view} in {output}",
+                hint="end the output in .png (a picture) or .npz (numbers)",
+            )
+        kind = NUMBERS if suffix == ".npz" else IMAGE
         check_output(output, kind, overwrite=overwrite)
-    matrix = _opened(transport, view)
-    shown = matrix if geometry is None else triangulate(matrix, geometry)
-    drawing = VIEWS[view].picture(shown, *index)
-    if output is not None:
-        _write(shown, view, index, drawing, Path(output), raw=raw, overwrite=overwrite)
-    return drawing
-
-
-def _opened(transport: LightTransport | ColourTransport | str | Path, view: str) -> Any:
-    """T in memory, of a grey projector or, for the view that has one, of a colour projector."""
+    # A colour projector has one view.
     if isinstance(transport, str | Path):
-        if not holds_colour(transport):
-            return store.open(transport)
-        transport = open_colour(transport)
+        opened = open_colour if holds_colour(transport) else store.open
+        transport = opened(transport)
     if isinstance(transport, ColourTransport) and view != "dual":
         raise InputError(
             f"the view {view} of a colour projector",
             hint="give the matrix of one primary, such as red.zarr in the folder",
         )
-    return transport
+    shown: Any = transport
+    if geometry is not None and isinstance(transport, LightTransport):
+        shown = triangulate(transport, geometry)
+    drawing = VIEWS[view].picture(shown, *index)
+    if output is None:
+        return drawing
+    with atomic_file(output, kind, overwrite=overwrite) as part:
+        if suffix == ".npz":
+            # The mark and format version come first: even a truncated file is recognised.
+            marked: dict[str, Any] = {
+                NUMBERS_MARK: np.array(1),
+                **VIEWS[view].numbers(shown, *index),
+            }
+            with part.open("wb") as stream:
+                np.savez_compressed(stream, **marked)
+        elif suffix != ".png":
+            # A pixel may have no value, such as no depth.
+            fill_image(part, VIEWS[view].numbers(shown, *index)["values"], missing=True)
+        elif raw:
+            fill_image(part, correspondence(shown).levels())
+        else:
+            drawing.draw_file(part)
+    return drawing
 
 
 def write_pictures(
@@ -230,47 +252,3 @@ def write_pictures(
                 view.picture(matrix).draw_file(part / f"{name}.png")
                 written.append(Path(folder) / f"{name}.png")
     return written
-
-
-def _check_format(view: str, output: Path, raw: bool) -> None:
-    suffix = output.suffix.lower()
-    if raw and (suffix != ".png" or view != "correspondence"):
-        raise InputError(
-            f"raw numbers of the view {view} in {output}",
-            hint="only a correspondence has a raw PNG; write .npz for the numbers of any view",
-        )
-    if view in ("correspondence", "spectrum") and suffix not in (".png", ".npz"):
-        raise InputError(
-            f"a {view} in {output}",
-            hint="end the output in .png (a picture) or .npz (numbers)",
-        )
-
-
-def _write(
-    shown: LightTransport | Shape,
-    view: str,
-    index: tuple[int, ...],
-    drawing: Picture,
-    output: Path,
-    *,
-    raw: bool,
-    overwrite: bool,
-) -> None:
-    suffix = output.suffix.lower()
-    if suffix == ".npz":
-        numbers = VIEWS[view].numbers(shown, *index)
-        with atomic_file(output, NUMBERS, overwrite=overwrite) as part, part.open("wb") as stream:
-            # The mark and format version come first: even a truncated file is recognised.
-            marked: dict[str, Any] = {NUMBERS_MARK: np.array(1), **numbers}
-            np.savez_compressed(stream, **marked)
-    elif suffix != ".png":
-        values = VIEWS[view].numbers(shown, *index)["values"]
-        with atomic_file(output, IMAGE, overwrite=overwrite) as part:
-            # A pixel may have no value, such as no depth.
-            fill_image(part, values, missing=True)
-    else:
-        with atomic_file(output, IMAGE, overwrite=overwrite) as part:
-            if raw and isinstance(shown, LightTransport):
-                fill_image(part, correspondence(shown).levels())
-            else:
-                drawing.draw_file(part)

@@ -18,12 +18,7 @@ from numpy.typing import NDArray
 from lightmatrix.errors import MissingExtraError, warn
 from lightmatrix.simulation.scenes import Part, Scene, View
 
-# A libLLVM that the renderer can use, found without risk to this process.
-#
-# Mitsuba's fast variants compile through libLLVM. Version 14 is refused, and 15 and 16 abort the
-# whole process, so every candidate is first tried in a child process.
-
-
+# Computes with the LLVM variant.
 _PROBE = (
     "import mitsuba as mi; mi.set_variant('llvm_ad_rgb'); import drjit as dr;"
     "assert dr.sum(mi.Float([1, 2]))[0] == 3"
@@ -35,41 +30,32 @@ _FOLDERS = (
     "/usr/lib64",
     "/opt/homebrew/opt/llvm/lib",
 )
-# Older versions do not work, see above.
-_OLDEST = 17
 
 
 @cache
 def usable_llvm() -> str | None:
     """Path of a libLLVM that works; "" if the renderer has its own; None if there is none."""
-    own = os.environ.get("DRJIT_LIBLLVM_PATH")
-    for path in [own] if own else [*_candidates(), ""]:
-        environment = {**os.environ, "DRJIT_LIBLLVM_PATH": path} if path else dict(os.environ)
-        if _renders(environment):
-            return path
-    return None
-
-
-def _renders(environment: dict[str, str]) -> bool:
-    command = [sys.executable, "-c", _PROBE]
-    try:
-        probe = subprocess.run(
-            command, env=environment, stdin=subprocess.DEVNULL, capture_output=True, timeout=120
-        )
-    except subprocess.TimeoutExpired:
-        return False
-    return probe.returncode == 0
-
-
-def _candidates() -> list[str]:
-    """LibLLVM files of version 17 and later, newest first."""
+    # Mitsuba's fast variants compile through libLLVM. Version 14 is refused, and 15 and 16 abort
+    # the whole process. So newer ones are tried in a child process, the newest first.
     versions: dict[str, int] = {}
     for folder in _FOLDERS:
         for path in glob.glob(f"{folder}/libLLVM*"):
             match = re.search(r"libLLVM[-.](?:so\.|dylib\.)?(\d+)", os.path.basename(path))
-            if match and int(match[1]) >= _OLDEST:
+            if match and int(match[1]) >= 17:
                 versions[os.path.realpath(path)] = int(match[1])
-    return sorted(versions, key=lambda path: -versions[path])
+    own = os.environ.get("DRJIT_LIBLLVM_PATH")
+    for path in [own] if own else [*sorted(versions, key=lambda path: -versions[path]), ""]:
+        environment = {**os.environ, "DRJIT_LIBLLVM_PATH": path} if path else dict(os.environ)
+        command = [sys.executable, "-c", _PROBE]
+        try:
+            probe = subprocess.run(
+                command, env=environment, stdin=subprocess.DEVNULL, capture_output=True, timeout=120
+            )
+        except subprocess.TimeoutExpired:
+            continue
+        if probe.returncode == 0:
+            return path
+    return None
 
 
 def load_mitsuba(*, scalar: bool = False) -> tuple[ModuleType, bool]:
@@ -110,77 +96,64 @@ def mitsuba_scene(
     """Load a scene; the projector shows `pattern`, (rows, cols) in [0, 1], or white if None."""
     if pattern is None:
         pattern = np.ones(projector_shape, np.float32)
+    rows, cols = camera_shape
+    intrinsics = scene.camera.intrinsics(camera_shape)
     content: dict[str, Any] = {
         "type": "scene",
         "integrator": integrator or {"type": "path", "max_depth": scene.max_depth + 1},
-        "camera": _camera(mi, scene.camera, camera_shape),
-        "projector": _projector(mi, scene.projector, pattern),
+        "camera": {
+            "type": "perspective",
+            **_pose(mi, scene.camera),
+            "near_clip": 0.1,
+            "far_clip": 100.0,
+            # Mitsuba's film moves the other way, in shares of its width and height.
+            "principal_point_offset_x": float((cols - 1) / 2 - intrinsics[0, 2]) / cols,
+            "principal_point_offset_y": float((rows - 1) / 2 - intrinsics[1, 2]) / rows,
+            "film": {
+                "type": "hdrfilm",
+                "width": cols,
+                "height": rows,
+                "rfilter": {"type": "box"},
+                "pixel_format": "rgb",
+                "component_format": "float32",
+            },
+            "sampler": {"type": "independent"},
+        },
+        "projector": {
+            "type": "projector",
+            **_pose(mi, scene.projector),
+            # Mitsuba defines the irradiance at distance 1; this makes it 1 at the target.
+            "scale": scene.projector.distance**2,
+            "irradiance": {
+                "type": "bitmap",
+                "bitmap": mi.Bitmap(np.repeat(pattern[:, :, None], 3, axis=2).astype(np.float32)),
+                "raw": True,
+                "filter_type": "nearest",
+                "wrap_mode": "clamp",
+            },
+        },
     }
     for number, part in enumerate(scene.parts):
         content[f"part{number}"] = _shape(mi, part, f"part{number}")
     return mi.load_dict(content)
 
 
-def _camera(mi: ModuleType, view: View, shape: tuple[int, int]) -> Any:
-    rows, cols = shape
-    intrinsics = view.intrinsics(shape)
-    return {
-        "type": "perspective",
-        "fov": _field_of_view(view),
-        "fov_axis": "x",
-        "near_clip": 0.1,
-        "far_clip": 100.0,
-        # Mitsuba's film moves the other way, in shares of its width and height.
-        "principal_point_offset_x": float((cols - 1) / 2 - intrinsics[0, 2]) / cols,
-        "principal_point_offset_y": float((rows - 1) / 2 - intrinsics[1, 2]) / rows,
-        "to_world": _to_world(mi, view),
-        "film": {
-            "type": "hdrfilm",
-            "width": cols,
-            "height": rows,
-            "rfilter": {"type": "box"},
-            "pixel_format": "rgb",
-            "component_format": "float32",
-        },
-        "sampler": {"type": "independent"},
-    }
-
-
-def _projector(mi: ModuleType, view: View, pattern: NDArray[np.float32]) -> Any:
-    return {
-        "type": "projector",
-        "fov": _field_of_view(view),
-        "fov_axis": "x",
-        # Mitsuba defines the irradiance at distance 1; this makes it 1 at the target.
-        "scale": view.distance**2,
-        "irradiance": {
-            "type": "bitmap",
-            "bitmap": mi.Bitmap(np.repeat(pattern[:, :, None], 3, axis=2).astype(np.float32)),
-            "raw": True,
-            "filter_type": "nearest",
-            "wrap_mode": "clamp",
-        },
-        "to_world": _to_world(mi, view),
-    }
-
-
-def _field_of_view(view: View) -> float:
-    """The angle between the left and the right edge of the image, in degrees."""
-    return float(2 * np.degrees(np.arctan(view.width / 2 / view.distance)))
-
-
-def _to_world(mi: ModuleType, view: View) -> Any:
+def _pose(mi: ModuleType, view: View) -> dict[str, Any]:
+    """Where a device stands, and the angle between the left and the right edge of its image."""
     _, down, forward = view.axes
     position = np.array(view.position)
-    return mi.ScalarTransform4f().look_at(
-        origin=position.tolist(), target=(position + forward).tolist(), up=(-down).tolist()
-    )
+    return {
+        "fov": float(2 * np.degrees(np.arctan(view.width / 2 / view.distance))),
+        "fov_axis": "x",
+        "to_world": mi.ScalarTransform4f().look_at(
+            origin=position.tolist(), target=(position + forward).tolist(), up=(-down).tolist()
+        ),
+    }
 
 
 def _shape(mi: ModuleType, part: Part, name: str) -> Any:
-    mesh, material = part.mesh, dict(part.material)
-    properties = mi.Properties()
-    properties["bsdf"] = mi.load_dict(material)
+    mesh, properties = part.mesh, mi.Properties()
+    properties["bsdf"] = mi.load_dict(dict(part.material))
     shape = mi.Mesh(name, len(mesh.vertices), len(mesh.faces), props=properties)
     if part.colours is not None:
         shape.add_attribute("vertex_color", 3, part.colours.astype(np.float32).ravel())

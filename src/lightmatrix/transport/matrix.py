@@ -2,19 +2,23 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import csr_array
+from scipy.sparse import csr_array, issparse
 
 from lightmatrix.errors import InputError
+from lightmatrix.files.numpy_files import as_float32
 from lightmatrix.patterns.pattern_set import check_grid
+from lightmatrix.ranges import check_finite, check_type, real_array
 from lightmatrix.regions import Region
 from lightmatrix.reprs import html_table, labelled
 from lightmatrix.transport.operator import TransportOperator
+from lightmatrix.transport.sparse_rows import checked_matrix, checked_shape
 
 # The entries of the provenance that a summary repeats.
 _SUMMARY_KEYS = ("estimator", "solver", "regularization", "certificate", "pattern_digest", "scene")
@@ -59,7 +63,7 @@ class LightTransport(TransportOperator):
     Raises
     ------
     InputError
-        If shapes do not match.
+        If shapes do not match, an index lies outside, or a value is not finite.
 
     Examples
     --------
@@ -103,26 +107,62 @@ class LightTransport(TransportOperator):
         return html_table("Light transport matrix", labelled(self.summary()))
 
     def __post_init__(self) -> None:
-        expected = (int(np.prod(self.camera_shape)), int(np.prod(self.projector_shape)))
-        if self.sparse.shape != expected:
+        # Compiled routines trust the indices, and a store is only opened if all of this is so.
+        sparse = self.sparse
+        if getattr(sparse, "format", None) != "csr":
             raise InputError(
-                f"the matrix has shape {self.sparse.shape}, for camera {self.camera_shape} and "
-                f"projector {self.projector_shape}",
+                f"{type(sparse).__name__} as the sparse part of T",
+                hint="give a scipy.sparse.csr_array, or use LightTransport.from_matrix",
+            )
+        try:
+            camera = checked_shape(self.camera_shape, (2, 3), "camera_shape")
+            rows, cols = checked_shape(self.projector_shape, (2,), "projector_shape")
+            high, wide = checked_shape(self.background_grid, (2,), "background_grid")
+        except ValueError as error:
+            raise InputError(
+                f"{error}", hint="give whole numbers from 1, such as (480, 640)"
+            ) from error
+        expected = (math.prod(camera), rows * cols)
+        if sparse.shape != expected:
+            raise InputError(
+                f"the matrix has shape {sparse.shape}, for camera {camera} and "
+                f"projector {(rows, cols)}",
                 hint=f"its shape must be {expected}",
             )
-        check_grid(self.projector_shape, self.background_grid)
-        cells = self.background_grid[0] * self.background_grid[1]
-        if self.background.shape != (expected[0], cells):
+        try:
+            sparse = checked_matrix(sparse.data, sparse.indices, sparse.indptr, expected)
+        except ValueError as error:
             raise InputError(
-                f"the background has shape {self.background.shape}",
-                hint=f"its shape must be ({expected[0]}, {cells})",
+                f"the sparse part of T: {error}",
+                hint="count rows and columns from 0 (MATLAB counts from 1), and give real numbers",
+            ) from error
+        check_grid((rows, cols), (high, wide))
+        background = real_array("a background", self.background)
+        if background.shape != (expected[0], high * wide):
+            raise InputError(
+                f"the background has shape {background.shape}",
+                hint=f"its shape must be ({expected[0]}, {high * wide})",
             )
-        for name, values in self.diagnostics.items():
+        background = as_float32(background)
+        check_finite("values of the background", background)
+        check_type("diagnostics by name", self.diagnostics, Mapping, hint="give a dict")
+        check_type("a provenance", self.provenance, Mapping, hint="give a dict")
+        diagnostics = {}
+        for name, given in self.diagnostics.items():
+            values = diagnostics[name] = real_array(f"diagnostic {name!r}", given)
             if values.shape != (expected[0],):
                 raise InputError(
                     f"diagnostic {name!r} has shape {values.shape}",
                     hint="give one value for each row",
                 )
+            # Names become those of folders.
+            if not name.isidentifier():
+                raise InputError(
+                    f"a diagnostic called {name!r}", hint="use letters, digits and underscores"
+                )
+        checked = (sparse, background, camera, (rows, cols), (high, wide), diagnostics)
+        for part, value in zip(fields(self), checked, strict=False):
+            object.__setattr__(self, part.name, value)
 
     @classmethod
     def from_matrix(
@@ -133,10 +173,10 @@ class LightTransport(TransportOperator):
         **more: Any,
     ) -> LightTransport:
         """A light transport without background, such as a rendered truth."""
-        background = np.zeros((matrix.shape[0], 1), np.float32)
-        return cls(
-            csr_array(matrix, dtype=np.float32), background, camera_shape, projector_shape, **more
-        )
+        # Stated here, because SciPy drops the mask of a masked array.
+        sparse = csr_array(matrix if issparse(matrix) else real_array("a matrix", matrix))
+        background = np.zeros((sparse.shape[0], 1), np.float32)
+        return cls(sparse, background, camera_shape, projector_shape, **more)
 
     def multiplied(self, vectors: NDArray[Any]) -> NDArray[Any]:
         """T p for vectors p, (N,) or (N, k)."""

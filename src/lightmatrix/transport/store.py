@@ -35,6 +35,7 @@ from lightmatrix.files.zarr_arrays import (
     read_group,
     write_parts,
 )
+from lightmatrix.ranges import check_type
 from lightmatrix.resources.memory import check_memory
 from lightmatrix.transport.correspondence import Correspondence
 from lightmatrix.transport.matrix import ColourTransport, LightTransport
@@ -77,6 +78,8 @@ def save(path: str | Path, transport: LightTransport, *, overwrite: bool = False
 
     Raises
     ------
+    InputError
+        If its arrays were changed into what no matrix is since it was made.
     OutputError
         If it exists, ends otherwise, or cannot be written.
 
@@ -85,6 +88,9 @@ def save(path: str | Path, transport: LightTransport, *, overwrite: bool = False
     >>> import lightmatrix as lm
     >>> lm.save("saved.zarr", lm.truth("metal").transport())
     """
+    check_type("a light transport matrix", transport, LightTransport)
+    # Checked again, because arrays can be changed, and `open` would refuse what they hold.
+    transport = replace(transport)
     rows = SparseRows(transport.sparse, transport.background, transport.diagnostics)
     save_rows(
         path,

@@ -19,11 +19,7 @@ from lightmatrix.geometry.rig_geometry import RigGeometry
 from lightmatrix.transport.matrix import LightTransport
 from lightmatrix.viewer.scene import Scene, opened, page_size
 
-# The page's own files, its frame, and its modules as one.
-
-
-SCRIPT, STYLE = "page.js", "viewer.css"
-_FRAME = "viewer.html"
+STYLE = "viewer.css"
 # How our modules import from each other: a line each.
 _IMPORT = re.compile(r'^import \{[^}]*\} from "\./(\w+\.js)";\n', re.MULTILINE)
 _EXPORT = re.compile(r"^export (?=const|class|function|async function)", re.MULTILINE)
@@ -68,19 +64,15 @@ def frame(title: str, data: Mapping[str, str] | None = None) -> str:
     environment = Environment(
         autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
     )
-    text = environment.from_string(page_file(_FRAME)).render(
+    # Within HTML, no text of the script may end or open a script element.
+    script = re.sub(r"<(?=/?script|!--)", r"\\x3c", bundle("page.js"), flags=re.IGNORECASE)
+    return environment.from_string(page_file("viewer.html")).render(
         title=title,
         inline=data is not None,
         data=data or {},
         style=Markup(page_file(STYLE)),
-        script=Markup(_without_end_tags(bundle(SCRIPT))),
+        script=Markup(script),
     )
-    return text
-
-
-def _without_end_tags(script: str) -> str:
-    """A script that can stand within HTML: no text of it ends or opens a script element."""
-    return re.sub(r"<(?=/?script|!--)", r"\\x3c", script, flags=re.IGNORECASE)
 
 
 # The largest matrix that goes into a page. As text it takes a third more, which can still be mailed

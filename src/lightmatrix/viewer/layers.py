@@ -10,6 +10,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from matplotlib import colormaps
+from matplotlib.colors import Colormap
 from numpy.typing import NDArray
 from scipy.sparse import csc_array
 
@@ -63,10 +65,6 @@ def matrix_data(transport: LightTransport) -> bytes:
     return packed(header, arrays)
 
 
-# Colours of a scale that are sent. A map with fewer would show bands.
-_COLOURS = 256
-# The scale of depths leaves out this share at either end, where wrong matches may lie.
-_ENDS = (0.01, 0.99)
 # The most entries of a matrix that is separated, and with which pictures are compensated for, on
 # request. 3 million take 1.6 s of a core.
 COMPUTED_ENTRIES = 1 << 22
@@ -75,18 +73,7 @@ _ROWS = 1 << 16
 
 
 class LayerSource:
-    """The layers of a matrix, each computed when it is first asked for.
-
-    Parameters
-    ----------
-    matrix : LightTransport or Light
-        T.
-    geometry : RigGeometry, str or Path, optional
-        The geometry of the rig, which gives depth.
-    """
-
-    # The colour scales that the page itself uses.
-    colours: dict[str, NDArray[np.uint8]]
+    """The layers of a matrix, each computed when it is first asked for; depth by a geometry."""
 
     def __init__(
         self, matrix: LightTransport | Light, geometry: RigGeometry | str | Path | None = None
@@ -94,7 +81,11 @@ class LayerSource:
         self.matrix = matrix
         self.geometry = geometry
         self.facts = matrix if isinstance(matrix, LightTransport) else matrix.facts()
-        self.colours = {"false": colour_scale("viridis"), "faint": colour_scale("inferno")}
+        # The colour scales that the page itself uses.
+        self.colours = {
+            "false": _colours(colormaps["viridis"]),
+            "faint": _colours(colormaps["inferno"]),
+        }
         self._lock = threading.Lock()
         self._made: dict[str, bytes] = {}
 
@@ -108,13 +99,7 @@ class LayerSource:
         }
 
     def get(self, name: object) -> bytes:
-        """A layer.
-
-        Raises
-        ------
-        InputError
-            If there is none of this name.
-        """
+        """A layer; refused if there is none of this name."""
         if not isinstance(name, str) or name not in self.available:
             raise InputError(f"there is no layer {name!r}", hint="choose one of the list")
         with self._lock:
@@ -147,13 +132,7 @@ class LayerSource:
 
     @cached_property
     def separation(self) -> Separation:
-        """Direct and global light, of a matrix in memory.
-
-        Raises
-        ------
-        InputError
-            If T cannot be separated.
-        """
+        """Direct and global light, of a matrix in memory; refused if T cannot be separated."""
         assert isinstance(self.matrix, LightTransport)
         return separate(self.matrix)
 
@@ -195,15 +174,13 @@ class Layer:
     exists: Callable[[LayerSource], bool] = lambda source: True
 
 
-def colour_scale(name: str) -> NDArray[np.uint8]:
-    """A Matplotlib colour map as (256, 3) bytes, dark to bright or white to red."""
-    shown = maps.Map("", "", "", np.zeros((1, 1)), 0, 1, name).colour_map
-    return np.asarray(shown(np.linspace(0, 1, _COLOURS), bytes=True))[:, :3]
+def _colours(colour_map: Colormap) -> NDArray[np.uint8]:
+    """The colours of a scale as (256, 3) bytes. A map with fewer would show bands."""
+    return np.asarray(colour_map(np.linspace(0, 1, 256), bytes=True))[:, :3]
 
 
 def packed_map(shown: maps.Map) -> bytes:
     """A map with its colours."""
-    colours = np.asarray(shown.colour_map(np.linspace(0, 1, _COLOURS), bytes=True))
     header: dict[str, Any] = {
         "title": shown.title,
         "label": shown.label,
@@ -212,7 +189,7 @@ def packed_map(shown: maps.Map) -> bytes:
         "logarithmic": shown.logarithmic,
     }
     values = shown.values.astype(np.float32)
-    return packed(header, {"values": values, "colours": colours[:, :3]})
+    return packed(header, {"values": values, "colours": _colours(shown.colour_map)})
 
 
 def _dual(source: LayerSource) -> bytes:
@@ -242,16 +219,12 @@ def _depth(source: LayerSource) -> bytes:
 
 def _depth_order(source: LayerSource) -> bytes:
     values = source.separation.parallax.astype(np.float64)
-    low, high = _scale_ends(values)
+    known = values[np.isfinite(values)]
+    # Wrong matches may lie at either end.
+    low, high = np.quantile(known, (0.01, 0.99)).tolist() if known.size else (0.0, 1.0)
+    high = max(high, low + 1e-6 * max(1.0, abs(low)))
     label = "parallax along the epipolar line, projector pixels"
     return packed_map(maps.Map("parallax", "Parallax", label, values, low, high))
-
-
-def _scale_ends(values: NDArray[np.float64]) -> tuple[float, float]:
-    """The ends of the colour scale of a map of depth."""
-    known = values[np.isfinite(values)]
-    low, high = np.quantile(known, _ENDS).tolist() if known.size else (0.0, 1.0)
-    return low, max(high, low + 1e-6 * max(1.0, abs(low)))
 
 
 def _places(which: int) -> Callable[[LayerSource], bytes]:

@@ -109,8 +109,8 @@ class StoredLight(Light):
             background = matrix.arrays["background"].bytes
             size = 8 * (matrix.entries + matrix.shape[1]) + background
             note = f"at most {max(1, size >> 20)} MiB beside the matrix"
-            told = None if progress is None else _with_note(progress, note)
-            index_columns(path, progress=told)
+            told = progress or (lambda *_: None)
+            index_columns(path, progress=lambda done, total: told(done, total, note))
             # Its metadata was written anew.
             matrix = StoredTransport.open(path, memory=_KEPT_BYTES)
         return cls(matrix)
@@ -159,10 +159,6 @@ class MemoryLight(Light):
         return SparseRows(sparse, self.matrix.background[part], diagnostics)
 
 
-def _with_note(progress: Progress, note: str) -> Callable[[int, int], None]:
-    return lambda done, total: progress(done, total, note)
-
-
 # A coarse T, by which a whole pattern is relit at once while the fine one takes its time.
 
 
@@ -188,7 +184,11 @@ class CoarseLight:
         grid = (min(_CELLS, height), min(_CELLS, width))
         cell_of = grid_cells(matrix.projector_shape, grid)
         self._means = cell_means(matrix.projector_shape, grid)
-        squares = self._squares(np.arange(matrix.shape[0]), cols)
+        # The square and channel that each camera sample belongs to.
+        pixels, channel = np.divmod(np.arange(matrix.shape[0]), light.channels)
+        row, col = np.divmod(pixels, cols)
+        square = row // self.block * self.shape[1] + col // self.block
+        squares = square * light.channels + channel
         count = math.prod(self.shape)
         sizes = np.bincount(squares, minlength=count)
         self._matrix = csr_array((count, self._means.shape[0]), dtype=np.float32)
@@ -220,10 +220,3 @@ class CoarseLight:
         """A coarse image with a value for each camera pixel."""
         wide = np.repeat(np.repeat(image, self.block, axis=0), self.block, axis=1)
         return wide[:rows, :cols]
-
-    def _squares(self, samples: NDArray[np.integer], cols: int) -> NDArray[np.int64]:
-        """The square and channel that each camera sample belongs to."""
-        pixels, channel = np.divmod(samples, self.shape[2])
-        row, col = np.divmod(pixels, cols)
-        square = row // self.block * self.shape[1] + col // self.block
-        return np.asarray(square * self.shape[2] + channel, np.int64)

@@ -19,8 +19,6 @@ from lightmatrix.viewer.session import REST_MILLISECONDS, MessageError, Session
 
 # The largest matrix that a notebook sends to its page, where it may be kept with the notebook.
 _PAGE_BYTES = 32 << 20
-# Views of one widget whose photographs are kept; more of them forget the oldest.
-_MOST_VIEWS = 8
 # Sends a message of JSON, and bytes behind it.
 Send = Callable[[dict[str, Any], Sequence[bytes]], None]
 
@@ -75,7 +73,11 @@ class Views:
             return
         what = content.get("what")
         if what == "layer":
-            self._layer(view, content.get("name"))
+            answer = {"view": view, "what": "layer", "name": content.get("name")}
+            try:
+                self._send(answer, [self._scene.layer(answer["name"])])
+            except LightMatrixError as error:
+                self._send({**answer, "error": error.message}, [])
         elif what == "message" and len(buffers) == 1:
             session = self._session(view)
             try:
@@ -85,45 +87,25 @@ class Views:
             for part in parts:
                 self._part(view, session, part, more=session.unfinished and part is parts[-1])
         elif what == "finish":
-            self._finish(view)
-
-    def _finish(self, view: str) -> None:
-        """Send one more part of a photograph. The view asks for the next."""
-        session, part = self._session(view), None
-        while part is None and session.unfinished:
-            part = session.finish()
-        if part is not None:
-            self._part(view, session, part, more=session.unfinished)
+            # One more part of the photograph. The view asks for the next.
+            session, part = self._session(view), None
+            while part is None and session.unfinished:
+                part = session.finish()
+            if part is not None:
+                self._part(view, session, part, more=session.unfinished)
 
     def _part(self, view: str, session: Session, part: bytes, *, more: bool) -> None:
         """Send a part of an answer, and when the view may ask for the next, in milliseconds."""
         wait = REST_MILLISECONDS if session.patient else 0
         self._send({"view": view, "what": "part", "more": more, "wait": wait}, [part])
 
-    def _layer(self, view: str, name: Any) -> None:
-        answer = {"view": view, "what": "layer", "name": name}
-        try:
-            self._send(answer, [self._scene.layer(name)])
-        except LightMatrixError as error:
-            self._send({**answer, "error": error.message}, [])
-
     def _session(self, view: str) -> Session:
         if view not in self._sessions:
-            if len(self._sessions) >= _MOST_VIEWS:
+            # The photographs of eight views are kept; more of them forget the oldest.
+            if len(self._sessions) >= 8:
                 del self._sessions[next(iter(self._sessions))]
             self._sessions[view] = self._scene.session()
         return self._sessions[view]
-
-
-def _levels(pattern: NDArray[Any], shape: tuple[int, int]) -> bytes:
-    """A pattern in [0, 1] as bytes."""
-    values = np.asarray(pattern, np.float64)
-    if values.shape != shape:
-        raise InputError(f"a pattern of shape {values.shape}", hint=f"its shape must be {shape}")
-    check_finite("values of a pattern", values)
-    if not (values.min() >= 0 and values.max() <= 1):
-        raise InputError("a pattern with values outside [0, 1]", hint="divide it by its maximum")
-    return np.rint(255 * values).astype(np.uint8).tobytes()
 
 
 @cache
@@ -164,7 +146,16 @@ def _widget_class() -> Any:
 
         @pattern.setter
         def pattern(self, values: NDArray[Any]) -> None:
-            self.levels = _levels(values, self._transport.projector_shape)
+            pattern, shape = np.asarray(values, np.float64), self._transport.projector_shape
+            if pattern.shape != shape:
+                raise InputError(
+                    f"a pattern of shape {pattern.shape}", hint=f"its shape must be {shape}"
+                )
+            check_finite("values of a pattern", pattern)
+            if not (pattern.min() >= 0 and pattern.max() <= 1):
+                hint = "divide it by its maximum"
+                raise InputError("a pattern with values outside [0, 1]", hint=hint)
+            self.levels = np.rint(255 * pattern).astype(np.uint8).tobytes()
 
         @property
         def photograph(self) -> NDArray[np.float32]:

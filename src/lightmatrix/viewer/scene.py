@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+from contextlib import suppress
 from functools import cached_property
 from pathlib import Path
 
@@ -17,7 +18,6 @@ from lightmatrix.patterns.pattern_set import PatternSet
 from lightmatrix.pictures.style import white_level
 from lightmatrix.transport import store
 from lightmatrix.transport.matrix import LightTransport
-from lightmatrix.transport.operator import TransportOperator
 from lightmatrix.transport.store import StoredTransport
 from lightmatrix.uses.compensation import compensate
 from lightmatrix.viewer.layers import (
@@ -30,89 +30,13 @@ from lightmatrix.viewer.lights import CoarseLight, Light, MemoryLight, Progress,
 from lightmatrix.viewer.packed import packed
 from lightmatrix.viewer.session import HEADER_BYTES, Session
 
-# The patterns of a capture, which the page offers to project again.
-
-
-class CapturedPatterns:
-    """K patterns of the size of the matrix's projector.
-
-    Parameters
-    ----------
-    capture : Capture, str or Path
-        The capture.
-    matrix : LightTransport or StoredTransport
-        What was estimated from it, perhaps with the projector binned.
-
-    Raises
-    ------
-    InputError
-        If there is no capture, or its projector is another one.
-    """
-
-    def __init__(self, capture: Capture | str | Path, matrix: TransportOperator) -> None:
-        opened = capture if isinstance(capture, Capture) else Capture.open(capture)
-        self._patterns = _binned(opened.patterns, matrix.image_shapes[1])
-
-    @property
-    def count(self) -> int:
-        """K."""
-        return self._patterns.count
-
-    def levels(self, number: int) -> bytes:
-        """A pattern as levels of one byte, see `packed`.
-
-        Raises
-        ------
-        InputError
-            If there is no such pattern.
-        """
-        if not 0 <= number < self.count:
-            raise InputError(f"pattern {number} of {self.count}", hint="count them from 0")
-        image = self._patterns.images(number, number + 1)[0]
-        return packed({}, {"levels": np.rint(255 * image).clip(0, 255).astype(np.uint8)})
-
-
-def _binned(patterns: PatternSet, shape: tuple[int, ...]) -> PatternSet:
-    """Patterns of a shape that theirs is a multiple of."""
-    if patterns.shape == shape:
-        return patterns
-    block = tuple(-(-whole // part) for whole, part in zip(patterns.shape, shape, strict=True))
-    if tuple(-(-whole // size) for whole, size in zip(patterns.shape, block, strict=True)) != shape:
-        raise InputError(
-            f"a capture with a projector of {patterns.shape[0]} x {patterns.shape[1]}, and a "
-            f"matrix with one of {shape[0]} x {shape[1]}",
-            hint="give the capture that the matrix was estimated from",
-        )
-    return patterns.coarse((block[0], block[1]))
-
-
-_COLOUR_CHANNELS = 3
-_GAMMA = 2.2
-
 
 class Scene:
     """A matrix as the page sees it.
 
-    Parameters
-    ----------
-    transport : LightTransport, str or Path
-        T, or where `open` finds it.
-    page_bytes : int
-        The largest matrix that is sent to the page. A larger one stays here, and on disk if it is a
-        store, which gets an index of its columns.
-    progress : callable, optional
-        Called with what is done, all there is, and a note, while the index is made.
-    capture : Capture, str or Path, optional
-        The capture of T, whose patterns the page offers.
-    geometry : RigGeometry, str or Path, optional
-        The geometry of the rig, which gives a layer of depth.
-
-    Raises
-    ------
-    InputError
-        If there is no such matrix, or a browser cannot show it.
-    OutputError
-        If the index cannot be written.
+    A matrix of more than `page_bytes` stays here, and on disk if it is a store, which gets an index
+    of its columns (`progress` is called meanwhile). The page offers the patterns of `capture`, and
+    a layer of depth if there is a `geometry`.
     """
 
     def __init__(
@@ -129,23 +53,26 @@ class Scene:
         name = self.matrix.provenance.get("scene", "Light transport")
         self.title = self._path.name if self._path is not None else str(name)
         channels = self.matrix.camera_shape[2:]
-        if channels not in ((), (1,), (_COLOUR_CHANNELS,)):
+        if channels not in ((), (1,), (3,)):
             raise InputError(
                 f"{self.title}: a camera with {channels[0]} channels",
-                hint=f"the viewer shows 1 or {_COLOUR_CHANNELS}",
+                hint="the viewer shows 1 or 3",
             )
         # T where the page does not have it.
         self.light: Light | None = None
+        known: LightTransport | Light
         if isinstance(self.matrix, StoredTransport):
-            self.light = StoredLight.open(self.matrix.place, progress)
-            self._layers = LayerSource(self.light, geometry)
+            known = self.light = StoredLight.open(self.matrix.place, progress)
         elif page_size(self.matrix) > page_bytes:
-            self.light = MemoryLight(self.matrix)
-            self._layers = LayerSource(self.light, geometry)
+            known = self.light = MemoryLight(self.matrix)
         else:
-            self._layers = LayerSource(self.matrix, geometry)
+            known = self.matrix
+        self._layers = LayerSource(known, geometry)
         self._found = self._stamp()
-        self.frames = None if capture is None else CapturedPatterns(capture, self.matrix)
+        self._patterns: PatternSet | None = None
+        if capture is not None:
+            opened_capture = capture if isinstance(capture, Capture) else Capture.open(capture)
+            self._patterns = _binned(opened_capture.patterns, self.matrix.projector_shape)
         self._computing = threading.Lock()
         self._coarse: CoarseLight | None = None
         self._coarse_maker: threading.Thread | None = None
@@ -167,10 +94,22 @@ class Scene:
             "layers": self._layers.available,
             "remote": self.light is not None,
             "white": self._white,
-            "frames": 0 if self.frames is None else self.frames.count,
+            "frames": self.pattern_count,
             "compensates": self._compensates,
         }
         return packed(header, self._layers.colours)
+
+    @property
+    def pattern_count(self) -> int:
+        """Patterns of the capture, which the page offers to project again."""
+        return 0 if self._patterns is None else self._patterns.count
+
+    def pattern(self, number: int) -> bytes:
+        """A pattern of the capture as levels of one byte, see `packed`."""
+        if self._patterns is None or not 0 <= number < self.pattern_count:
+            raise InputError(f"pattern {number} of {self.pattern_count}", hint="count them from 0")
+        image = self._patterns.images(number, number + 1)[0]
+        return packed({}, {"levels": np.rint(255 * image).clip(0, 255).astype(np.uint8)})
 
     @cached_property
     def _white(self) -> float | None:
@@ -179,13 +118,7 @@ class Scene:
 
     @cached_property
     def matrix_bytes(self) -> bytes:
-        """The matrix, see `matrix_data`.
-
-        Raises
-        ------
-        InputError
-            If it is too large for the page.
-        """
+        """The matrix, see `matrix_data`; refused if it is too large for the page."""
         if self.light is not None or not isinstance(self.matrix, LightTransport):
             raise InputError("the matrix stays here", hint="ask by messages")
         return matrix_data(self.matrix)
@@ -200,13 +133,7 @@ class Scene:
         del self._layers.available[name]
 
     def layer(self, name: object) -> bytes:
-        """A layer, computed when it is first asked for.
-
-        Raises
-        ------
-        InputError
-            If the matrix has no such layer.
-        """
+        """A layer, computed when it is first asked for; refused if the matrix has none."""
         return self._layers.get(name)
 
     def session(self) -> Session:
@@ -236,18 +163,16 @@ class Scene:
         assert isinstance(self.matrix, LightTransport)
         # Levels of a picture are seen through the usual gamma of a screen.
         with self._computing:
-            found = compensate(self.matrix, levels / np.float32(255), gamma=_GAMMA)
+            found = compensate(self.matrix, levels / np.float32(255), gamma=2.2)
         reached = 100 * float(found.reachable.mean())
         words = f"{reached:.0f} % of the camera pixels reach the picture, at {found.psnr:.0f} dB."
         return np.rint(255 * found.pattern).astype(np.uint8), words
 
     def _make_coarse(self) -> None:
         assert self.light is not None
-        try:
+        # If the store is gone or damaged, the page learns it from what it asks next.
+        with suppress(LightMatrixError):
             self._coarse = CoarseLight(self.light)
-        except LightMatrixError:
-            # The store is gone or damaged: the page learns it from what it asks next.
-            return
 
     def notice(self) -> str:
         """What became of the store since it was read; empty if nothing did."""
@@ -287,3 +212,17 @@ def page_size(matrix: LightTransport | StoredTransport) -> int:
     entries = matrix.sparse.nnz if isinstance(matrix, LightTransport) else matrix.entries
     cells = matrix.background_grid[0] * matrix.background_grid[1]
     return matrix_size(*matrix.shape, entries, cells)
+
+
+def _binned(patterns: PatternSet, shape: tuple[int, int]) -> PatternSet:
+    """Patterns with the pixels of a projector that may have been binned for T."""
+    if patterns.shape == shape:
+        return patterns
+    rows, cols = (-(-whole // part) for whole, part in zip(patterns.shape, shape, strict=True))
+    if (-(-patterns.shape[0] // rows), -(-patterns.shape[1] // cols)) != shape:
+        raise InputError(
+            f"a capture with a projector of {patterns.shape[0]} x {patterns.shape[1]}, and a "
+            f"matrix with one of {shape[0]} x {shape[1]}",
+            hint="give the capture that the matrix was estimated from",
+        )
+    return patterns.coarse((rows, cols))

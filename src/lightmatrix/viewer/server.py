@@ -36,8 +36,6 @@ from lightmatrix.viewer.session import REST_MILLISECONDS, MessageError
 
 
 LOOPBACK = "127.0.0.1"
-# Bytes of randomness in a token.
-_TOKEN_BYTES = 24
 
 
 @dataclass(frozen=True)
@@ -45,7 +43,7 @@ class Guard:
     """The token and the hosts of one server."""
 
     port: int
-    token: str = field(default_factory=lambda: secrets.token_urlsafe(_TOKEN_BYTES), repr=False)
+    token: str = field(default_factory=lambda: secrets.token_urlsafe(24), repr=False)
 
     @property
     def address(self) -> str:
@@ -197,9 +195,9 @@ class Answers:
         if path.startswith("layer/") and path.endswith(".bin"):
             name = path.removeprefix("layer/").removesuffix(".bin")
             files[path] = (_BINARY, lambda: scene.layer(name))
-        if re.fullmatch(r"frame/[0-9]{1,9}\.bin", path) and (frames := scene.frames) is not None:
+        if re.fullmatch(r"frame/[0-9]{1,9}\.bin", path):
             number = int(path.removeprefix("frame/").removesuffix(".bin"))
-            files[path] = (_BINARY, lambda: frames.levels(number))
+            files[path] = (_BINARY, lambda: scene.pattern(number))
         if path not in files:
             await self._answer(send, 404, _TEXT, b"There is no such file.")
             return
@@ -286,7 +284,6 @@ class Answers:
 
 # Seconds that open pages have to say goodbye after Ctrl-C.
 _GOODBYE_SECONDS = 1
-_HIGHEST_PORT = 65535
 
 
 def serve_viewer(
@@ -343,9 +340,16 @@ def serve_viewer(
     >>> import lightmatrix as lm
     >>> lm.serve_viewer("scene.zarr")  # doctest: +SKIP
     """
-    uvicorn = _library()
-    if not 0 <= port <= _HIGHEST_PORT:
-        raise InputError(f"port {port}", hint=f"use 0 (any free one) to {_HIGHEST_PORT}")
+    try:
+        import uvicorn
+        import websockets  # noqa: F401 - uvicorn needs it for the page's connection
+    except ImportError as error:
+        raise MissingExtraError(
+            "the viewer needs a web server",
+            hint='install the extra: pip install "lightmatrix[viewer]"',
+        ) from error
+    if not 0 <= port <= 65535:
+        raise InputError(f"port {port}", hint="use 0 (any free one) to 65535")
     scene = Scene(
         transport, page_bytes=page_bytes, progress=progress, capture=capture, geometry=geometry
     )
@@ -414,15 +418,3 @@ def _bound(port: int) -> socket.socket:
             hint="choose another port, or port=0 for one that is free",
         ) from error
     return listening
-
-
-def _library() -> Any:
-    try:
-        import uvicorn
-        import websockets  # noqa: F401 - uvicorn needs it for the page's connection
-    except ImportError as error:
-        raise MissingExtraError(
-            "the viewer needs a web server",
-            hint='install the extra: pip install "lightmatrix[viewer]"',
-        ) from error
-    return uvicorn

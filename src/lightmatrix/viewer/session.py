@@ -41,72 +41,37 @@ class Kind(IntEnum):
 
 
 @dataclass(frozen=True, eq=False)
-class Paint:
-    """A rectangle of the pattern that has other levels now."""
+class Message:
+    """What a message asks for: its kind, its number, a pixel, and levels (rows, cols)."""
 
-    number: int
-    top: int
-    left: int
-    # (rows, cols).
-    levels: NDArray[np.uint8]
-
-
-@dataclass(frozen=True)
-class Ask:
-    """A request for the row of a camera pixel, or the column of a projector pixel."""
-
-    number: int
     kind: Kind
+    number: int
+    # The pixel whose row or column is asked for, or the upper left one of the levels.
     row: int
     col: int
-
-
-@dataclass(frozen=True, eq=False)
-class Compensate:
-    """A picture that the camera is to see, (rows, cols)."""
-
-    number: int
+    # What is painted on the projector, or a picture that the camera is to see.
     levels: NDArray[np.uint8]
 
 
-def parse(
-    message: bytes, camera: tuple[int, int], projector: tuple[int, int]
-) -> Paint | Ask | Compensate:
-    """A message of the page, checked against the sizes of camera and projector.
-
-    Raises
-    ------
-    MessageError
-        If it is none.
-    """
-    if len(message) < _HEADER.size:
-        raise MessageError
-    kind, number = _HEADER.unpack_from(message)
-    rest = message[_HEADER.size :]
-    if kind == Kind.PAINT:
-        return _paint(number, rest, projector)
-    if kind in (Kind.ROW, Kind.COLUMN):
-        size = camera if kind == Kind.ROW else projector
-        if len(rest) != _PLACE.size:
+def parse(message: bytes, camera: tuple[int, int], projector: tuple[int, int]) -> Message:
+    """A message of the page, checked against the sizes of camera and projector."""
+    try:
+        code, number = _HEADER.unpack_from(message)
+        kind, rest = Kind(code), message[_HEADER.size :]
+        if kind is Kind.COMPENSATE:
+            return Message(kind, number, 0, 0, np.frombuffer(rest, np.uint8).reshape(camera))
+        if kind is Kind.PAINT:
+            row, col, *shape = _RECTANGLE.unpack_from(rest)
+            levels = np.frombuffer(rest, np.uint8, offset=_RECTANGLE.size).reshape(shape)
+        else:
+            row, col = _PLACE.unpack(rest)
+            levels = np.zeros((1, 1), np.uint8)
+        size = camera if kind is Kind.ROW else projector
+        if row + levels.shape[0] > size[0] or col + levels.shape[1] > size[1]:
             raise MessageError
-        row, col = _PLACE.unpack(rest)
-        if row >= size[0] or col >= size[1]:
-            raise MessageError
-        return Ask(number, Kind(kind), row, col)
-    if kind == Kind.COMPENSATE and len(rest) == camera[0] * camera[1]:
-        return Compensate(number, np.frombuffer(rest, np.uint8).reshape(camera))
-    raise MessageError
-
-
-def _paint(number: int, rest: bytes, projector: tuple[int, int]) -> Paint:
-    if len(rest) < _RECTANGLE.size:
-        raise MessageError
-    top, left, rows, cols = _RECTANGLE.unpack_from(rest)
-    inside = top + rows <= projector[0] and left + cols <= projector[1]
-    if not inside or len(rest) != _RECTANGLE.size + rows * cols:
-        raise MessageError
-    levels = np.frombuffer(rest, np.uint8, offset=_RECTANGLE.size).reshape(rows, cols)
-    return Paint(number, top, left, levels)
+    except (struct.error, ValueError) as error:
+        raise MessageError from error
+    return Message(kind, number, row, col, levels)
 
 
 # A pattern that changes in more than this share of its pixels is relit as a whole.
@@ -131,18 +96,8 @@ Compensator = Callable[[NDArray[np.uint8]], tuple[NDArray[np.uint8], str]]
 class Session:
     """The pattern and the photograph of one window, and how much of it the window has.
 
-    Parameters
-    ----------
-    light : Light, optional
-        T; None if the page has it.
-    white : float
-        The light that is shown as white.
-    coarse : callable
-        The coarse T, or None while it is not ready.
-    camera, projector : (int, int)
-        Their sizes.
-    compensator : callable, optional
-        Computes the pattern for a picture.
+    `light` is T, None if the page has it; `white` is the light that is shown as white; `coarse`
+    gives the coarse T, or None while it is not ready.
     """
 
     def __init__(
@@ -169,18 +124,12 @@ class Session:
         return self._painting is not None and self._painting.resting
 
     def answer(self, message: Any) -> list[bytes]:
-        """The answers to a message.
-
-        Raises
-        ------
-        MessageError
-            If the page would not send it.
-        """
+        """The answers to a message; raises MessageError if the page would not send it."""
         if not isinstance(message, bytes):
             raise MessageError
         asked = parse(message, self._camera, self._projector)
         try:
-            if isinstance(asked, Compensate):
+            if asked.kind is Kind.COMPENSATE:
                 if self._compensator is None:
                     raise MessageError
                 levels, words = self._compensator(asked.levels)
@@ -188,9 +137,8 @@ class Session:
                 return [packed(header, {"levels": levels})]
             if self._painting is None:
                 raise MessageError
-            if isinstance(asked, Ask):
-                return [self._painting.image(asked)]
-            return self._painting.paint(asked)
+            paints = asked.kind is Kind.PAINT
+            return self._painting.paint(asked) if paints else [self._painting.image(asked)]
         except LightMatrixError as error:
             words = error.message
             return [packed({"kind": "error", "answers": asked.number, "message": words}, {})]
@@ -202,7 +150,8 @@ class Session:
         try:
             return self._painting.finish()
         except LightMatrixError as error:
-            self._painting.give_up()
+            # Nothing more of this pattern is sent.
+            self._painting.blocks, self._painting.unfinished = None, False
             return packed({"kind": "error", "answers": None, "message": error.message}, {})
 
 
@@ -221,15 +170,15 @@ class _Painting:
         # What the window has, as rounded on the way.
         self._sent = np.zeros(shape, np.float32)
         # The rows of T that a whole pattern still has to be relit with.
-        self._blocks: Iterator[tuple[int, SparseRows]] | None = None
+        self.blocks: Iterator[tuple[int, SparseRows]] | None = None
         self.unfinished = False
         # Whether what is missing is too faint to be seen while the brush moves.
         self.resting = False
 
-    def paint(self, asked: Paint) -> list[bytes]:
+    def paint(self, asked: Message) -> list[bytes]:
         """The photograph under the new levels, as far as it is quickly had."""
         rows, cols = asked.levels.shape
-        window = self._levels[asked.top : asked.top + rows, asked.left : asked.left + cols]
+        window = self._levels[asked.row : asked.row + rows, asked.col : asked.col + cols]
         change = asked.levels.astype(np.float32) - window
         down, across = np.nonzero(change)
         window[...] = asked.levels
@@ -237,7 +186,7 @@ class _Painting:
         self.resting = False
         if len(down) > _WHOLE * self._levels.size:
             return [self._begin_whole(asked, change)]
-        pixels = (asked.top + down) * self._levels.shape[1] + asked.left + across
+        pixels = (asked.row + down) * self._levels.shape[1] + asked.col + across
         light = self._light.columns(pixels, change[down, across] / 255)
         return self._add(light.ravel(), asked.number)
 
@@ -251,21 +200,26 @@ class _Painting:
         self.resting = True
         if len(samples) > _SCATTERED * len(photograph):
             tiles = tiles_above(np.abs(self._photograph - self._sent), _QUICK * self._white)
-            return self._parts(tiles, number)
+            # All of the tiles; the last message is the answer.
+            cuts = range(0, max(1, len(tiles)), _MOST_TILES)
+            return [
+                self._part(tiles[k : k + _MOST_TILES], number if k == cuts[-1] else None)
+                for k in cuts
+            ]
         values, scale = halves(photograph[samples])
         sent[samples] = values.astype(np.float32) * np.float32(scale)
         header = {"kind": "samples", "answers": number, "scale": scale, "more": True}
         return [packed(header, {"samples": samples.astype(np.uint32), "values": values})]
 
-    def _begin_whole(self, asked: Paint, change: NDArray[np.float32]) -> bytes:
+    def _begin_whole(self, asked: Message, change: NDArray[np.float32]) -> bytes:
         """Relight the whole pattern, coarse now if possible; fine parts follow."""
-        self._blocks = self._light.blocks()
+        self.blocks = self._light.blocks()
         coarse = self._coarse()
         if coarse is None:
             return self._part([], asked.number)
         whole = np.zeros(self._levels.shape, np.float32)
         rows, cols = change.shape
-        whole[asked.top : asked.top + rows, asked.left : asked.left + cols] = change / 255
+        whole[asked.row : asked.row + rows, asked.col : asked.col + cols] = change / 255
         values, scale = halves(coarse.image(whole.ravel()))
         shown = values.astype(np.float32) * np.float32(scale)
         spread = coarse.spread(shown, *self._sent.shape[:2])
@@ -274,7 +228,7 @@ class _Painting:
         header = {"kind": "coarse", "answers": asked.number, "block": coarse.block, "scale": scale}
         return packed(header, {"values": values})
 
-    def image(self, asked: Ask) -> bytes:
+    def image(self, asked: Message) -> bytes:
         """A row or column of T."""
         if asked.kind is Kind.ROW:
             image = self._light.row(asked.row, asked.col)[..., None]
@@ -288,11 +242,11 @@ class _Painting:
 
     def finish(self) -> bytes | None:
         """The next parts that the window lacks."""
-        if self._blocks is not None:
+        if self.blocks is not None:
             with self._light.lock:
-                start, block = next(self._blocks, (0, None))
+                start, block = next(self.blocks, (0, None))
             if block is None:
-                self._blocks = None
+                self.blocks = None
             else:
                 # The levels of now: strokes since the pattern began count too.
                 pattern = self._levels.ravel() / np.float32(255)
@@ -301,21 +255,10 @@ class _Painting:
                 self._photograph.reshape(-1)[start : start + block.count] = light
         missed = np.abs(self._photograph - self._sent) - _FINE * np.abs(self._photograph)
         tiles = tiles_above(missed, _FAINTEST * self._white)
-        self.unfinished = self._blocks is not None or len(tiles) > _MOST_TILES
+        self.unfinished = self.blocks is not None or len(tiles) > _MOST_TILES
         if not tiles and self.unfinished:
             return None
         return self._part(tiles[:_MOST_TILES], None)
-
-    def give_up(self) -> None:
-        """Send nothing more of this pattern."""
-        self._blocks, self.unfinished = None, False
-
-    def _parts(self, tiles: Tiles, number: int) -> list[bytes]:
-        """Messages with all of some tiles; the last one is the answer."""
-        cuts = range(0, max(1, len(tiles)), _MOST_TILES)
-        return [
-            self._part(tiles[k : k + _MOST_TILES], number if k == cuts[-1] else None) for k in cuts
-        ]
 
     def _part(self, tiles: Tiles, number: int | None) -> bytes:
         """A message with some tiles of the photograph."""
