@@ -356,10 +356,7 @@ class Reader:
         return Samples(values, clipped, np.broadcast_to(sample_levels, values.shape))
 
     def _columns(self) -> Iterator[tuple[slice, int, int, NDArray[Any]]]:
-        """Strips of frames in the faster order: of one frame after the other, or of all frames.
-
-        Each has its rows of binned samples, first sample, frame number and raw levels (n, 1).
-        """
+        """Strips in the faster order: binned rows, first sample, frame, and raw levels (n, 1)."""
         frames, down = self.frames, self.block[0]
         wide, narrow = (math.prod(shape[1:]) for shape in (frames.shape, self.camera_shape))
         if not isinstance(frames, PixelFrames):

@@ -8,28 +8,15 @@ from typing import Annotated, Any
 from typer import Argument, Option
 
 import lightmatrix as lm
-from lightmatrix.cli.options import (
-    Blue,
-    CameraName,
-    Green,
-    Json,
-    Overwrite,
-    Patience,
-    ProjectorName,
-    RigFile,
-    RigName,
-    Store,
-    output_option,
-    primaries,
-)
+from lightmatrix.cli import options
 from lightmatrix.cli.terminal import progress, say, show_json, stages
 from lightmatrix.defaults import RIG_FILE, USUAL_PATIENCE
 from lightmatrix.errors import InputError
 
 
 def compensate(
-    scene: Store,
-    output: Annotated[Path, output_option("Image of the pattern; a folder with --video.")],
+    scene: options.Store,
+    output: Annotated[Path, options.output_option("Image of the pattern; a folder with --video.")],
     wanted: Annotated[
         Path | None, Argument(metavar="WANTED", help="The picture that the camera is to see.")
     ] = None,
@@ -52,8 +39,8 @@ def compensate(
     exposure: Annotated[
         float, Option(help="Exposure e at which samples are counted that clip.")
     ] = 1.0,
-    green: Green = None,
-    blue: Blue = None,
+    green: options.Green = None,
+    blue: options.Blue = None,
     beside: Annotated[
         list[Path] | None,
         Option(
@@ -74,13 +61,13 @@ def compensate(
         int | None,
         Option(help="Photographs on a rig that correct the pattern.", show_default="none"),
     ] = None,
-    rig: RigName = None,
-    projector: ProjectorName = None,
-    camera: CameraName = None,
-    patience: Patience = USUAL_PATIENCE,
-    rig_file: RigFile = Path(RIG_FILE),
-    overwrite: Overwrite = False,
-    as_json: Json = False,
+    rig: options.RigName = None,
+    projector: options.ProjectorName = None,
+    camera: options.CameraName = None,
+    patience: options.Patience = USUAL_PATIENCE,
+    rig_file: options.RigFile = Path(RIG_FILE),
+    overwrite: options.Overwrite = False,
+    as_json: options.Json = False,
 ) -> None:
     """Find the pattern that makes the scene look as wanted.
 
@@ -125,7 +112,7 @@ def compensate(
             )
         summary |= refined.as_dict()
     else:
-        matrices = [*(primaries(scene, green, blue) or (scene,)), *(beside or ())]
+        matrices = [*(options.primaries(scene, green, blue) or (scene,)), *(beside or ())]
         assert wanted is not None
         found = lm.compensate(matrices, wanted, ambient=black, exposure=exposure, **common)
         summary |= found.as_dict()

@@ -6,7 +6,7 @@ import functools
 import inspect
 import os
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -217,7 +217,7 @@ def read_source(
     mosaic: Mosaic = False,
 ) -> Source:
     """The source that the options of a command describe."""
-    stated = {
+    options: dict[str, Any] = {
         "black": black,
         "black_exposure": black_exposure,
         "white": white,
@@ -230,7 +230,7 @@ def read_source(
         "exposure": exposure,
         "mosaic": mosaic or None,
     }
-    stated = {name: value for name, value in stated.items() if value is not None}
+    stated = {name: value for name, value in options.items() if value is not None}
     region = None if crop is None else rectangle(crop)
     if photographs is not None:
         if patterns is not None or images is not None:
@@ -249,9 +249,8 @@ def read_source(
         folders = {"patterns": patterns, "images": images}
         besides = [name for name, value in folders.items() if value is not None] + list(stated)
         if besides:
-            options = ", ".join(map(_option, besides))
             raise InputError(
-                f"a capture folder and {options} were given",
+                f"a capture folder and {', '.join(map(_option, besides))} were given",
                 hint="a capture folder has these settings in capture.json; give one or the other",
             )
         return Source(capture, None, None, None, region, find, find_projector)
@@ -262,19 +261,13 @@ def read_source(
     if patterns is None or images is None:
         missing = "--patterns" if patterns is None else "--images"
         raise InputError(f"{missing} is missing", hint="give both, or a capture folder")
-    settings = _read_settings(stated)
-    return Source(None, patterns, images, settings, region)
-
-
-def _read_settings(stated: Mapping[str, Any]) -> ReadSettings:
-    """The settings that options state, of which some are texts that hold numbers."""
-    values = dict(stated)
+    # Some texts hold numbers.
     for name in ("exposure", "clip", "black_level"):
-        if name in values:
-            values[name] = numbers(values[name], _option(name))
-    if "black" in values:
-        values["black"] = level_or_file(values["black"])
-    return lm.ReadSettings(**values)
+        if name in stated:
+            stated[name] = numbers(stated[name], _option(name))
+    if "black" in stated:
+        stated["black"] = level_or_file(stated["black"])
+    return Source(None, patterns, images, lm.ReadSettings(**stated), region)
 
 
 def _option(name: str) -> str:

@@ -332,12 +332,10 @@ def measure_exposure(
 def _possible(
     exposure: float, period: float, limits: tuple[float, float]
 ) -> tuple[float, list[str]]:
-    """The exposure nearest to an advised one that does not flicker and that the camera has.
-
-    Warns where that is off by a stop, or by a fifth to avoid flicker: less is within the tolerance
-    of the advice.
-    """
+    """The exposure nearest to an advised one that does not flicker and that the camera has."""
     shortest, longest = limits
+    # These say where it is off by a stop, or by a fifth to avoid flicker: less is within the
+    # tolerance of the advice.
     warnings = []
     steady = exposure
     if period:
