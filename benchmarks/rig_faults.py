@@ -1,7 +1,7 @@
 """What a rig does wrong: whether an estimate names it, and how far T is off without and with it.
 
     python -m benchmarks.rig_faults [--quick] [--scenes metal,corner] [--faults shake,gain]
-        [-k 16,32] [--groups faults,several,intact,fine,advice] [-o rig-faults-out]
+        [-k 16,32] [--groups faults,several,intact,fine,advice] [--again] [-o rig-faults-out]
 
 Cases are captures of 64 x 64 pixels at the planned exposure, 8 bits, read noise 0.003 clip levels:
 
@@ -13,9 +13,10 @@ Cases are captures of 64 x 64 pixels at the planned exposure, 8 bits, read noise
   is found in the photographs, as findings of `check` may advise
 
 Each is estimated as it is, and with what `correct="auto"` takes out. Each result is a line of
-OUT/cases.jsonl, and a later run goes on after the last. Then come tables, and OUT/summary.json with
-the aims and whether they are reached. Errors are those of T up to a factor, because the exposure of
-T is that of frame 0 where the frames' light differs; seconds are those of all cores together.
+OUT/cases.jsonl, and a later run goes on after the last; `--again` keeps only those of captures as
+they are. Then come tables, and OUT/summary.json with the aims and whether they are reached. Errors
+are those of T up to a factor, because the exposure of T is that of frame 0 where the frames' light
+differs; seconds are those of all cores together.
 """
 
 from __future__ import annotations
@@ -288,36 +289,37 @@ def error_of(estimate: LightTransport, truth: Truth) -> float:
     return float(np.linalg.norm(along * dense - known) / np.linalg.norm(known))
 
 
-def measure(case: Case) -> Row:
-    """T's error of the capture as it is, and corrected; the names, the verdicts and the seconds."""
-    truth = rig_of(case.scene, case.blur, case.group == "fine")[0]
-    capture = capture_of(case)
-    row: Row = {"case": asdict(case)}
+def ways_of(case: Case) -> dict[str, dict[str, Any]]:
+    """How a case is estimated: the settings of `lm.estimate`."""
     ways: dict[str, dict[str, Any]] = {"without": {"correct": "none"}, "with": {"correct": "auto"}}
     if case.group == "advice":
         curve = "projector_response" if case.patterns == "grey" else "response"
         ways["advised"] = {"correct": "auto", curve: "auto"}
-    for way, settings in ways.items():
-        started = time.process_time()
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            try:
-                estimate = lm.estimate(capture, progress=False, **settings)
-            except lm.InputError as error:
-                row[way] = {"error": None, "verdict": "refused", "sentence": error.message}
-                row[way] |= {"seconds": time.process_time() - started, "names": [], "findings": []}
-                continue
-        seconds = time.process_time() - started
-        judged = verdict(estimate)
-        row[way] = {
-            "error": error_of(estimate, truth),
-            "verdict": judged.level,
-            "sentence": judged.sentence,
-            "findings": sorted({each["kind"] for each in estimate.provenance["findings"]}),
-            "names": names_of(estimate),
-            "seconds": round(seconds, 3),
-        }
-    return row
+    return ways
+
+
+def measure(case: Case, way: str) -> Row:
+    """T's error, what is named, the verdict and the seconds of one way to estimate a case."""
+    truth = rig_of(case.scene, case.blur, case.group == "fine")[0]
+    capture = capture_of(case)
+    started = time.process_time()
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        try:
+            estimate = lm.estimate(capture, progress=False, **ways_of(case)[way])
+        except lm.InputError as error:
+            nothing = {"error": None, "verdict": "refused", "sentence": error.message}
+            return {**nothing, "names": [], "findings": [], "seconds": 0.0}
+    seconds = time.process_time() - started
+    judged = verdict(estimate)
+    return {
+        "error": error_of(estimate, truth),
+        "verdict": judged.level,
+        "sentence": judged.sentence,
+        "findings": sorted({each["kind"] for each in estimate.provenance["findings"]}),
+        "names": names_of(estimate),
+        "seconds": round(seconds, 3),
+    }
 
 
 def names_of(estimate: LightTransport) -> list[str]:
@@ -325,21 +327,27 @@ def names_of(estimate: LightTransport) -> list[str]:
     return sorted(estimate.provenance.get("rig_model", {}).get("names", ()))
 
 
-def results_of(wanted: Iterable[Case], file: Path) -> dict[Case, Row]:
-    """The results of some cases: those that the file has, and the others, which it gets."""
+def results_of(wanted: Iterable[Case], file: Path, *, again: bool) -> dict[Case, Row]:
+    """The results of some cases: those that the file has, and the others, which it gets.
+
+    With `again`, only the estimates without correction are taken from the file.
+    """
     known: dict[Case, Row] = {}
-    if file.exists():
-        lines = map(json.loads, file.read_text().splitlines())
-        known = {Case.from_json(row["case"]): row for row in lines}
+    lines = [json.loads(line) for line in file.read_text().splitlines()] if file.exists() else []
+    for line in lines:
+        if not again or line["way"] == "without":
+            known.setdefault(Case.from_json(line["case"]), {})[line["way"]] = line["result"]
     # The intact capture of each case is its measure.
     asked = list(dict.fromkeys(each for case in wanted for each in (case.intact, case)))
     with file.open("a") as opened:
         for number, case in enumerate(asked, start=1):
-            if case not in known:
-                known[case] = measure(case)
-                opened.write(json.dumps(known[case]) + "\n")
+            row = known.setdefault(case, {})
+            for way in [way for way in ways_of(case) if way not in row]:
+                row[way] = measure(case, way)
+                line = {"case": asdict(case), "way": way, "result": row[way]}
+                opened.write(json.dumps(line) + "\n")
                 opened.flush()
-                print(f"{number}/{len(asked)} {_told(case, known)}", flush=True)
+            print(f"{number}/{len(asked)} {_told(case, known)}", flush=True)
     return {case: known[case] for case in asked}
 
 
@@ -486,6 +494,7 @@ def main(arguments: list[str] | None = None) -> None:
     parser.add_argument("-k", "--counts", default=None, help="such as 16,32,64")
     parser.add_argument("--groups", default=None, help="faults,several,intact,fine,advice")
     parser.add_argument("-o", "--out", type=Path, default=Path("rig-faults-out"))
+    parser.add_argument("--again", action="store_true", help="measure corrected estimates anew")
     options = parser.parse_args(arguments)
     quick = options.quick
     scenes = options.scenes or ("l_objects" if quick else ",".join(SCENES))
@@ -496,7 +505,7 @@ def main(arguments: list[str] | None = None) -> None:
         options.faults.split(","), quick,
     )  # fmt: skip
     options.out.mkdir(parents=True, exist_ok=True)
-    results = results_of(wanted, options.out / "cases.jsonl")
+    results = results_of(wanted, options.out / "cases.jsonl", again=options.again)
     rows, reached = table(results), aims(results)
     show("Faults: medians and worst, over scenes and numbers of patterns", rows)
     show("Aims", reached)
