@@ -318,9 +318,7 @@ class Capture:
         end = (min(rows.stop * down, height), min(cols.stop * across, width))
         whole = replace(self, bin_camera=(1, 1), correction=None)
         part = whole.crop(corner, (end[0] - corner[0], end[1] - corner[1]))
-        return replace(
-            part, bin_camera=self.bin_camera, surroundings=None, correction=correction
-        )
+        return replace(part, bin_camera=self.bin_camera, surroundings=None, correction=correction)
 
     def bin(
         self, projector: int | tuple[int, int] = 1, camera: int | tuple[int, int] = 1

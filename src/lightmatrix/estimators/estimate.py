@@ -15,6 +15,7 @@ With workers, 3 hands the tiles to `DaskPool.solve` (`workers.py`), and each wor
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import replace
 from functools import partial
@@ -28,6 +29,7 @@ from lightmatrix.check.finding import FINDINGS
 from lightmatrix.check.refusals import refuse_unordered, refuse_unusable, warn_of
 from lightmatrix.errors import InputError, warn
 from lightmatrix.estimators.choice import check_and_choose, choose_estimator
+from lightmatrix.estimators.corrected import corrected, terms_to_correct
 from lightmatrix.estimators.plain import PlainEstimator
 from lightmatrix.estimators.resource_estimate import estimate_resources
 from lightmatrix.estimators.settings import EstimateSettings
@@ -62,6 +64,7 @@ def estimate(
     output: str | Path | None = None,
     overwrite: bool = False,
     check: bool = True,
+    correct: str | Sequence[str] = "auto",
     progress: Progress | bool = True,
 ) -> LightTransport:
     """Estimate the light transport matrix of a capture, as `lightmatrix estimate` does.
@@ -119,6 +122,12 @@ def estimate(
     check : bool
         Whether to refuse photographs that do not follow their patterns and estimates that do not
         fit into memory, and to warn of what else `lm.check` finds. The provenance keeps it.
+    correct : "auto", "none" or sequence of str
+        Which faults of the rig are looked for in the photographs and taken out of T, see `fit_rig`:
+        all, none, or some of "gain", "exposure", "ambient", "shift", "rows", "previous",
+        "camera-curve", "projector-curve", "crosstalk", "sharpening", "camera-sharpening" and
+        "dynamic-contrast". A correction stays only if photographs held out are predicted better
+        with it. The exposure of T is then that of the first frame.
     progress : bool or callable
         Whether to show a bar on a terminal and in notebooks; or what to call with (done, total)
         rows.
@@ -132,8 +141,9 @@ def estimate(
     Warns
     -----
     LightMatrixWarning
-        For each finding of `lm.check`; with the response that was found; and if the estimate row by
-        row was chosen because it predicts photographs held out better.
+        For each finding of `lm.check`; for what the rig did and is corrected; with the response
+        that was found; and if the estimate row by row was chosen because it predicts photographs
+        held out better.
 
     Raises
     ------
@@ -167,6 +177,7 @@ def estimate(
         cluster,
     )
     settings.check_cluster_output(output)
+    allowed = terms_to_correct(correct)
     capture = open_capture(capture)
     if isinstance(capture.patterns, ColourPatterns):
         raise InputError(
@@ -220,14 +231,30 @@ def estimate(
                 "coherent=True"
             )
         with _bar("estimating", progress is True) as bar:
+            report = progress if callable(progress) else bar
+            again = partial(estimator.estimate, progress=report, pool=pool)
             return estimator.estimate(
                 capture,
                 output=None if output is None else Path(output),
                 overwrite=overwrite,
                 remarks={FINDINGS: [each.as_dict() for each in findings], **remarks},
-                progress=progress if callable(progress) else bar,
+                progress=report,
                 pool=pool,
+                review=partial(_without_faults, capture, again, allowed) if allowed else None,
             )
+
+
+def _without_faults(
+    capture: Capture,
+    again: Callable[[Capture], LightTransport],
+    allowed: Sequence[str],
+    first: LightTransport,
+) -> LightTransport | None:
+    """T without what the rig did, which is told; None if it did nothing wrong."""
+    model, transport = corrected(capture, first, again, allowed)
+    for sentence in model.sentences:
+        warn(f"rig: {sentence}: corrected")
+    return transport if model.names else None
 
 
 def _bar(title: str, shown: bool) -> AbstractContextManager[Any]:

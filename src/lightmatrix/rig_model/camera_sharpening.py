@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from lightmatrix.rig_model.prediction import Prediction
+from lightmatrix.rig_model.prediction import MARGIN, Prediction
 from lightmatrix.rig_model.term import Array, Draft, Term
-from lightmatrix.rig_model.prediction import MARGIN
 
 
 class CameraSharpening(Term):

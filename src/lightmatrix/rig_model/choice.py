@@ -47,41 +47,20 @@ def choose_terms(
     errors: dict[str, Array] = {}
     if enough.sum() < 100:
         return found, errors
-    left = seen.left
     known = {each.name: each for each in terms}
     every = {name: each.regressors(seen) for name, each in known.items()}
     regressors = {name: each for name, each in every.items() if each is not None}
     per_frame = {name: known[name].per_frame for name in regressors}
+    left = seen.left
     for _ in range(2):
         missed = (left**2).sum(axis=1) / np.maximum(seen.free, 1)
         weight = np.where(enough, 1 / (missed + np.median(missed[enough])), 0)
         regression = Regression(seen, regressors, per_frame, weight)
         found, errors = _forward(regression, known, limits)
-        effects = {name: regression.effect(name, numbers) for name, numbers in found.items()}
-        left = seen.left - seen.projected(sum(effects.values(), np.zeros_like(seen.left)))
-    return found, errors
-    left = seen.left
-    known = {each.name: each for each in terms}
-    every = {name: each.regressors(seen) for name, each in known.items()}
-    regressors = {name: each for name, each in every.items() if each is not None}
-    per_frame = {name: known[name].per_frame for name in regressors}
-    for _ in range(2):
-        missed = (left**2).sum(axis=1) / np.maximum(seen.free, 1)
-        weight = np.where(enough, 1 / (missed + np.median(missed[enough])), 0)
-        regression = Regression(seen, regressors, per_frame, weight)
-        found, errors = _forward(regression, known, limits)
-        effects = {name: regression.effect(name, numbers) for name, numbers in found.items()}
-        left = seen.left - seen.projected(sum(effects.values(), np.zeros_like(seen.left)))
-        if "shift" not in found or FIXED:
-            continue
-        # The slope of what is left with the sharpness, by a finite difference.
-        sharper = replace(seen, sharpness=seen.sharpness + 0.02)
-        other = known["shift"].regressors(sharper)
-        assert other is not None
-        change = np.einsum("pmk,pk->mk", other - regressors["shift"], found["shift"]) / 0.02
-        change = seen.projected(change)
-        step = (weight[:, None] * change * left).sum() / (weight[:, None] * change**2).sum()
-        seen = replace(seen, sharpness=float(np.clip(seen.sharpness + step, 0, 0.4)))
+        if not found:
+            break
+        effects = [regression.effect(name, numbers) for name, numbers in found.items()]
+        left = seen.left - seen.projected(sum(effects, np.zeros_like(seen.left)))
     return found, errors
 
 

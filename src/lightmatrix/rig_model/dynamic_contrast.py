@@ -27,4 +27,5 @@ class DynamicContrast(Term):
         draft.gain = draft.gain * (1 + values[0] * self._means(draft.capture.patterns.means))
 
     def sentence(self, values: Array) -> str:
-        return f"the projector's light follows its picture: {100 * values[0]:+.0f} % from black to white"
+        change = f"{100 * values[0]:+.0f} % from black to white"
+        return f"the projector's light follows its picture: {change}"

@@ -78,7 +78,10 @@ class Regression:
         weight, count = self.weight[:, None], self.seen.count
         if self.per_frame[one] and self.per_frame[two]:
             blocks = [
-                [np.diag((weight * f * g).sum(axis=0)) - a.T @ b for g, b in zip(second, also, strict=True)]
+                [
+                    np.diag((weight * f * g).sum(axis=0)) - a.T @ b
+                    for g, b in zip(second, also, strict=True)
+                ]
                 for f, a in zip(first, inside, strict=True)
             ]
             block = np.block(blocks)
@@ -100,7 +103,7 @@ class Regression:
         return np.einsum(along, self._parts[name][0], self.weight[:, None] * self.seen.left).ravel()
 
     def solve(self, names: Sequence[str]) -> tuple[dict[str, Array], dict[str, Array], float]:
-        """The numbers of some terms, (P,) or (P, K), their standard errors, and what they explain."""
+        """Numbers of some terms, (P,) or (P, K), their standard errors, and what they explain."""
         part = np.block([[self._block(one, two) for two in names] for one in names])
         side = np.concatenate([self._side(name) for name in names])
         scale = 1 / np.sqrt(np.maximum(np.diag(part), 1e-30))

@@ -74,6 +74,16 @@ class RigModel:
             for (name, values), sentence in zip(self.values.items(), self.sentences, strict=True)
         }
 
+    @classmethod
+    def of(cls, transport: LightTransport) -> RigModel:
+        """What was corrected in an estimate, by its provenance, which may hold anything."""
+        kept = transport.provenance.get(RIG)
+        values = {}
+        for name, facts in kept.items() if isinstance(kept, Mapping) else ():
+            if name in TERMS and isinstance(facts, Mapping):
+                values[name] = np.asarray(facts.get("values"), np.float64)
+        return cls(values)
+
     def refined(
         self,
         capture: Capture,
@@ -99,6 +109,8 @@ class RigModel:
 
     def corrected(self, capture: Capture, transport: LightTransport) -> Capture:
         """The capture without what the rig did, by a T that tells how images move."""
+        if not self.values:
+            return capture
         draft = Draft(capture, np.ones(capture.count), np.zeros(capture.count))
         for name, values in self.values.items():
             term = TERMS[name]()
@@ -112,7 +124,7 @@ class RigModel:
 
 
 def _changed_patterns(capture: Capture, draft: Draft) -> ImagePatterns:
-    """The patterns that the projector really showed; what one is changed by may need the one before."""
+    """The patterns that the projector really showed."""
     images = capture.patterns.images().astype(np.float64)
     for change in draft.patterns:
         before = np.concatenate([images[:1], images[:-1]])

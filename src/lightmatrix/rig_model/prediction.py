@@ -1,4 +1,4 @@
-"""What T predicts for some camera samples, and what the strongest entries of T may have swallowed."""
+"""What T predicts for camera samples, and what the strongest entries of T may have swallowed."""
 
 from __future__ import annotations
 
@@ -58,8 +58,7 @@ class Prediction:
     @classmethod
     def of(cls, capture: Capture, sent: Capture, transport: LightTransport) -> Prediction:
         """The prediction of rows of patches that are spread over the whole camera."""
-        camera = (*capture.camera_shape[:2], int(np.prod(capture.camera_shape[2:])))
-        places = _patches(camera, _SAMPLES // capture.count)
+        places = _patches(capture.camera_shape, _SAMPLES // capture.count)
         inner = places[:, MARGIN:-MARGIN, MARGIN:-MARGIN].reshape(-1)
         samples = _samples(capture, inner)
         spread = np.where(samples.counted, samples.values, 0).std(axis=1)
@@ -80,9 +79,7 @@ class Prediction:
         strong = strength > 1e-6 * np.maximum(strength[:, :1], 1e-12)
         free = counted.sum(axis=1) - strong.sum(axis=1)
         basis = basis * strong[:, None, :]
-        return cls(
-            capture, sent, transport, places, chosen, samples, around, basis, counted, free
-        )
+        return cls(capture, sent, transport, places, chosen, samples, around, basis, counted, free)
 
     @property
     def count(self) -> int:
@@ -202,9 +199,9 @@ def _samples(capture: Capture, rows: NDArray[np.int64]) -> Samples:
     return Samples.joined(parts).rows(np.argsort(np.concatenate(order)))
 
 
-def _patches(camera: tuple[int, int, int], most: int) -> NDArray[np.int64]:
-    """Rows of T in patches with margins, (patches, rows, cols, channels), spread over the camera."""
-    rows, cols, channels = camera
+def _patches(camera: tuple[int, ...], most: int) -> NDArray[np.int64]:
+    """Rows of T in patches with margins, (patches, rows, cols, channels), all over the camera."""
+    rows, cols, channels = *camera[:2], int(np.prod(camera[2:]))
     side = 24
     height, width = min(rows, side), min(cols, side)
     count = max(1, most // (height * width * channels))

@@ -1,4 +1,4 @@
-"""Light that varies along the camera's rows: a rolling shutter under mains light, a colour wheel."""
+"""Light that varies along the camera's rows: rolling shutters in mains light, colour wheels."""
 
 from __future__ import annotations
 

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from lightmatrix.rig_model.crosstalk import neighbours
 from lightmatrix.rig_model.prediction import Prediction
 from lightmatrix.rig_model.term import Array, Draft, Term
-from lightmatrix.rig_model.crosstalk import neighbours
 
 
 class Sharpening(Term):

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 from lightmatrix.rig_model.ambient import Ambient
 from lightmatrix.rig_model.camera_curve import CameraCurve
 from lightmatrix.rig_model.camera_sharpening import CameraSharpening
@@ -33,3 +35,11 @@ TERMS: dict[str, type[Term]] = {
         CameraCurve,
     )
 }
+
+
+def allowed_terms(names: Sequence[str]) -> tuple[str, ...] | None:
+    """The terms of some names that a user may give; None if one of them is no name."""
+    names = ["gain" if name == "exposure" else name for name in names]
+    found = {name for name, term in TERMS.items() if name in names or term.label in names}
+    known = found | {TERMS[name].label for name in found}
+    return tuple(name for name in TERMS if name in found) if set(names) <= known else None

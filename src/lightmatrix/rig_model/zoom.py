@@ -1,4 +1,4 @@
-"""A picture that grows, shrinks or turns from frame to frame: a lens that breathes, a loose mount."""
+"""A picture that grows, shrinks or turns from frame to frame, as a lens that breathes shows it."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from lightmatrix.rig_model.term import Array, Draft, Term, deviation
 
 
 def _directions(position: Array) -> Array:
-    """Where places (2, ...) move (down, right), by a pixel at the border: (zoom and turn, 2, ...)."""
+    """Where places (2, ...) move by a pixel at the border: (zoom and turn, down and right, ...)."""
     down, right = 2 * position - 1
     return np.stack([np.stack([down, right]), np.stack([-right, down])])
 
@@ -29,7 +29,9 @@ class Zoom(Term):
     def take_out(self, values: Array, draft: Draft) -> None:
         rows, cols = draft.capture.camera_shape[:2]
         places = np.stack(
-            np.meshgrid((np.arange(rows) + 0.5) / rows, (np.arange(cols) + 0.5) / cols, indexing="ij")
+            np.meshgrid(
+                (np.arange(rows) + 0.5) / rows, (np.arange(cols) + 0.5) / cols, indexing="ij"
+            )
         )
         directions = _directions(places)[..., None, None]
 
