@@ -80,8 +80,8 @@ def test_a_pixel_that_clips_without_light_decides_nothing() -> None:
     with pytest.raises(lm.InputError, match="all images are dark"):
         refuse_unusable(capture(frames=dark, black_frame=black))
     # At eight times its exposure, what the black frame has at the same place is beyond the clip.
-    levels = {"black_frame": np.full(64, 40.0), "black_exposure": 1.0}
-    refuse_unusable(capture(frames=lit, exposure=np.array([8.0] + [1.0] * 5), **levels))
+    black, exposure = np.full(64, 40.0), np.array([8.0, 1, 1, 1, 1, 1])
+    refuse_unusable(capture(frames=lit, exposure=exposure, black_frame=black, black_exposure=1.0))
 
 
 def test_clipped_and_masked_frames_are_refused() -> None:
