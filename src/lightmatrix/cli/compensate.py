@@ -91,8 +91,23 @@ def compensate(
                 "--cancel-global with options of other compensations",
                 hint="it takes SCENE.zarr and, if not white, a pattern",
             )
-    else:
-        _check(wanted, video, with_rig, refine, several=several, black=black)
+    elif (wanted is None) == (video is None):
+        both = "both a picture and a video" if wanted else "no picture"
+        raise InputError(both, hint="give the wanted picture, or --video and a folder of frames")
+    elif refine is not None and not with_rig:
+        raise InputError(
+            "--refine without a rig", hint="add --rig virtual:SCENE, or --projector and --camera"
+        )
+    elif several and (video is not None or with_rig):
+        raise InputError(
+            "several matrices for a video or a rig",
+            hint="compensate single pictures with several projectors or in colour",
+        )
+    elif with_rig and (video is not None or black is not None):
+        raise InputError(
+            f"a rig and --{'video' if video is not None else 'black'}",
+            hint="a rig takes a picture, and photographs black by itself",
+        )
     summary: dict[str, Any] = {"output": output}
     if cancel_global:
         found = lm.cancel_global(scene, wanted, output=output, overwrite=overwrite)
@@ -129,35 +144,6 @@ def _brightness(text: str) -> float | None:
         return float(text)
     except ValueError:
         raise InputError(f"a brightness of {text!r}", hint="write auto, or a number") from None
-
-
-def _check(
-    wanted: Path | None,
-    video: Path | None,
-    with_rig: bool,
-    refine: int | None,
-    *,
-    several: bool,
-    black: Path | None,
-) -> None:
-    """Refuse combinations that make no sense."""
-    if (wanted is None) == (video is None):
-        both = "both a picture and a video" if wanted else "no picture"
-        raise InputError(both, hint="give the wanted picture, or --video and a folder of frames")
-    if refine is not None and not with_rig:
-        raise InputError(
-            "--refine without a rig", hint="add --rig virtual:SCENE, or --projector and --camera"
-        )
-    if several and (video is not None or with_rig):
-        raise InputError(
-            "several matrices for a video or a rig",
-            hint="compensate single pictures with several projectors or in colour",
-        )
-    if with_rig and (video is not None or black is not None):
-        raise InputError(
-            f"a rig and --{'video' if video is not None else 'black'}",
-            hint="a rig takes a picture, and photographs black by itself",
-        )
 
 
 def _show(summary: dict[str, Any], *, cancelled: bool) -> None:

@@ -30,87 +30,6 @@ def _reading(*names: str, **settings: Any) -> Any:
     return Option(*names, rich_help_panel="How to read the photographs", **settings)
 
 
-Folder = Annotated[
-    Path | None,
-    Argument(
-        metavar="CAPTURE",
-        help="A capture folder (patterns/, images/, capture.json); or the patterns.",
-    ),
-]
-Photographs = Annotated[
-    Path | None,
-    Argument(metavar="IMAGES", help="The photographs, if the first argument is the patterns."),
-]
-Patterns = Annotated[
-    Path | None,
-    _reading("--patterns", help="Pattern images: a folder, or a stack (TIFF, npy, npz)."),
-]
-Images = Annotated[
-    Path | None, _reading("--images", help="Photographs in the same order: a folder, or a stack.")
-]
-Black = Annotated[
-    str | None,
-    _reading(
-        "--black", help="Photograph under a black pattern, or of ambient light; or a black level."
-    ),
-]
-BlackExposure = Annotated[
-    float | None, _reading(help="Exposure of the black frame.", show_default="that of the frames")
-]
-White = Annotated[
-    Path | None,
-    _reading("--white", help="Photograph under a white pattern; used as one more sample."),
-]
-Mask = Annotated[Path | None, _reading("--mask", help="Image; pixels at 0 are left out.")]
-BlackLevel = Annotated[
-    str | None, _reading(help=f"Raw level without any light: {_EACH}.", show_default="0")
-]
-ClipLevel = Annotated[
-    str | None,
-    _reading(
-        "--clip",
-        help=f"Raw level at which samples clip: {_EACH}.",
-        show_default="255, 65535, or 1 for float",
-    ),
-]
-FullScale = Annotated[
-    float | None,
-    _reading(help="Raw level that the response calls 1.", show_default="end of the range"),
-]
-Exposure = Annotated[
-    str | None,
-    _reading(
-        "--exposure", help=f"Exposure, in any unit: {_EACH}. T is for exposure 1.", show_default="1"
-    ),
-]
-Crop = Annotated[
-    str | None,
-    _reading(
-        "--crop",
-        metavar="ROW,COL:ROWSxCOLS",
-        help="First pixel and size of the rectangle to use, such as 400,600:768x1024.",
-        show_default="all",
-    ),
-]
-CameraCurve = Annotated[str | None, _reading("--response", help=FIND_HELP, show_default="linear")]
-ProjectorCurve = Annotated[
-    str | None,
-    _reading(
-        "--projector-response",
-        help="Light of the patterns' grey values, from `response --projector`; or auto (`estimate` "
-        "finds a gamma, of random grey patterns).",
-        show_default="linear",
-    ),
-]
-Mosaic = Annotated[
-    bool,
-    _reading(
-        "--mosaic",
-        help="Raw camera files: one sample for each pixel, without interpolating colours.",
-    ),
-]
-
-
 @dataclass(frozen=True)
 class Source:
     """Where a capture comes from: a capture folder, or patterns and photographs with settings."""
@@ -199,22 +118,77 @@ def with_source(*, crop: bool = True) -> Callable[[Callable[..., None]], Callabl
 
 
 def read_source(
-    capture: Folder = None,
-    photographs: Photographs = None,
-    patterns: Patterns = None,
-    images: Images = None,
-    black: Black = None,
-    black_exposure: BlackExposure = None,
-    white: White = None,
-    mask: Mask = None,
-    black_level: BlackLevel = None,
-    clip: ClipLevel = None,
-    full_scale: FullScale = None,
-    response: CameraCurve = None,
-    projector_response: ProjectorCurve = None,
-    exposure: Exposure = None,
-    crop: Crop = None,
-    mosaic: Mosaic = False,
+    capture: Annotated[
+        Path | None,
+        Argument(
+            metavar="CAPTURE",
+            help="A capture folder (patterns/, images/, capture.json); or the patterns.",
+        ),
+    ] = None,
+    photographs: Annotated[
+        Path | None,
+        Argument(metavar="IMAGES", help="The photographs, if the first argument is the patterns."),
+    ] = None,
+    patterns: Annotated[
+        Path | None, _reading(help="Pattern images: a folder, or a stack (TIFF, npy, npz).")
+    ] = None,
+    images: Annotated[
+        Path | None, _reading(help="Photographs in the same order: a folder, or a stack.")
+    ] = None,
+    black: Annotated[
+        str | None,
+        _reading(help="Photograph under a black pattern, or of ambient light; or a black level."),
+    ] = None,
+    black_exposure: Annotated[
+        float | None,
+        _reading(help="Exposure of the black frame.", show_default="that of the frames"),
+    ] = None,
+    white: Annotated[
+        Path | None, _reading(help="Photograph under a white pattern; used as one more sample.")
+    ] = None,
+    mask: Annotated[Path | None, _reading(help="Image; pixels at 0 are left out.")] = None,
+    black_level: Annotated[
+        str | None, _reading(help=f"Raw level without any light: {_EACH}.", show_default="0")
+    ] = None,
+    clip: Annotated[
+        str | None,
+        _reading(
+            help=f"Raw level at which samples clip: {_EACH}.",
+            show_default="255, 65535, or 1 for float",
+        ),
+    ] = None,
+    full_scale: Annotated[
+        float | None,
+        _reading(help="Raw level that the response calls 1.", show_default="end of the range"),
+    ] = None,
+    response: Annotated[str | None, _reading(help=FIND_HELP, show_default="linear")] = None,
+    projector_response: Annotated[
+        str | None,
+        _reading(
+            help="Light of the patterns' grey values, from `response --projector`; or auto "
+            "(`estimate` finds a gamma, of random grey patterns).",
+            show_default="linear",
+        ),
+    ] = None,
+    exposure: Annotated[
+        str | None,
+        _reading(help=f"Exposure, in any unit: {_EACH}. T is for exposure 1.", show_default="1"),
+    ] = None,
+    crop: Annotated[
+        str | None,
+        _reading(
+            metavar="ROW,COL:ROWSxCOLS",
+            help="First pixel and size of the rectangle to use, such as 400,600:768x1024.",
+            show_default="all",
+        ),
+    ] = None,
+    mosaic: Annotated[
+        bool,
+        _reading(
+            "--mosaic",
+            help="Raw camera files: one sample for each pixel, without interpolating colours.",
+        ),
+    ] = False,
 ) -> Source:
     """The source that the options of a command describe."""
     options: dict[str, Any] = {

@@ -22,9 +22,8 @@ from lightmatrix.files.images import fill_image
 from lightmatrix.files.kinds import THUMBNAILS
 from lightmatrix.files.numpy_files import read_npz
 from lightmatrix.files.writing import atomic_folder
-from lightmatrix.simulation.mitsuba_scene import load_mitsuba, mitsuba_scene
 from lightmatrix.simulation.procedural import check_truth_fits, scene_of
-from lightmatrix.simulation.renderer import Progress, render
+from lightmatrix.simulation.renderer import Progress, load_mitsuba, mitsuba_scene, render
 from lightmatrix.simulation.scenes import Scene, names, scene
 from lightmatrix.simulation.truth import Truth, view_geometry
 

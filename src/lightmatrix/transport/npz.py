@@ -244,19 +244,18 @@ def _checked(file: Path, content: Mapping[str, NDArray[Any]]) -> SparseFile:
     if lacking:
         raise ValueError(f"{', '.join(lacking)} missing")
     matrix = checked_matrix(content["data"], content["indices"], content["indptr"], (rows, cols))
-    camera, projector = None, None
-    if "camera_shape" in content:
-        camera = checked_shape(content["camera_shape"], (2, 3), "camera_shape")
-    if "projector_shape" in content:
-        projector = _pair(content["projector_shape"], "projector_shape")
+
+    def shape_of(name: str, *lengths: int) -> Any:
+        """A shape that the file states; None if it does not."""
+        return checked_shape(content[name], lengths, name) if name in content else None
+
+    camera, projector = shape_of("camera_shape", 2, 3), shape_of("projector_shape", 2)
+    grid = shape_of("background_grid", 2) or (1, 1)
     for name, shape, length in (("camera", camera, rows), ("projector", projector, cols)):
         if shape is not None and np.prod(shape) != length:
             raise ValueError(
                 f"its {name} has {' x '.join(map(str, shape))} pixels, its matrix has {length}"
             )
-    grid = (1, 1)
-    if "background_grid" in content:
-        grid = _pair(content["background_grid"], "background_grid")
     background = content.get("background")
     if background is not None:
         if background.shape != (rows, grid[0] * grid[1]):
@@ -281,11 +280,6 @@ def _checked(file: Path, content: Mapping[str, NDArray[Any]]) -> SparseFile:
 
 def _check_version(file: Path, stored: NDArray[Any]) -> None:
     check_version(file, stored.item() if stored.size == 1 else None, VERSION)
-
-
-def _pair(value: NDArray[Any], name: str) -> tuple[int, int]:
-    rows, cols = checked_shape(value, (2,), name)
-    return rows, cols
 
 
 def _text(value: NDArray[Any]) -> str:
