@@ -19,8 +19,8 @@ from lightmatrix.patterns.bits import BernoulliPatterns
 from lightmatrix.pictures.style import display, figure, mark_clipped, panel, save
 from lightmatrix.simulation import library
 from lightmatrix.simulation.irradiance import irradiance
+from lightmatrix.simulation.library import white_image, white_level
 from lightmatrix.simulation.thinning import ascending_in_rows
-from lightmatrix.simulation.thumbnails import white_image, white_level
 from lightmatrix.simulation.truth import Truth
 
 # The table states the clipped share of samples under random patterns at these exposures.

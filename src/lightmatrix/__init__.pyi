@@ -47,7 +47,7 @@ from .simulation.library import (
 from .simulation.simulate import simulate as simulate
 from .simulation.procedural import ProceduralScene as ProceduralScene
 from .simulation.renderer import render as render
-from .simulation.thumbnails import write_thumbnails as write_thumbnails
+from .simulation.library import write_thumbnails as write_thumbnails
 from .simulation.truth import Truth as Truth
 
 # Rigs that photograph, real and virtual.

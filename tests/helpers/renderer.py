@@ -8,7 +8,7 @@ import warnings
 import pytest
 
 from lightmatrix.errors import LightMatrixWarning
-from lightmatrix.simulation.mitsuba_scene import load_mitsuba
+from lightmatrix.simulation.renderer import load_mitsuba
 
 needs_renderer = pytest.mark.skipif(
     importlib.util.find_spec("mitsuba") is None, reason="needs the extra `render`"

@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 
 from lightmatrix.errors import LightMatrixWarning, MissingExtraError
-from lightmatrix.simulation import mitsuba_scene as llvm
+from lightmatrix.simulation import renderer as llvm
 
 needs_renderer = pytest.mark.skipif(
     importlib.util.find_spec("mitsuba") is None, reason="needs the extra `render`"

@@ -11,8 +11,7 @@ import pytest
 from numpy.typing import NDArray
 
 from lightmatrix.errors import LightMatrixWarning
-from lightmatrix.simulation.mitsuba_scene import load_mitsuba, mitsuba_scene
-from lightmatrix.simulation.renderer import render
+from lightmatrix.simulation.renderer import load_mitsuba, mitsuba_scene, render
 from lightmatrix.simulation.scenes import scene
 
 pytestmark = pytest.mark.skipif(

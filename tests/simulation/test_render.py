@@ -10,10 +10,10 @@ import pytest
 
 from lightmatrix.errors import InputError, LightMatrixWarning, MissingExtraError
 from lightmatrix.files.images import read_image
-from lightmatrix.simulation import library, renderer, thumbnails
+from lightmatrix.simulation import library, renderer
+from lightmatrix.simulation.library import white_image, write_thumbnails
 from lightmatrix.simulation.renderer import needed_bytes, render
 from lightmatrix.simulation.scenes import names
-from lightmatrix.simulation.thumbnails import white_image, write_thumbnails
 from lightmatrix.simulation.truth import Truth
 from tests.helpers.renderer import needs_llvm, needs_renderer
 
@@ -249,7 +249,7 @@ def test_thumbnails_without_the_renderer_show_the_bundled_scenes(
     def missing(*_: object, **__: object) -> None:
         raise MissingExtraError("no renderer")
 
-    monkeypatch.setattr(thumbnails, "white_image", missing)
+    monkeypatch.setattr(library, "white_image", missing)
     paths = write_thumbnails(tmp_path / "pictures")
     assert [path.stem for path in paths] == list(library.BUNDLED)
     assert all(read_image(path).shape == (64, 64) for path in paths)

@@ -10,7 +10,7 @@ import pytest
 import tifffile
 
 import lightmatrix as lm
-from lightmatrix.simulation.mitsuba_scene import load_mitsuba, mitsuba_scene
+from lightmatrix.simulation.renderer import load_mitsuba, mitsuba_scene
 from lightmatrix.simulation.scenes import Part, Scene, View, matt, names, scene
 from lightmatrix.simulation.shapes import Mesh, ball, sheet
 from lightmatrix.simulation.truth import binned, trace_surface, view_geometry

@@ -200,7 +200,22 @@ def curve_file(text: str) -> str | None:
 
 def _read_curve(file: Path) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Levels and light of a text or npy file, each as a share of its last value."""
-    table = _read_table(file)
+    try:
+        if file.suffix.lower() == ".npy":
+            table = np.asarray(read_npy(file))
+        else:
+            text = read_text(file).replace(",", " ").replace(";", " ")
+            rows = [line.split() for line in text.splitlines() if line.strip()]
+            table = np.asarray([[float(v) for v in row] for row in rows if row[0][0] != "#"])
+        if table.dtype.kind not in "fiu" or table.ndim not in (1, 2) or table.size == 0:
+            raise ValueError("no table of numbers")
+    except (OSError, EOFError, ValueError, TypeError) as error:
+        # The message does not quote the file, which may be any file of the system.
+        raise InputError(
+            f"{file}: cannot be read: no table of numbers",
+            hint="write two columns of numbers, level and light",
+        ) from error
+    table = table.astype(np.float64).reshape(len(table), -1)
     if table.shape[1] == 1:
         table = np.column_stack([np.arange(len(table)), table[:, 0]])
     levels, light = table[:, 0], table[:, -1]
@@ -218,23 +233,3 @@ def _read_curve(file: Path) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
             hint=f"give levels from 0 to {MOST_LEVEL:g} and light from 0 to 1e30",
         )
     return levels / levels[-1], light / light[-1]
-
-
-def _read_table(file: Path) -> NDArray[np.float64]:
-    """The numbers of a text or npy file, (n, columns)."""
-    try:
-        if file.suffix.lower() == ".npy":
-            table = np.asarray(read_npy(file))
-        else:
-            text = read_text(file).replace(",", " ").replace(";", " ")
-            rows = [line.split() for line in text.splitlines() if line.strip()]
-            table = np.asarray([[float(v) for v in row] for row in rows if row[0][0] != "#"])
-        if table.dtype.kind not in "fiu" or table.ndim not in (1, 2) or table.size == 0:
-            raise ValueError("no table of numbers")
-    except (OSError, EOFError, ValueError, TypeError) as error:
-        # The message does not quote the file, which may be any file of the system.
-        raise InputError(
-            f"{file}: cannot be read: no table of numbers",
-            hint="write two columns of numbers, level and light",
-        ) from error
-    return table.astype(np.float64).reshape(len(table), -1)

@@ -77,7 +77,10 @@ def read_capture(
     if described:
         description = read_description(file, allow_outside=allow_outside)
     else:
-        _check_name(place)
+        for entry in sorted(place.iterdir()):
+            if entry.name.casefold() == NAME:
+                hint = f"rename it to {NAME}"
+                raise InputError(f"{entry}: is not read under this name", hint=hint)
         description = Description()
     settings = _with_files_beside(place, description, described)
     patterns = _as_light(read_patterns(pattern_images), settings)
@@ -227,18 +230,8 @@ def _find_images(place: Path, name: str) -> Path:
     return sources[0]
 
 
-def _check_name(place: Path) -> None:
-    """Refuse a folder whose capture.json is spelled otherwise, such as Capture.json."""
-    for entry in sorted(place.iterdir()):
-        if entry.name != NAME and entry.name.casefold() == NAME:
-            raise InputError(f"{entry}: is not read under this name", hint=f"rename it to {NAME}")
-
-
 def _with_files_beside(place: Path, description: Description, described: bool) -> ReadSettings:
-    """The settings with a black frame and a mask that the folder holds, but no capture.json names.
-
-    Without capture.json they are used, and beside one they are not. A warning says which.
-    """
+    """The settings with a black frame and a mask that lie in a folder without capture.json."""
     settings = description.settings
     for key, what in (("black", "the black frame"), ("mask", "the mask")):
         if described and key not in description.absent:

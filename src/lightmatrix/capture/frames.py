@@ -277,13 +277,11 @@ class Reader:
         """Which camera samples count: not masked, and not clipped without light; (M,)."""
         if self.block == (1, 1):
             return self._valid_pixels
-        parts = []
-        for rows, pixels in self._strips():
-            nothing = np.zeros((pixels.stop - pixels.start, 1), np.float32)
-            empty = Samples(nothing, nothing > 0, np.ones(1, np.float32))
-            shape = (rows.stop - rows.start, *self.frames.shape[1:])
-            parts.append(bin_samples(empty, self._valid_pixels[pixels], shape, self.block)[1])
-        return np.concatenate(parts)
+        valid = self._valid_pixels.reshape(*self.frames.shape[:2], -1)
+        for axis in (0, 1):
+            starts = np.arange(0, valid.shape[axis], self.block[axis])
+            valid = np.logical_or.reduceat(valid, starts, axis=axis)
+        return valid.ravel()
 
     def _strips(self) -> Iterator[tuple[slice, slice]]:
         """Rows of a frame that are binned at a time, and the slice of their samples."""
@@ -356,10 +354,7 @@ class Reader:
         return Samples(values, clipped, np.broadcast_to(sample_levels, values.shape))
 
     def _columns(self) -> Iterator[tuple[slice, int, int, NDArray[Any]]]:
-        """Strips of frames in the faster order: of one frame after the other, or of all frames.
-
-        Each has its rows of binned samples, first sample, frame number and raw levels (n, 1).
-        """
+        """Strips in the faster order: binned rows, first sample, frame, and raw levels (n, 1)."""
         frames, down = self.frames, self.block[0]
         wide, narrow = (math.prod(shape[1:]) for shape in (frames.shape, self.camera_shape))
         if not isinstance(frames, PixelFrames):

@@ -210,9 +210,7 @@ def _patterns(place: Path, attributes: Mapping[str, Any], count: int) -> Pattern
     if not isinstance(description, dict):
         raise ValueError("its patterns are not described")
     shape = attributes["projector_shape"]
-    if not (isinstance(shape, list) and len(shape) == 2):
-        raise ValueError("its projector has no shape")
-    rows, cols = (int(n) for n in shape)
+    rows, cols = shape
     check_image_size(place, (rows, cols))
     if (place / LEVELS).exists():
         levels = _array(place, LEVELS, (count, rows, cols), "f")

@@ -120,6 +120,7 @@ def pack_capture(
             "lm.find_projector_response(capture).applied_to(capture)",
         )
     frames, output = capture.frames, Path(output)
+    size = frames.count * math.prod(frames.shape) * frames.dtype.itemsize
     # The place of cropped photographs is part of their description.
     crop = capture.description.get("crop")
     provenance = capture.provenance if crop is None else {**capture.provenance, "crop": crop}
@@ -135,7 +136,7 @@ def pack_capture(
         provenance=provenance,
         write_extras=write_extras,
         # Frames that do not fit into memory lie beside the output until it is whole.
-        copies=1 if _fit(frames, memory) else 2,
+        copies=1 if isinstance(frames, PixelFrames) or size <= memory // 2 else 2,
         overwrite=overwrite,
     )
 
@@ -164,12 +165,9 @@ def write_packed(
     # A chunk holds all frames of some whole camera rows, or of a part of one.
     pixels = max(1, _CHUNK_BYTES // (count * math.prod(shape[2:]) * dtype.itemsize))
     rows, cols = min(shape[0], max(1, pixels // shape[1])), min(shape[1], pixels)
-    small: dict[str, NDArray[Any]] = {}
     bits = patterns.as_bits()
-    if bits is None:
-        small[LEVELS] = patterns.images()
-    else:
-        small[BITS] = bits
+    small: dict[str, NDArray[Any]]
+    small = {LEVELS: patterns.images()} if bits is None else {BITS: bits}
     if decoder.black_frame is not None:
         small[BLACK] = np.asarray(decoder.black_frame).reshape(shape)
     if mask is not None:
@@ -209,12 +207,6 @@ def write_packed(
         group.attrs.update(json.loads(json.dumps(content, default=jsonable)))
         if write_extras is not None:
             write_extras(part)
-
-
-def _fit(frames: Frames, memory: int) -> bool:
-    """Whether frames are transposed in memory, or lie in the order of tiles already."""
-    size = frames.count * math.prod(frames.shape) * frames.dtype.itemsize
-    return isinstance(frames, PixelFrames) or size <= memory // 2
 
 
 def _strips(frames: Frames, folder: Path, memory: int, progress: Progress) -> Strips:

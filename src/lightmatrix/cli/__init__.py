@@ -98,10 +98,7 @@ def _load() -> None:
 
 
 def _lacks_address_space() -> bool:
-    """Whether the system gives too little address space to load the libraries; says so.
-
-    OpenBLAS would try again for ever.
-    """
+    """Whether too little address space is allowed, where OpenBLAS would try for ever; says so."""
     if sys.platform == "win32":
         return False
     import resource

@@ -61,23 +61,12 @@ STAGES: dict[str, tuple[Callable[..., None], ...]] = {
     "Prepare": (plan, patterns),
     "Photograph": (capture, convert, response, calibrate),
     "Measure and use": (
-        check,
-        pack,
-        estimate,
-        decode,
-        info,
-        show,
-        view,
-        relight,
-        separate,
-        compensate,
-        triangulate,
-        evaluate,
-        export,
+        check, pack, estimate, decode, info, show, view, relight, separate, compensate, triangulate,
+        evaluate, export,
     ),
     "Simulate": (scenes, render, simulate),
     "Show": (demo,),
-}
+}  # fmt: skip
 # Commands with commands of their own, by stage of the work.
 GROUPS: dict[str, dict[str, typer.Typer]] = {"Photograph": {"rig": rig}}
 

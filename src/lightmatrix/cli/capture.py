@@ -8,18 +8,8 @@ from typing import Annotated, Any
 from typer import Option
 
 import lightmatrix as lm
+from lightmatrix.cli import options
 from lightmatrix.cli.claims import claim, say_what_is_kept
-from lightmatrix.cli.options import (
-    CameraName,
-    Json,
-    Overwrite,
-    Patience,
-    ProjectorName,
-    RigFile,
-    RigName,
-    Seed,
-    output_option,
-)
 from lightmatrix.cli.terminal import progress, say, show_json, stages
 from lightmatrix.defaults import (
     MOST_FRAMES,
@@ -32,7 +22,7 @@ from lightmatrix.files.kinds import LIVE_CAPTURE, STORE
 
 
 def capture(
-    output: Annotated[Path, output_option("Capture folder to write.")],
+    output: Annotated[Path, options.output_option("Capture folder to write.")],
     count: Annotated[
         int | None,
         Option(
@@ -42,9 +32,9 @@ def capture(
             show_default=f"{USUAL_FRAMES}; {MOST_FRAMES} with --until",
         ),
     ] = None,
-    rig: RigName = None,
-    projector: ProjectorName = None,
-    camera: CameraName = None,
+    rig: options.RigName = None,
+    projector: options.ProjectorName = None,
+    camera: options.CameraName = None,
     pattern_folder: Annotated[
         Path | None,
         Option(
@@ -71,8 +61,8 @@ def capture(
     response: Annotated[
         str, Option(help="Response of the camera: linear, gamma:2.2, srgb, FILE.")
     ] = "linear",
-    patience: Patience = USUAL_PATIENCE,
-    rig_file: RigFile = Path(RIG_FILE),
+    patience: options.Patience = USUAL_PATIENCE,
+    rig_file: options.RigFile = Path(RIG_FILE),
     check: Annotated[
         bool, Option(help="Keep only frames that are proved to show their pattern.")
     ] = True,
@@ -92,9 +82,9 @@ def capture(
     store: Annotated[
         Path | None, Option("--estimate", help="Also estimate T, into this .zarr store.")
     ] = None,
-    seed: Seed = 0,
-    overwrite: Overwrite = False,
-    as_json: Json = False,
+    seed: options.Seed = 0,
+    overwrite: options.Overwrite = False,
+    as_json: options.Json = False,
 ) -> None:
     """Photograph patterns with a rig; interrupted runs go on.
 

@@ -8,28 +8,15 @@ from typing import Annotated, Any
 from typer import Argument, Option
 
 import lightmatrix as lm
-from lightmatrix.cli.options import (
-    Blue,
-    CameraName,
-    Green,
-    Json,
-    Overwrite,
-    Patience,
-    ProjectorName,
-    RigFile,
-    RigName,
-    Store,
-    output_option,
-    primaries,
-)
+from lightmatrix.cli import options
 from lightmatrix.cli.terminal import progress, say, show_json, stages
 from lightmatrix.defaults import RIG_FILE, USUAL_PATIENCE
 from lightmatrix.errors import InputError
 
 
 def compensate(
-    scene: Store,
-    output: Annotated[Path, output_option("Image of the pattern; a folder with --video.")],
+    scene: options.Store,
+    output: Annotated[Path, options.output_option("Image of the pattern; a folder with --video.")],
     wanted: Annotated[
         Path | None, Argument(metavar="WANTED", help="The picture that the camera is to see.")
     ] = None,
@@ -52,8 +39,8 @@ def compensate(
     exposure: Annotated[
         float, Option(help="Exposure e at which samples are counted that clip.")
     ] = 1.0,
-    green: Green = None,
-    blue: Blue = None,
+    green: options.Green = None,
+    blue: options.Blue = None,
     beside: Annotated[
         list[Path] | None,
         Option(
@@ -74,13 +61,13 @@ def compensate(
         int | None,
         Option(help="Photographs on a rig that correct the pattern.", show_default="none"),
     ] = None,
-    rig: RigName = None,
-    projector: ProjectorName = None,
-    camera: CameraName = None,
-    patience: Patience = USUAL_PATIENCE,
-    rig_file: RigFile = Path(RIG_FILE),
-    overwrite: Overwrite = False,
-    as_json: Json = False,
+    rig: options.RigName = None,
+    projector: options.ProjectorName = None,
+    camera: options.CameraName = None,
+    patience: options.Patience = USUAL_PATIENCE,
+    rig_file: options.RigFile = Path(RIG_FILE),
+    overwrite: options.Overwrite = False,
+    as_json: options.Json = False,
 ) -> None:
     """Find the pattern that makes the scene look as wanted.
 
@@ -104,8 +91,23 @@ def compensate(
                 "--cancel-global with options of other compensations",
                 hint="it takes SCENE.zarr and, if not white, a pattern",
             )
-    else:
-        _check(wanted, video, with_rig, refine, several=several, black=black)
+    elif (wanted is None) == (video is None):
+        both = "both a picture and a video" if wanted else "no picture"
+        raise InputError(both, hint="give the wanted picture, or --video and a folder of frames")
+    elif refine is not None and not with_rig:
+        raise InputError(
+            "--refine without a rig", hint="add --rig virtual:SCENE, or --projector and --camera"
+        )
+    elif several and (video is not None or with_rig):
+        raise InputError(
+            "several matrices for a video or a rig",
+            hint="compensate single pictures with several projectors or in colour",
+        )
+    elif with_rig and (video is not None or black is not None):
+        raise InputError(
+            f"a rig and --{'video' if video is not None else 'black'}",
+            hint="a rig takes a picture, and photographs black by itself",
+        )
     summary: dict[str, Any] = {"output": output}
     if cancel_global:
         found = lm.cancel_global(scene, wanted, output=output, overwrite=overwrite)
@@ -125,7 +127,7 @@ def compensate(
             )
         summary |= refined.as_dict()
     else:
-        matrices = [*(primaries(scene, green, blue) or (scene,)), *(beside or ())]
+        matrices = [*(options.primaries(scene, green, blue) or (scene,)), *(beside or ())]
         assert wanted is not None
         found = lm.compensate(matrices, wanted, ambient=black, exposure=exposure, **common)
         summary |= found.as_dict()
@@ -142,35 +144,6 @@ def _brightness(text: str) -> float | None:
         return float(text)
     except ValueError:
         raise InputError(f"a brightness of {text!r}", hint="write auto, or a number") from None
-
-
-def _check(
-    wanted: Path | None,
-    video: Path | None,
-    with_rig: bool,
-    refine: int | None,
-    *,
-    several: bool,
-    black: Path | None,
-) -> None:
-    """Refuse combinations that make no sense."""
-    if (wanted is None) == (video is None):
-        both = "both a picture and a video" if wanted else "no picture"
-        raise InputError(both, hint="give the wanted picture, or --video and a folder of frames")
-    if refine is not None and not with_rig:
-        raise InputError(
-            "--refine without a rig", hint="add --rig virtual:SCENE, or --projector and --camera"
-        )
-    if several and (video is not None or with_rig):
-        raise InputError(
-            "several matrices for a video or a rig",
-            hint="compensate single pictures with several projectors or in colour",
-        )
-    if with_rig and (video is not None or black is not None):
-        raise InputError(
-            f"a rig and --{'video' if video is not None else 'black'}",
-            hint="a rig takes a picture, and photographs black by itself",
-        )
 
 
 def _show(summary: dict[str, Any], *, cancelled: bool) -> None:

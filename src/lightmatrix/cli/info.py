@@ -26,7 +26,6 @@ def info(
     pictures: Annotated[
         Path | None,
         Option(
-            "--pictures",
             metavar="DIR",
             help="Write maps of correspondence, clipping, gaps and footprints as well.",
         ),

@@ -25,13 +25,10 @@ def response(
         ),
     ],
     output: Annotated[Path, output_option("The curve to write: .json.")],
-    picture: Annotated[
-        Path | None, Option("--picture", help="A picture of the curve to write: .png.")
-    ] = None,
+    picture: Annotated[Path | None, Option(help="A picture of the curve to write: .png.")] = None,
     exposure: Annotated[
         str | None,
         Option(
-            "--exposure",
             help="Exposure of each photograph, in any unit: 1,2,4 or a text file of them.",
             show_default="as the camera wrote it into JPEG and TIFF files",
         ),

@@ -6,7 +6,7 @@ import functools
 import inspect
 import os
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -28,87 +28,6 @@ _EACH = "one number; or one per frame, as a,b,c or a text file"
 def _reading(*names: str, **settings: Any) -> Any:
     """An option under the heading of how to read photographs."""
     return Option(*names, rich_help_panel="How to read the photographs", **settings)
-
-
-Folder = Annotated[
-    Path | None,
-    Argument(
-        metavar="CAPTURE",
-        help="A capture folder (patterns/, images/, capture.json); or the patterns.",
-    ),
-]
-Photographs = Annotated[
-    Path | None,
-    Argument(metavar="IMAGES", help="The photographs, if the first argument is the patterns."),
-]
-Patterns = Annotated[
-    Path | None,
-    _reading("--patterns", help="Pattern images: a folder, or a stack (TIFF, npy, npz)."),
-]
-Images = Annotated[
-    Path | None, _reading("--images", help="Photographs in the same order: a folder, or a stack.")
-]
-Black = Annotated[
-    str | None,
-    _reading(
-        "--black", help="Photograph under a black pattern, or of ambient light; or a black level."
-    ),
-]
-BlackExposure = Annotated[
-    float | None, _reading(help="Exposure of the black frame.", show_default="that of the frames")
-]
-White = Annotated[
-    Path | None,
-    _reading("--white", help="Photograph under a white pattern; used as one more sample."),
-]
-Mask = Annotated[Path | None, _reading("--mask", help="Image; pixels at 0 are left out.")]
-BlackLevel = Annotated[
-    str | None, _reading(help=f"Raw level without any light: {_EACH}.", show_default="0")
-]
-ClipLevel = Annotated[
-    str | None,
-    _reading(
-        "--clip",
-        help=f"Raw level at which samples clip: {_EACH}.",
-        show_default="255, 65535, or 1 for float",
-    ),
-]
-FullScale = Annotated[
-    float | None,
-    _reading(help="Raw level that the response calls 1.", show_default="end of the range"),
-]
-Exposure = Annotated[
-    str | None,
-    _reading(
-        "--exposure", help=f"Exposure, in any unit: {_EACH}. T is for exposure 1.", show_default="1"
-    ),
-]
-Crop = Annotated[
-    str | None,
-    _reading(
-        "--crop",
-        metavar="ROW,COL:ROWSxCOLS",
-        help="First pixel and size of the rectangle to use, such as 400,600:768x1024.",
-        show_default="all",
-    ),
-]
-CameraCurve = Annotated[str | None, _reading("--response", help=FIND_HELP, show_default="linear")]
-ProjectorCurve = Annotated[
-    str | None,
-    _reading(
-        "--projector-response",
-        help="Light of the patterns' grey values, from `response --projector`; or auto (`estimate` "
-        "finds a gamma, of random grey patterns).",
-        show_default="linear",
-    ),
-]
-Mosaic = Annotated[
-    bool,
-    _reading(
-        "--mosaic",
-        help="Raw camera files: one sample for each pixel, without interpolating colours.",
-    ),
-]
 
 
 @dataclass(frozen=True)
@@ -199,25 +118,80 @@ def with_source(*, crop: bool = True) -> Callable[[Callable[..., None]], Callabl
 
 
 def read_source(
-    capture: Folder = None,
-    photographs: Photographs = None,
-    patterns: Patterns = None,
-    images: Images = None,
-    black: Black = None,
-    black_exposure: BlackExposure = None,
-    white: White = None,
-    mask: Mask = None,
-    black_level: BlackLevel = None,
-    clip: ClipLevel = None,
-    full_scale: FullScale = None,
-    response: CameraCurve = None,
-    projector_response: ProjectorCurve = None,
-    exposure: Exposure = None,
-    crop: Crop = None,
-    mosaic: Mosaic = False,
+    capture: Annotated[
+        Path | None,
+        Argument(
+            metavar="CAPTURE",
+            help="A capture folder (patterns/, images/, capture.json); or the patterns.",
+        ),
+    ] = None,
+    photographs: Annotated[
+        Path | None,
+        Argument(metavar="IMAGES", help="The photographs, if the first argument is the patterns."),
+    ] = None,
+    patterns: Annotated[
+        Path | None, _reading(help="Pattern images: a folder, or a stack (TIFF, npy, npz).")
+    ] = None,
+    images: Annotated[
+        Path | None, _reading(help="Photographs in the same order: a folder, or a stack.")
+    ] = None,
+    black: Annotated[
+        str | None,
+        _reading(help="Photograph under a black pattern, or of ambient light; or a black level."),
+    ] = None,
+    black_exposure: Annotated[
+        float | None,
+        _reading(help="Exposure of the black frame.", show_default="that of the frames"),
+    ] = None,
+    white: Annotated[
+        Path | None, _reading(help="Photograph under a white pattern; used as one more sample.")
+    ] = None,
+    mask: Annotated[Path | None, _reading(help="Image; pixels at 0 are left out.")] = None,
+    black_level: Annotated[
+        str | None, _reading(help=f"Raw level without any light: {_EACH}.", show_default="0")
+    ] = None,
+    clip: Annotated[
+        str | None,
+        _reading(
+            help=f"Raw level at which samples clip: {_EACH}.",
+            show_default="255, 65535, or 1 for float",
+        ),
+    ] = None,
+    full_scale: Annotated[
+        float | None,
+        _reading(help="Raw level that the response calls 1.", show_default="end of the range"),
+    ] = None,
+    response: Annotated[str | None, _reading(help=FIND_HELP, show_default="linear")] = None,
+    projector_response: Annotated[
+        str | None,
+        _reading(
+            help="Light of the patterns' grey values, from `response --projector`; or auto "
+            "(`estimate` finds a gamma, of random grey patterns).",
+            show_default="linear",
+        ),
+    ] = None,
+    exposure: Annotated[
+        str | None,
+        _reading(help=f"Exposure, in any unit: {_EACH}. T is for exposure 1.", show_default="1"),
+    ] = None,
+    crop: Annotated[
+        str | None,
+        _reading(
+            metavar="ROW,COL:ROWSxCOLS",
+            help="First pixel and size of the rectangle to use, such as 400,600:768x1024.",
+            show_default="all",
+        ),
+    ] = None,
+    mosaic: Annotated[
+        bool,
+        _reading(
+            "--mosaic",
+            help="Raw camera files: one sample for each pixel, without interpolating colours.",
+        ),
+    ] = False,
 ) -> Source:
     """The source that the options of a command describe."""
-    stated = {
+    options: dict[str, Any] = {
         "black": black,
         "black_exposure": black_exposure,
         "white": white,
@@ -230,7 +204,7 @@ def read_source(
         "exposure": exposure,
         "mosaic": mosaic or None,
     }
-    stated = {name: value for name, value in stated.items() if value is not None}
+    stated = {name: value for name, value in options.items() if value is not None}
     region = None if crop is None else rectangle(crop)
     if photographs is not None:
         if patterns is not None or images is not None:
@@ -249,9 +223,8 @@ def read_source(
         folders = {"patterns": patterns, "images": images}
         besides = [name for name, value in folders.items() if value is not None] + list(stated)
         if besides:
-            options = ", ".join(map(_option, besides))
             raise InputError(
-                f"a capture folder and {options} were given",
+                f"a capture folder and {', '.join(map(_option, besides))} were given",
                 hint="a capture folder has these settings in capture.json; give one or the other",
             )
         return Source(capture, None, None, None, region, find, find_projector)
@@ -262,19 +235,13 @@ def read_source(
     if patterns is None or images is None:
         missing = "--patterns" if patterns is None else "--images"
         raise InputError(f"{missing} is missing", hint="give both, or a capture folder")
-    settings = _read_settings(stated)
-    return Source(None, patterns, images, settings, region)
-
-
-def _read_settings(stated: Mapping[str, Any]) -> ReadSettings:
-    """The settings that options state, of which some are texts that hold numbers."""
-    values = dict(stated)
+    # Some texts hold numbers.
     for name in ("exposure", "clip", "black_level"):
-        if name in values:
-            values[name] = numbers(values[name], _option(name))
-    if "black" in values:
-        values["black"] = level_or_file(values["black"])
-    return lm.ReadSettings(**values)
+        if name in stated:
+            stated[name] = numbers(stated[name], _option(name))
+    if "black" in stated:
+        stated["black"] = level_or_file(stated["black"])
+    return Source(None, patterns, images, lm.ReadSettings(**stated), region)
 
 
 def _option(name: str) -> str:

@@ -21,7 +21,6 @@ def view(
     export: Annotated[
         Path | None,
         Option(
-            "--export",
             metavar="PAGE.html",
             help="Write the viewer and the matrix as one page that needs no server.",
         ),

@@ -260,7 +260,12 @@ def fill_image(path: Path, image: NDArray[Any], *, bits: int = 8, missing: bool 
     elif suffix in (".tif", ".tiff"):
         tifffile.imwrite(path, pixels, photometric="rgb" if pixels.ndim == 3 else "minisblack")
     else:
-        levels = np.ascontiguousarray(_to_levels(pixels, bits))
+        if pixels.dtype == np.float32:
+            if bits not in (8, 16):
+                raise InputError(f"{bits} bits for a PNG file", hint="use 8 or 16")
+            top = np.float64(2**bits - 1)
+            pixels = np.rint(pixels.clip(0, 1) * top).astype(f"u{bits // 8}")
+        levels = np.ascontiguousarray(pixels)
         # OpenCV's settings (runs of bytes, differences to the left) write photographs ten times as
         # fast as the usual ones, and no larger.
         path.write_bytes(imagecodecs.png_encode(levels, 1, strategy=3, filter=16))
@@ -473,7 +478,12 @@ def as_stored(name: str, image: NDArray[Any]) -> NDArray[Any]:
     if image.dtype == np.bool_:
         image = image.astype(np.uint8) * np.uint8(255)
     if image.ndim == 3 and image.shape[-1] in (2, 4):
-        image = _without_alpha(name, image)
+        opaque = np.iinfo(image.dtype).max if image.dtype.kind == "u" else 1
+        if (image[..., -1] != opaque).any():
+            raise InputError(
+                f"{name}: is partly transparent", hint="save the image without an alpha channel"
+            )
+        image = image[..., :-1]
     if image.ndim == 3 and image.shape[-1] == 1:
         image = image[..., 0]
     if image.ndim not in (2, 3) or (image.ndim == 3 and image.shape[-1] != 3) or image.size == 0:
@@ -498,21 +508,3 @@ def as_stored(name: str, image: NDArray[Any]) -> NDArray[Any]:
             f"{name}: holds {image.dtype} values", hint="save it as uint8, uint16 or float32"
         )
     return np.ascontiguousarray(image, image.dtype.newbyteorder("="))
-
-
-def _without_alpha(name: str, image: NDArray[Any]) -> NDArray[Any]:
-    opaque = np.iinfo(image.dtype).max if image.dtype.kind == "u" else 1
-    if (image[..., -1] != opaque).any():
-        raise InputError(
-            f"{name}: is partly transparent", hint="save the image without an alpha channel"
-        )
-    return image[..., :-1]
-
-
-def _to_levels(pixels: NDArray[Any], bits: int) -> NDArray[Any]:
-    if pixels.dtype != np.float32:
-        return pixels
-    if bits not in (8, 16):
-        raise InputError(f"{bits} bits for a PNG file", hint="use 8 or 16")
-    top = 2**bits - 1
-    return np.rint(pixels.clip(0, 1) * np.float64(top)).astype(f"u{bits // 8}")

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import math
 import zipfile
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import IO, Any
@@ -73,17 +72,26 @@ def read_npz(
     some arrays determine how large others are.
     """
     file = regular_file(path)
-    with _as_npz_error(file), zipfile.ZipFile(file) as archive:
-        members = _members(archive)
-        headers = {name: _member_header(archive, member) for name, member in members.items()}
-        if check is not None:
-            check(headers)
-        check_memory(file, sum(header.bytes for header in headers.values()))
-        arrays = {}
-        for name, member in members.items():
-            with archive.open(member) as stream:
-                arrays[name] = _read_values(stream, read_npy_header(stream))
-        return arrays
+    try:
+        with zipfile.ZipFile(file) as archive:
+            members = _members(archive)
+            headers = {name: _member_header(archive, member) for name, member in members.items()}
+            if check is not None:
+                check(headers)
+            check_memory(file, sum(header.bytes for header in headers.values()))
+            arrays = {}
+            for name, member in members.items():
+                with archive.open(member) as stream:
+                    arrays[name] = _read_values(stream, read_npy_header(stream))
+            return arrays
+    except (InputError, MemoryError):
+        raise
+    # Damaged archives raise nearly anything, among them NotImplementedError and zlib.error.
+    except Exception as error:
+        raise InputError(
+            f"{file}: cannot be read as npz ({' '.join(str(error).split())[:120]})",
+            hint="give a file from `lightmatrix export` or `render`, or write it again",
+        ) from error
 
 
 def as_float32(values: NDArray[Any]) -> NDArray[np.float32]:
@@ -130,17 +138,3 @@ def _member_header(archive: zipfile.ZipFile, member: zipfile.ZipInfo) -> NpyHead
         if header.bytes != member.file_size - stream.tell():
             raise ValueError(f"the size of {member.filename[:40]!r} does not fit its header")
         return header
-
-
-@contextmanager
-def _as_npz_error(file: Path) -> Iterator[None]:
-    try:
-        yield
-    except (InputError, MemoryError):
-        raise
-    # Damaged archives raise nearly anything, among them NotImplementedError and zlib.error.
-    except Exception as error:
-        raise InputError(
-            f"{file}: cannot be read as npz ({' '.join(str(error).split())[:120]})",
-            hint="give a file from `lightmatrix export` or `render`, or write it again",
-        ) from error

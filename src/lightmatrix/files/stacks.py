@@ -297,8 +297,14 @@ class ImageStack:
         """Image number `index`, which must have the shape and type of the first one."""
         path = self.paths[index]
         image = read_entry(path, mosaic=self.mosaic)
-        if self.grey:
-            image = _one_channel(path, image)
+        if self.grey and image.ndim == 3:
+            if not is_grey(image):
+                raise InputError(
+                    f"{path}: is in colour, but other images of the folder are grey in three "
+                    "channels",
+                    hint="save all of them in grey, or all in colour",
+                )
+            image = np.ascontiguousarray(image[..., 0])
         if image.shape != self.shape:
             raise InputError(
                 f"{path}: is {_words(image.shape)}, but {self.paths[0].name} is "
@@ -338,18 +344,6 @@ def _all_grey(paths: Sequence[Path | Page]) -> bool:
             return False
         varied += bool(np.ptp(image) > 0)
     return varied > len(samples) // 2
-
-
-def _one_channel(path: Path | Page, image: NDArray[Any]) -> NDArray[Any]:
-    """A grey image stored in one or three channels as one."""
-    if image.ndim == 2:
-        return image
-    if not is_grey(image):
-        raise InputError(
-            f"{path}: is in colour, but other images of the folder are grey in three channels",
-            hint="save all of them in grey, or all in colour",
-        )
-    return np.ascontiguousarray(image[..., 0])
 
 
 def _words(shape: tuple[int, ...]) -> str:

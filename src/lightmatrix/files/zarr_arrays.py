@@ -103,17 +103,14 @@ class _GrowingArray:
     def _write(self, chunk: int, *, last: bool) -> None:
         values = np.concatenate(self._waiting)
         ready = len(values) if last else len(values) // chunk * chunk
-        shape, done = values.shape[1:], 0
+        shape = values.shape[1:]
         if self._array is None:
             chunks = (chunk, *(max(1, n) for n in shape))
             self._array = create_array(
-                self._group, self._name, (ready, *shape), values.dtype, chunks, self._blosc
+                self._group, self._name, (0, *shape), values.dtype, chunks, self._blosc
             )
-        else:
-            done = self._array.shape[0]
-            self._array.resize((done + ready, *shape))
         if ready:
-            self._array[done : done + ready] = values[:ready]
+            self._array.append(values[:ready])
         self._waiting = [values[ready:]]
 
 

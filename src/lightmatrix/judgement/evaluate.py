@@ -225,33 +225,29 @@ def evaluate_colour(
     if isinstance(estimates, str | Path):
         estimates = list(colour_paths(estimates))
     if isinstance(truths, Truth | str | Path):
-        truths = _known_in_colour(truths)
+        # The truths of one capture in colour, or of a folder for each primary.
+        folders = [] if isinstance(truths, Truth) else [Path(truths) / one for one in COLOURS]
+        if folders and all(folder.is_dir() for folder in folders):
+            truths = folders
+        else:
+            known = library.truth(truths).transport()
+            if known.projector_shape[1] % len(COLOURS) or not is_of_all_primaries(known):
+                raise InputError(
+                    "a truth that is not of a colour projector",
+                    hint="give a capture that `lightmatrix simulate` made of patterns in colour, "
+                    "or a folder with the captures red, green and blue",
+                )
+            truths = [of_primary(known, colour) for colour in COLOURS]
     for matrices, word in ((estimates, "estimates"), (truths, "truths")):
         if len(matrices) != 3:
             raise InputError(f"{len(matrices)} {word}", hint="give those of red, green and blue")
     pairs = [_matrices(*pair, progress) for pair in zip(estimates, truths, strict=True)]
     red, green, blue = each = [errors_by_rows(*pair, exposure) for pair in pairs]
-    energies = np.array([float(row_energies(known).sum()) for _, known in pairs])
+    energies = np.array([float(row_energies(matrix).sum()) for _, matrix in pairs])
     missed = np.array([errors.relative_error for errors in each]) ** 2 * energies
-    relighting = joint_relighting_error([one for one, _ in pairs], [known for _, known in pairs])
+    relighting = joint_relighting_error(*zip(*pairs, strict=True))
     relative = float(np.sqrt(missed.sum() / energies.sum()))
     return ColourErrors(red, green, blue, relative, relighting)
-
-
-def _known_in_colour(truth: Truth | str | Path) -> Sequence[LightTransport | str | Path]:
-    """The truths of the three primaries: of one capture in colour, or of a folder for each."""
-    if isinstance(truth, str | Path):
-        folders = [Path(truth) / colour for colour in COLOURS]
-        if all(folder.is_dir() for folder in folders):
-            return folders
-    known = library.truth(truth).transport()
-    if known.projector_shape[1] % len(COLOURS) or not is_of_all_primaries(known):
-        raise InputError(
-            "a truth that is not of a colour projector",
-            hint="give a capture that `lightmatrix simulate` made of patterns in colour, or a "
-            "folder with the captures red, green and blue",
-        )
-    return [of_primary(known, colour) for colour in COLOURS]
 
 
 def _matrices(
@@ -264,10 +260,11 @@ def _matrices(
     if isinstance(truth, LightTransport):
         known = truth
     else:
-        is_scene = isinstance(truth, str) and not (
-            truth.lower().endswith(".npz") or Path(truth).is_dir()
-        )
-        if isinstance(truth, str) and is_scene:
+        if (
+            isinstance(truth, str)
+            and Path(truth).suffix.lower() != ".npz"
+            and not Path(truth).is_dir()
+        ):
             find_scene(truth)
             region, projector = matrix.region, matrix.projector_shape
             camera = matrix.camera_shape if region is None else region.whole

@@ -36,7 +36,7 @@ def squared_errors(
     estimate: LightTransport, truth: LightTransport
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """||T_est - T||^2 and ||T||^2 of each row, (M,) each, backgrounds included."""
-    _check_same_rig(estimate, truth)
+    check_same_rig(estimate, truth)
     wrong = np.empty(truth.sparse.shape[0])
     entries = np.asarray(estimate.sparse.indptr, np.int64) + truth.sparse.indptr
     cells = estimate.background.shape[1] + truth.background.shape[1]
@@ -102,7 +102,7 @@ def response_rmse(
     The result is in units of `clip_level`, which is 1 / exposure. The grid has the projector pixels
     (offset + step i, offset + step j); `rows` None counts all camera samples.
     """
-    _check_same_rig(estimate, truth)
+    check_same_rig(estimate, truth)
     columns = sampled_pixels(truth.projector_shape, step, min(offset, step - 1))
     chosen = slice(None) if rows is None else rows
     difference = csr_array(estimate.sparse[:, columns] - truth.sparse[:, columns])[chosen]
@@ -125,7 +125,7 @@ def relighting_error(
     rows: NDArray[np.integer] | None = None,
 ) -> float:
     """Relative L2 error of linear, unclipped images, averaged over patterns (K, rows, cols)."""
-    _check_same_rig(estimate, truth)
+    check_same_rig(estimate, truth)
     chosen = slice(None) if rows is None else rows
     expected = truth.relight(patterns).reshape(len(patterns), -1)[:, chosen].astype(np.float64)
     images = estimate.relight(patterns).reshape(len(patterns), -1)[:, chosen]
@@ -184,11 +184,12 @@ def diffuse_rows(matrix: csr_array, projector_shape: tuple[int, int]) -> NDArray
     return result
 
 
-def _check_same_rig(estimate: LightTransport, truth: LightTransport) -> None:
+def check_same_rig(estimate: LightTransport, other: Any, origin: str = "truth") -> None:
+    """Raise InputError unless a truth or a capture has the estimate's camera and projector."""
     for name in ("camera_shape", "projector_shape"):
-        if getattr(estimate, name) != getattr(truth, name):
+        if getattr(estimate, name) != getattr(other, name):
             raise InputError(
                 f"the estimate's {name.replace('_', ' ')} is {getattr(estimate, name)}, "
-                f"the truth's is {getattr(truth, name)}",
-                hint="compare matrices of one rig with the same binning",
+                f"the {origin}'s is {getattr(other, name)}",
+                hint="both must be of one rig, with the same binning",
             )

@@ -81,23 +81,18 @@ class BlockPatterns(PatternSet):
 
     @cached_property
     def _block_of_pixel(self) -> NDArray[np.int64]:
-        rows = np.arange(self.shape[0]) // self.block[0]
-        cols = np.arange(self.shape[1]) // self.block[1]
-        return (rows[:, None] * self.grid[1] + cols[None, :]).ravel().astype(np.int64)
+        row, col = np.divmod(np.arange(self.pixels, dtype=np.int64), self.shape[1])
+        return row // self.block[0] * self.grid[1] + col // self.block[1]
 
     def forward(self, x: NDArray[Any]) -> NDArray[Any]:
-        sums = self._membership(x.dtype) @ x.T
+        entries = (np.ones(self.pixels, x.dtype), (self._block_of_pixel, np.arange(self.pixels)))
+        sums = csr_array(entries, shape=(self.grid[0] * self.grid[1], self.pixels)) @ x.T
         return np.ascontiguousarray(np.asarray(sums)[self.index].T)
 
     def adjoint(self, e: NDArray[Any]) -> NDArray[Any]:
         per_block = np.zeros((len(e), self.grid[0] * self.grid[1]), e.dtype)
         np.add.at(per_block.T, self.index, e.T)
         return per_block[:, self._block_of_pixel]
-
-    def _membership(self, dtype: np.dtype[Any]) -> csr_array:
-        pixels = np.arange(self.pixels)
-        entries = (np.ones(self.pixels, dtype), (self._block_of_pixel, pixels))
-        return csr_array(entries, shape=(self.grid[0] * self.grid[1], self.pixels))
 
     def columns(self, index: NDArray[np.integer]) -> NDArray[np.float32]:
         return (self.index[:, None] == self._block_of_pixel[index][None, :]).astype(np.float32)

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from lightmatrix.defaults import FEWEST_MIXED, MIX_EXAMPLE
 from lightmatrix.errors import InputError
 from lightmatrix.patterns.bits import BinaryPatterns, check_random
-from lightmatrix.patterns.pattern_set import grid_cells
+from lightmatrix.patterns.pattern_set import check_grid, grid_cells
 
 
 def interleave(shares: Sequence[float], count: int) -> NDArray[np.int64]:
@@ -126,7 +126,7 @@ class MixedPatterns(BinaryPatterns):
         if len({grid for grid, _ in mix}) < len(mix):
             raise InputError("a mix that names one grid twice", hint="add their shares")
         for grid, _ in mix:
-            grid_cells(self.shape, grid)
+            check_grid(self.shape, grid)
 
     @cached_property
     def kinds(self) -> NDArray[np.int64]:

@@ -15,7 +15,7 @@ from __future__ import annotations
 import hashlib
 import json
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, fields
 from typing import Any, ClassVar, TypeVar, cast
 
@@ -76,27 +76,6 @@ def check_grid(shape: tuple[int, int], grid: tuple[int, int]) -> None:
 NEAR = 1
 # Values that differ by less than 2 % are the same.
 SAME = 0.02
-
-
-def varying_axes(images: Iterable[NDArray[np.float32]]) -> tuple[bool, bool]:
-    """Whether any of the patterns, in blocks of (k, rows, cols), varies along rows and columns."""
-    varies = [False, False]
-    for block in images:
-        for axis in (0, 1):
-            varies[axis] |= bool((np.ptp(block, axis=1 + axis) > SAME).any())
-        if all(varies):
-            break
-    return varies[0], varies[1]
-
-
-def of_surroundings(mixed: NDArray[np.float64]) -> NDArray[np.float64]:
-    """A mixture of each pixel with its eight neighbours, (rows, cols).
-
-    It is the same where the surroundings are, also if they are mirrored.
-    """
-    corner, beside, above, centre = np.random.default_rng(1).standard_normal(4)
-    kernel = [[corner, above, corner], [beside, centre, beside], [corner, above, corner]]
-    return np.asarray(convolve(mixed, np.array(kernel), mode="nearest"))
 
 
 def groups(mixed: NDArray[np.float64]) -> NDArray[np.int64]:
@@ -273,7 +252,14 @@ class PatternSet(ABC):
     @computed_once
     def axes(self) -> tuple[bool, bool]:
         """Whether any pattern varies along rows, and along columns."""
-        return varying_axes(chunk.reshape(-1, *self.shape) for _, chunk in self.chunks())
+        varies = [False, False]
+        for _, chunk in self.chunks():
+            images = chunk.reshape(-1, *self.shape)
+            for axis in (0, 1):
+                varies[axis] |= bool((np.ptp(images, axis=1 + axis) > SAME).any())
+            if all(varies):
+                break
+        return varies[0], varies[1]
 
     @computed_once
     def twins(self) -> NDArray[np.int64]:
@@ -283,7 +269,10 @@ class PatternSet(ABC):
     @computed_once
     def alike_surroundings(self) -> NDArray[np.bool_]:
         """Whether all patterns show a pixel and its neighbours like those farther away, (N,)."""
-        mixed = of_surroundings(self._mixture.reshape(self.shape))
+        corner, beside, above, centre = np.random.default_rng(1).standard_normal(4)
+        kernel = [[corner, above, corner], [beside, centre, beside], [corner, above, corner]]
+        # A mixture with the neighbours is the same where the surroundings are, also if mirrored.
+        mixed = convolve(self._mixture.reshape(self.shape), np.array(kernel), mode="nearest")
         return far_twins(groups(mixed.ravel()), self.shape, self.axes)
 
     @property

@@ -103,7 +103,18 @@ def relight(
     several = isinstance(transport, Sequence | ColourTransport) and not isinstance(transport, str)
     sources: list[Any] = [*transport] if several else [transport]  # type: ignore[misc]
     matrices = [_opened(source) for source in sources]
-    _check_one_rig(matrices)
+    if len(matrices) not in (1, 3):
+        raise InputError(
+            f"{len(matrices)} matrices", hint="give one, or those of red, green and blue"
+        )
+    for name in ("camera_shape", "projector_shape"):
+        first, *others = (getattr(matrix, name) for matrix in matrices)
+        for shape in others:
+            if shape != first:
+                raise InputError(
+                    f"matrices of {name} {first} and {shape}",
+                    hint="give red, green and blue of one rig with the same binning",
+                )
     image = np.zeros(matrices[0].camera_shape, np.float32)
     channels = _channels(pattern, len(matrices))
     for matrix, source, channel in zip(matrices, sources, channels, strict=True):
@@ -117,22 +128,6 @@ def relight(
             written = np.clip(image, 0, 1) ** (1 / shown)
         write_image(output, written.astype(np.float32), overwrite=overwrite)
     return image
-
-
-def _check_one_rig(matrices: list[Relit]) -> None:
-    """Raise InputError unless these are one or three matrices of the same shapes."""
-    if len(matrices) not in (1, 3):
-        raise InputError(
-            f"{len(matrices)} matrices", hint="give one, or those of red, green and blue"
-        )
-    first = matrices[0]
-    for matrix in matrices[1:]:
-        for name in ("camera_shape", "projector_shape"):
-            if getattr(matrix, name) != getattr(first, name):
-                raise InputError(
-                    f"matrices of {name} {getattr(first, name)} and {getattr(matrix, name)}",
-                    hint="give red, green and blue of one rig with the same binning",
-                )
 
 
 def _channels(pattern: NDArray[Any] | str | Path, count: int) -> list[NDArray[Any]]:

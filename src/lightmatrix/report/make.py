@@ -16,7 +16,6 @@ from lightmatrix._version import __version__
 from lightmatrix.capture.capture import Capture
 from lightmatrix.check.curves import as_estimated
 from lightmatrix.check.finding import Finding
-from lightmatrix.errors import InputError
 from lightmatrix.estimators.settings import EstimateSettings
 from lightmatrix.files.kinds import REPORT
 from lightmatrix.files.writing import atomic_folder
@@ -30,6 +29,7 @@ from lightmatrix.judgement.judgement import (
     percent,
     stored_findings,
 )
+from lightmatrix.judgement.metrics import check_same_rig
 from lightmatrix.pictures.maps import has_diagnostic
 from lightmatrix.report.elements import Points, Section
 from lightmatrix.report.facts import Estimator, Facts, Validation, validate
@@ -211,15 +211,9 @@ def report(
     """
     known = truth.transport() if isinstance(truth, Truth) else truth
     capture = as_estimated(capture, transport.provenance)
-    for name in ("camera_shape", "projector_shape"):
-        shape = getattr(transport, name)
-        for origin, other in (("capture", capture), ("truth", known)):
-            if other is not None and getattr(other, name) != shape:
-                raise InputError(
-                    f"the estimate's {name.replace('_', ' ')} is {shape}, the {origin}'s is "
-                    f"{getattr(other, name)}",
-                    hint="give the capture of this estimate, with the same binning",
-                )
+    check_same_rig(transport, capture, "capture")
+    if known is not None:
+        check_same_rig(transport, known)
     rig = None if geometry is None else geometry_of(transport, geometry)
     with atomic_folder(folder, REPORT, overwrite=overwrite) as part:
         validation: Validation | str = "the test was not requested"

@@ -62,11 +62,7 @@ def scratch_array(
             # The mapping keeps the unnamed file alive.
             return np.memmap(file, dtype, "r+", shape=shape)
     except OSError as error:
-        other = (
-            "choose a folder on another disk"
-            if folder
-            else "set TMPDIR to a folder with more space"
-        )
+        other = "choose a folder on another disk" if folder else "set TMPDIR to a larger disk"
         raise OutputError(
             f"{place}: no space for {size / 2**30:.1f} GiB of temporary data "
             f"({error.strerror or error})",

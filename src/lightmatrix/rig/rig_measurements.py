@@ -332,12 +332,10 @@ def measure_exposure(
 def _possible(
     exposure: float, period: float, limits: tuple[float, float]
 ) -> tuple[float, list[str]]:
-    """The exposure nearest to an advised one that does not flicker and that the camera has.
-
-    Warns where that is off by a stop, or by a fifth to avoid flicker: less is within the tolerance
-    of the advice.
-    """
+    """The exposure nearest to an advised one that does not flicker and that the camera has."""
     shortest, longest = limits
+    # These say where it is off by a stop, or by a fifth to avoid flicker: less is within the
+    # tolerance of the advice.
     warnings = []
     steady = exposure
     if period:
@@ -539,21 +537,16 @@ class RigMeasurements:
 
 def _part(kind: Callable[..., Any], part: Mapping[str, Any]) -> Any:
     """A part from JSON; a TypeError or ValueError if a value is of the wrong type."""
-    values = {}
+    values: dict[str, Any] = {}
     for item in fields(kind):  # type: ignore[arg-type]
         value, wanted = part[item.name], str(item.type)
-        if wanted.startswith("tuple"):
-            values[item.name] = tuple(_value(one, wanted) for one in value)
-        else:
-            values[item.name] = _value(value, wanted)
+        one = str if "str" in wanted else int if "int" in wanted else float
+        several = wanted.startswith("tuple")
+        for each in value if several else (value,):
+            if type(each) not in (int, one):
+                raise TypeError(f"{each!r} is no {one.__name__}")
+        values[item.name] = tuple(map(one, value)) if several else one(value)
     return kind(**values)
-
-
-def _value(value: Any, wanted: str) -> Any:
-    kind = str if "str" in wanted else int if "int" in wanted else float
-    if type(value) not in (int, kind):
-        raise TypeError(f"{value!r} is no {kind.__name__}")
-    return kind(value)
 
 
 def _jsonable(info: Mapping[str, Any]) -> dict[str, Any]:

@@ -352,11 +352,7 @@ class CaptureSession:
         return self._matcher.predictive and self._matcher.excludes(k, frame.before, noise)
 
     def _show_other(self, k: int, befores: set[int]) -> None:
-        """Show an image that is neither k nor one of `befores`.
-
-        It is another pattern if frames are predicted. Otherwise it is black or white, as frames are
-        compared with each other and patterns may be too similar for that.
-        """
+        """Show an image that is neither k nor one of `befores`."""
         rig = self.photographer.rig
         count = self.patterns.count
         others = ((k + step) % count for step in range(-1, -count, -1))
@@ -364,6 +360,7 @@ class CaptureSession:
         if self._matcher.predictive and other is not None:
             self._shown, image = other, self.image(other)
         else:
+            # Frames are compared with each other, and patterns may be too similar for that.
             self._shown = _WHITE if _BLACK in befores and _WHITE not in befores else _BLACK
             image = plain_images(rig)[self._shown == _WHITE]
         shown = rig.projector.show(image)

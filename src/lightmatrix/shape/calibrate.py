@@ -734,15 +734,12 @@ def _decomposed(
     left, _, right = np.linalg.svd(essential)
     left, right = left * np.linalg.det(left), right * np.linalg.det(right)
     quarter = np.array([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]])
-    size = (1, 1)
-    best: tuple[int, NDArray[np.float64], NDArray[np.float64]] | None = None
-    for turn in (left @ quarter @ right, left @ quarter.T @ right):
-        for shift in (left[:, 2], -left[:, 2]):
-            rig = RigGeometry.from_intrinsics(camera, projector, turn, shift, size, size)
-            points = rig.triangulate(seen, lit)
-            ahead = points @ turn.T + shift
-            count = int(((points[:, 2] > 0) & (ahead[:, 2] > 0)).sum())
-            if best is None or count > best[0]:
-                best = (count, turn, shift)
-    assert best is not None
-    return best[1], best[2]
+    turns, shifts = (left @ quarter @ right, left @ quarter.T @ right), (left[:, 2], -left[:, 2])
+
+    def in_front(pose: tuple[NDArray[np.float64], NDArray[np.float64]]) -> int:
+        rig = RigGeometry.from_intrinsics(camera, projector, *pose, (1, 1), (1, 1))
+        points = rig.triangulate(seen, lit)
+        ahead = points @ pose[0].T + pose[1]
+        return int(((points[:, 2] > 0) & (ahead[:, 2] > 0)).sum())
+
+    return max(((turn, shift) for turn in turns for shift in shifts), key=in_front)

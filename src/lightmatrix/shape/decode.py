@@ -153,23 +153,6 @@ class Reading:
     uncertainty: NDArray[np.float64]
 
 
-def read_bits(
-    code: Code, samples: NDArray[np.float32], middle: NDArray[np.float32]
-) -> NDArray[np.int64]:
-    """The projector pixel of each camera pixel by the bits of its samples (m, k); -1 for none.
-
-    The brighter of a pattern and its inverse decides a bit; without inverse, whether the sample is
-    above `middle`, (m,), half way from black to white.
-    """
-    word = np.zeros(len(samples), np.int64)
-    for place, (frame, inverse) in enumerate(code.bits):
-        threshold = middle if inverse < 0 else samples[:, inverse]
-        word |= (samples[:, frame] > threshold).astype(np.int64) << place
-    words, pixels = code.words
-    found = np.minimum(np.searchsorted(words, word), len(words) - 1)
-    return np.where(words[found] == word, pixels[found], -1)
-
-
 def correlate(code: Code, samples: NDArray[np.float32]) -> NDArray[np.int64]:
     """The projector pixel whose values correlate best with each camera pixel's samples (m, k).
 
@@ -345,4 +328,12 @@ def _read(code: Code, codes: Codes, values: NDArray[np.float32]) -> Reading:
     bright = samples.max(axis=1) if codes.white is None else values[:, codes.white]
     dark = samples.min(axis=1) if codes.black is None else values[:, codes.black]
     middle = np.asarray((bright + dark) / 2, np.float32)
-    return refine(code, samples, read_bits(code, samples, middle))
+    word = np.zeros(len(samples), np.int64)
+    for place, (frame, inverse) in enumerate(code.bits):
+        # The brighter of a pattern and its inverse decides a bit; without inverse, whether the
+        # sample is above the middle of black and white.
+        threshold = middle if inverse < 0 else samples[:, inverse]
+        word |= (samples[:, frame] > threshold).astype(np.int64) << place
+    words, pixels = code.words
+    found = np.minimum(np.searchsorted(words, word), len(words) - 1)
+    return refine(code, samples, np.where(words[found] == word, pixels[found], -1))

@@ -131,11 +131,9 @@ def _brightest(
     shape: tuple[int, int],
     count: int,
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Row and column of the brightest 3 x 3 pixels of each row of T; NaN where there is none.
-
-    Only entries that are `possible` are middles. Entries are sorted by row and pixel.
-    """
-    # Numbers of the pixels of all rows, with a border, so that no neighbour lies across an edge.
+    """Row and column of the brightest 3 x 3 pixels of each row of T, around `possible` entries."""
+    # Entries are sorted by row and pixel. The numbers of the pixels of all rows have a border, so
+    # that no neighbour lies across an edge.
     width = shape[1] + 2
     place = (row.astype(np.int64) + 1) * width + col.astype(np.int64) + 1
     number = owner * ((shape[0] + 2) * width) + place
@@ -236,7 +234,11 @@ def triangulate(
     rig = geometry_of(source, geometry)
     grid = rig.camera_shape
     camera = camera_pixels(grid)[:, ::-1]
-    lines = epipolar_lines(rig, camera)
+    # The epipolar lines (P, 3) on the projector without distortion: a col + b row + c = 0 with
+    # a^2 + b^2 = 1.
+    lines = np.column_stack([rig.undistort_camera(camera), np.ones(len(camera))])
+    lines = lines @ rig.fundamental_matrix().T
+    lines = lines / np.hypot(lines[:, 0], lines[:, 1])[:, None]
     if isinstance(source, Correspondence):
         found = _decoded_places(source, rig, lines)
     else:
@@ -249,16 +251,6 @@ def triangulate(
     if picture is not None:
         shape.show().write(picture, overwrite=overwrite)
     return shape
-
-
-def epipolar_lines(geometry: RigGeometry, camera: NDArray[np.float64]) -> NDArray[np.float64]:
-    """The lines (n, 3) of camera pixels (n, 2) as (col, row): a col + b row + c = 0.
-
-    They are for undistorted projector pixels, with a^2 + b^2 = 1.
-    """
-    ideal = geometry.undistort_camera(camera)
-    lines = np.column_stack([ideal, np.ones(len(ideal))]) @ geometry.fundamental_matrix().T
-    return np.asarray(lines / np.hypot(lines[:, 0], lines[:, 1])[:, None])
 
 
 def geometry_of(

@@ -57,16 +57,20 @@ def in_all_primaries(truth: Truth) -> Truth:
         return csr_array(csr_array(hstack(matrices, format="csr"))[:, place])
 
     whole = side_by_side([part.matrix for part in parts])
-    # Entries keep their places if the direct part has them all, those without direct light too.
-    shares = [part.with_data(_share(part)) for part in parts]
-    direct = side_by_side([_shifted(share) for share in shares]).data - 1
-    metadata = {**parts[0].metadata, "primary": "all"}
+    # The direct share of each entry, shifted to between 1 and 2: no entry is an implicit zero, so
+    # that all keep their places.
+    shares = []
+    for part in parts:
+        data = part.matrix.data
+        share = np.divide(part.direct_data, data, out=np.zeros_like(data), where=data > 0)
+        shares.append(part.with_data(share + 1))
+    direct = side_by_side(shares).data - 1
     return replace(
         parts[0],
         matrix=whole,
         direct_data=(direct * whole.data).astype(np.float32),
         projector_shape=(rows, 3 * cols),
-        metadata=metadata,
+        metadata={**parts[0].metadata, "primary": "all"},
         geometry=None,
     )
 
@@ -75,17 +79,6 @@ def is_of_all_primaries(truth: Truth | LightTransport) -> bool:
     """Whether a T is that of a colour projector, as `in_all_primaries` makes it."""
     facts = truth.metadata if isinstance(truth, Truth) else truth.provenance
     return facts.get("primary") == "all"
-
-
-def _share(part: Truth) -> NDArray[np.float32]:
-    """The direct share of each entry."""
-    data = part.matrix.data
-    return np.divide(part.direct_data, data, out=np.zeros_like(data), where=data > 0)
-
-
-def _shifted(share: csr_array) -> csr_array:
-    """Shares from 1 to 2, so that none is an implicit zero."""
-    return csr_array((share.data + 1, share.indices, share.indptr), shape=share.shape)
 
 
 def of_primary(transport: LightTransport, primary: str) -> LightTransport:

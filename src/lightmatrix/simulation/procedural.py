@@ -102,7 +102,16 @@ class ProceduralScene:
         bounces = self.bounces
         random = _hash_uniform(self.seed, index, 2 * bounces + 2 * _GLOW_ENTRIES)
         # Each part: projector rows, projector columns and values, (rows of T, entries) each.
-        parts = [_bilinear(v, u, albedo)]
+        # Direct light comes from the four pixels around the point that is seen, bilinearly.
+        part_v, part_u = v - np.floor(v), u - np.floor(u)
+        weights = [
+            (1 - part_v) * (1 - part_u),
+            (1 - part_v) * part_u,
+            part_v * (1 - part_u),
+            part_v * part_u,
+        ]
+        at_v, at_u = np.floor(v)[:, None] + [0, 0, 1, 1], np.floor(u)[:, None] + [0, 1, 0, 1]
+        parts = [(at_v, at_u, albedo[:, None] * np.stack(weights, 1))]
         if bounces and self.indirect:
             # The interreflection is a heavy-tailed cloud around the footprint.
             angle = 2 * np.pi * random[:, :bounces]
@@ -162,23 +171,6 @@ class ProceduralScene:
         v = y * projector_rows - 0.5
         u = (x + self.relief * (depth - 0.5)) * projector_cols - 0.5
         return v, u, albedo
-
-
-def _bilinear(
-    v: NDArray[np.float64], u: NDArray[np.float64], level: NDArray[np.float64]
-) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-    """Direct light of points between projector pixels: rows, columns, values, (rows of T, 4)."""
-    corner_v, corner_u = np.floor(v), np.floor(u)
-    part_v, part_u = v - corner_v, u - corner_u
-    weights = [
-        (1 - part_v) * (1 - part_u),
-        (1 - part_v) * part_u,
-        part_v * (1 - part_u),
-        part_v * part_u,
-    ]
-    at_v = corner_v[:, None] + [0, 0, 1, 1]
-    at_u = corner_u[:, None] + [0, 1, 0, 1]
-    return at_v, at_u, level[:, None] * np.stack(weights, 1)
 
 
 def _hash_uniform(seed: int, index: NDArray[np.int64], count: int) -> NDArray[np.float64]:
@@ -289,7 +281,9 @@ def simulate_procedural(
     if truth:
         check_truth_fits(scene, output)
     shutter = _Shutter(scene, patterns, sensor, seed, progress)
-    provenance = {"scene": PROCEDURAL, "seed": seed, PROCEDURAL: _description(scene)}
+    # `scene_of` reads the parameters of the scene.
+    parameters = {**asdict(scene), **{name: list(getattr(scene, name)) for name in _SHAPES}}
+    provenance = {"scene": PROCEDURAL, "seed": seed, PROCEDURAL: parameters}
 
     def save_truth(part: Path) -> None:
         if truth:
@@ -323,12 +317,6 @@ def simulate_procedural(
     return Capture.open(output)
 
 
-def _description(scene: ProceduralScene) -> dict[str, Any]:
-    """The parameters of a scene, JSON-ready; `scene_of` reads them."""
-    parameters = asdict(scene)
-    return {**parameters, **{name: list(parameters[name]) for name in _SHAPES}}
-
-
 def scene_of(provenance: Mapping[str, Any]) -> ProceduralScene | None:
     """The procedural scene that a capture's provenance describes; None if it is another."""
     description = provenance.get(PROCEDURAL)
@@ -349,15 +337,6 @@ def scene_of(provenance: Mapping[str, Any]) -> ProceduralScene | None:
 def check_truth_fits(scene: ProceduralScene, name: str | Path) -> None:
     """Raise InputError if the whole T of a scene would not fit into memory."""
     check_memory(Path(name), math.prod(scene.camera_shape) * scene.row_entries * _ENTRY_BYTES)
-
-
-def truth_of(capture: Capture, name: str | Path) -> Truth | None:
-    """T of a capture of a procedural scene, computed again; None for captures of others."""
-    scene = scene_of(capture.provenance)
-    if scene is None:
-        return None
-    check_truth_fits(scene, name)
-    return scene.truth()
 
 
 @dataclass(frozen=True)

@@ -2,9 +2,16 @@
 
 from __future__ import annotations
 
+import glob
+import importlib.util
+import os
+import re
+import subprocess
+import sys
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import cache
 from types import ModuleType
 from typing import Any
 
@@ -12,13 +19,159 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
-from lightmatrix.errors import InputError
+from lightmatrix.errors import InputError, MissingExtraError, warn
 from lightmatrix.ranges import check_seed
 from lightmatrix.resources.memory import available_bytes
-from lightmatrix.simulation.mitsuba_scene import load_mitsuba, mitsuba_scene
+from lightmatrix.simulation.scenes import Part, Scene, View
 from lightmatrix.simulation.scenes import scene as find_scene
 from lightmatrix.simulation.thinning import joined, thinned_in_steps
 from lightmatrix.simulation.truth import Truth, view_geometry
+
+# A program that fails or crashes unless the LLVM variant works.
+_PROBE = (
+    "import mitsuba as mi; mi.set_variant('llvm_ad_rgb'); import drjit as dr;"
+    "assert dr.sum(mi.Float([1, 2]))[0] == 3"
+)
+# Folders in which Linux distributions and Homebrew install libLLVM.
+_FOLDERS = (
+    "/usr/lib/*-linux-gnu",
+    "/usr/lib/llvm-*/lib",
+    "/usr/lib64",
+    "/opt/homebrew/opt/llvm/lib",
+)
+
+
+@cache
+def usable_llvm() -> str | None:
+    """Path of a libLLVM that works; "" if the renderer has its own; None if there is none."""
+    # Mitsuba's fast variants compile through libLLVM. Version 14 is refused, and 15 and 16 abort
+    # the whole process. So newer ones are tried in a child process, the newest first.
+    versions: dict[str, int] = {}
+    for folder in _FOLDERS:
+        for path in glob.glob(f"{folder}/libLLVM*"):
+            match = re.search(r"libLLVM[-.](?:so\.|dylib\.)?(\d+)", os.path.basename(path))
+            if match and int(match[1]) >= 17:
+                versions[os.path.realpath(path)] = int(match[1])
+    own = os.environ.get("DRJIT_LIBLLVM_PATH")
+    for path in [own] if own else [*sorted(versions, key=lambda path: -versions[path]), ""]:
+        environment = {**os.environ, "DRJIT_LIBLLVM_PATH": path} if path else dict(os.environ)
+        command = [sys.executable, "-c", _PROBE]
+        try:
+            probe = subprocess.run(
+                command, env=environment, stdin=subprocess.DEVNULL, capture_output=True, timeout=120
+            )
+        except subprocess.TimeoutExpired:
+            continue
+        if probe.returncode == 0:
+            return path
+    return None
+
+
+def load_mitsuba(*, scalar: bool = False) -> tuple[ModuleType, bool]:
+    """Mitsuba and whether it is the LLVM variant; warns if only the slow one is usable."""
+    if importlib.util.find_spec("mitsuba") is None:
+        raise MissingExtraError(
+            "rendering needs Mitsuba 3, which is not installed",
+            hint="from the source folder: .venv/bin/pip install -e '.[render]'",
+        )
+    llvm = None if scalar else usable_llvm()
+    if llvm:
+        os.environ["DRJIT_LIBLLVM_PATH"] = llvm
+    import mitsuba
+
+    mi: Any = mitsuba
+    mi.set_variant("scalar_rgb" if llvm is None else "llvm_ad_rgb")
+    if llvm is None and not scalar:
+        _warn_once_of_slowness()
+    return mi, llvm is not None
+
+
+@cache
+def _warn_once_of_slowness() -> None:
+    warn(
+        "no usable LLVM was found, so the scalar renderer is used, about a hundred times slower; "
+        "on Debian and Ubuntu: apt-get install libllvm19 (or `make system-deps`)",
+    )
+
+
+def mitsuba_scene(
+    mi: ModuleType,
+    scene: Scene,
+    camera_shape: tuple[int, int],
+    projector_shape: tuple[int, int],
+    pattern: NDArray[np.float32] | None = None,
+    integrator: dict[str, Any] | None = None,
+) -> Any:
+    """Load a scene; the projector shows `pattern`, (rows, cols) in [0, 1], or white if None."""
+    if pattern is None:
+        pattern = np.ones(projector_shape, np.float32)
+    rows, cols = camera_shape
+    intrinsics = scene.camera.intrinsics(camera_shape)
+    content: dict[str, Any] = {
+        "type": "scene",
+        "integrator": integrator or {"type": "path", "max_depth": scene.max_depth + 1},
+        "camera": {
+            "type": "perspective",
+            **_pose(mi, scene.camera),
+            "near_clip": 0.1,
+            "far_clip": 100.0,
+            # Mitsuba's film moves the other way, in shares of its width and height.
+            "principal_point_offset_x": float((cols - 1) / 2 - intrinsics[0, 2]) / cols,
+            "principal_point_offset_y": float((rows - 1) / 2 - intrinsics[1, 2]) / rows,
+            "film": {
+                "type": "hdrfilm",
+                "width": cols,
+                "height": rows,
+                "rfilter": {"type": "box"},
+                "pixel_format": "rgb",
+                "component_format": "float32",
+            },
+            "sampler": {"type": "independent"},
+        },
+        "projector": {
+            "type": "projector",
+            **_pose(mi, scene.projector),
+            # Mitsuba defines the irradiance at distance 1; this makes it 1 at the target.
+            "scale": scene.projector.distance**2,
+            "irradiance": {
+                "type": "bitmap",
+                "bitmap": mi.Bitmap(np.repeat(pattern[:, :, None], 3, axis=2).astype(np.float32)),
+                "raw": True,
+                "filter_type": "nearest",
+                "wrap_mode": "clamp",
+            },
+        },
+    }
+    for number, part in enumerate(scene.parts):
+        content[f"part{number}"] = _shape(mi, part, f"part{number}")
+    return mi.load_dict(content)
+
+
+def _pose(mi: ModuleType, view: View) -> dict[str, Any]:
+    """Where a device stands, and the angle between the left and the right edge of its image."""
+    _, down, forward = view.axes
+    position = np.array(view.position)
+    return {
+        "fov": float(2 * np.degrees(np.arctan(view.width / 2 / view.distance))),
+        "fov_axis": "x",
+        "to_world": mi.ScalarTransform4f().look_at(
+            origin=position.tolist(), target=(position + forward).tolist(), up=(-down).tolist()
+        ),
+    }
+
+
+def _shape(mi: ModuleType, part: Part, name: str) -> Any:
+    mesh, properties = part.mesh, mi.Properties()
+    properties["bsdf"] = mi.load_dict(dict(part.material))
+    shape = mi.Mesh(name, len(mesh.vertices), len(mesh.faces), props=properties)
+    if part.colours is not None:
+        shape.add_attribute("vertex_color", 3, part.colours.astype(np.float32).ravel())
+    parameters = mi.traverse(shape)
+    parameters["vertex_positions"] = mesh.vertices.astype(np.float32).ravel()
+    parameters["faces"] = mesh.faces.astype(np.uint32).ravel()
+    parameters.update()
+    return shape
+
 
 # This many paths are traced at once. Chosen by hand: they fill all cores and take about 1 GiB.
 WAVEFRONT = 1 << 20
@@ -91,19 +244,11 @@ class Contributions:
     direct: NDArray[np.bool_]
 
 
-def trace_block(loaded: LoadedScene, first: int, count: int, samples: int, seed: int) -> csr_array:
-    """Trace `samples` paths from each of `count` camera pixels, starting at pixel `first`.
-
-    The sums over the paths are (count * channels, N) complex64: all light is the real part, direct
-    light among it the imaginary part. ``count * channels * N`` must be at most 2^32.
-    """
-    trace = _trace if loaded.fast else _trace_scalar
-    contributions = trace(loaded, first, count, samples, seed)
-    return sum_contributions(contributions, (count * loaded.channels, loaded.pixels))
-
-
 def sum_contributions(contributions: Contributions, shape: tuple[int, int]) -> csr_array:
-    """Add up contributions to a matrix in any order, as `trace_block` says; zeros are dropped."""
+    """The sums of contributions, complex64: all light + i direct light; zeros are dropped.
+
+    The matrix has at most 2^32 places.
+    """
     lit = contributions.value > 0
     value, direct = contributions.value[lit], contributions.direct[lit]
     bits = value.view(np.uint32) | (direct.astype(np.uint32) << np.uint32(31))
@@ -127,79 +272,33 @@ def sum_contributions(contributions: Contributions, shape: tuple[int, int]) -> c
 
 
 def _trace(loaded: LoadedScene, first: int, count: int, samples: int, seed: int) -> Contributions:
-    """All contributions of a block, zeros among them, by Mitsuba's LLVM variant."""
+    """Contributions of `samples` paths from each of `count` camera pixels from `first` on.
+
+    Zeros are among them. Mitsuba's LLVM variant follows all paths at once, bounce by bounce.
+    """
     import drjit as dr
 
-    mi = loaded.mi
+    mi, scene, channels = loaded.mi, loaded.scene, loaded.channels
     paths = count * samples
     sampler = mi.load_dict({"type": "independent"})
     sampler.seed(seed, paths)
     path = dr.arange(mi.UInt32, paths)
     block_pixel = path // samples
-    recorder = _Recorder(
-        mi,
-        loaded.projector_shape,
-        dr.zeros(mi.UInt32, paths * loaded.max_depth),
-        [dr.zeros(mi.Float, paths * loaded.max_depth) for _ in range(loaded.channels)],
-        path,
-        block_pixel * (loaded.channels * loaded.pixels),
-        paths,
-    )
+    # One contribution per path and depth.
+    places = dr.zeros(mi.UInt32, paths * loaded.max_depth)
+    values = [dr.zeros(mi.Float, paths * loaded.max_depth) for _ in range(channels)]
+    row_start = block_pixel * (channels * loaded.pixels)
     # `first` is opaque to the compiler, so that one kernel serves all blocks.
     camera_pixel = block_pixel + dr.opaque(mi.UInt32, first)
     offset = sampler.next_2d()
-    rows, cols = loaded.camera_shape
+    camera_rows, camera_cols = loaded.camera_shape
     film = mi.Point2f(
-        (mi.Float(camera_pixel % cols) + offset.x) / cols,
-        (mi.Float(camera_pixel // cols) + offset.y) / rows,
+        (mi.Float(camera_pixel % camera_cols) + offset.x) / camera_cols,
+        (mi.Float(camera_pixel // camera_cols) + offset.y) / camera_rows,
     )
-    ray, weight = loaded.scene.sensors()[0].sample_ray(0.0, 0.5, film, mi.Point2f(0.5))
-    _follow(loaded, sampler, mi.Ray3f(ray.o, ray.d), mi.Color3f(weight), recorder)
-    dr.eval(recorder.places, recorder.values)
-    # Contributions of one depth stand together; those of depth 0, the direct light, come first.
-    place = np.asarray(recorder.places.numpy())
-    direct = np.arange(len(place)) < paths
-    return Contributions(
-        np.concatenate([place + np.uint32(c * loaded.pixels) for c in range(loaded.channels)]),
-        np.concatenate([np.asarray(channel.numpy()) for channel in recorder.values]),
-        np.tile(direct, loaded.channels),
-    )
-
-
-@dataclass(frozen=True)
-class _Recorder:
-    """Arrays of the renderer that take one contribution per path and depth."""
-
-    mi: ModuleType
-    projector_shape: tuple[int, int]
-    places: Any
-    values: list[Any]
-    path: Any
-    row_start: Any
-    paths: int
-
-    def record(self, depth: Any, pattern_uv: Any, light: Any, lit: Any) -> None:
-        """Store the light that came through the projector at `pattern_uv`, in [0, 1]^2."""
-        import drjit as dr
-
-        rows, cols = self.projector_shape
-        row = self.mi.UInt32(dr.clip(pattern_uv.y * rows, 0, rows - 1))
-        col = self.mi.UInt32(dr.clip(pattern_uv.x * cols, 0, cols - 1))
-        slot = depth * self.paths + self.path
-        dr.scatter(self.places, self.row_start + row * cols + col, slot, lit)
-        channels = [light.x, light.y, light.z] if len(self.values) == 3 else [dr.mean(light)]
-        for target, channel in zip(self.values, channels, strict=True):
-            dr.scatter(target, channel, slot, lit)
-
-
-def _follow(
-    loaded: LoadedScene, sampler: Any, ray: Any, throughput: Any, recorder: _Recorder
-) -> None:
-    """Follow all paths at once, bounce by bounce, and record their contributions."""
-    import drjit as dr
-
-    mi, scene = loaded.mi, loaded.scene
+    ray, weight = scene.sensors()[0].sample_ray(0.0, 0.5, film, mi.Point2f(0.5))
     context = mi.BSDFContext()
+    rows, cols = loaded.projector_shape
 
     def alive(active: Any, *_: Any) -> Any:
         return active
@@ -211,7 +310,14 @@ def _follow(
         light, emitted = scene.sample_emitter_direction(hit, sampler.next_2d(active), True, active)
         lit = active & (light.pdf > 0)
         value = throughput * bsdf.eval(context, hit, hit.to_local(light.d), lit) * emitted
-        recorder.record(depth, light.uv, value, lit)
+        # The light came through this pixel of the projector.
+        row = mi.UInt32(dr.clip(light.uv.y * rows, 0, rows - 1))
+        col = mi.UInt32(dr.clip(light.uv.x * cols, 0, cols - 1))
+        slot = depth * paths + path
+        dr.scatter(places, row_start + row * cols + col, slot, lit)
+        of_channels = [value.x, value.y, value.z] if loaded.colour else [dr.mean(value)]
+        for target, channel in zip(values, of_channels, strict=True):
+            dr.scatter(target, channel, slot, lit)
         sample, factor = bsdf.sample(
             context, hit, sampler.next_1d(active), sampler.next_2d(active), active
         )
@@ -222,10 +328,19 @@ def _follow(
         return active, ray, throughput, depth, sampler
 
     dr.while_loop(
-        (mi.Bool(True), ray, throughput, mi.UInt32(0), sampler),
+        (mi.Bool(True), mi.Ray3f(ray.o, ray.d), mi.Color3f(weight), mi.UInt32(0), sampler),
         alive,
         bounce,
         labels=("active", "ray", "throughput", "depth", "sampler"),
+    )
+    dr.eval(places, values)
+    # Contributions of one depth stand together; those of depth 0, the direct light, come first.
+    place = np.asarray(places.numpy())
+    direct = np.arange(len(place)) < paths
+    return Contributions(
+        np.concatenate([place + np.uint32(c * loaded.pixels) for c in range(channels)]),
+        np.concatenate([np.asarray(channel.numpy()) for channel in values]),
+        np.tile(direct, channels),
     )
 
 
@@ -449,11 +564,12 @@ class _Rendering:
         step = max(1, WAVEFRONT // count)
         shape = (count * self.loaded.channels, self.loaded.pixels)
         sums = csr_array(shape, dtype=np.complex64)
+        trace = _trace if self.loaded.fast else _trace_scalar
         for number, start in enumerate(range(0, samples, step)):
             paths = min(step, samples - start)
             key = (self.seed, first, half, number)
             stream = int(np.random.SeedSequence(key).generate_state(1)[0])
-            traced = trace_block(self.loaded, first, count, paths, stream)
+            traced = sum_contributions(trace(self.loaded, first, count, paths, stream), shape)
             sums = traced if start == 0 else csr_array(sums + traced)
             self.paths_done += count * paths
             if self.progress is not None:

@@ -208,10 +208,12 @@ def _gripper() -> Scene:
 
     It lies on its side on a sheet of paper, its lowest surfaces touching it.
     """
+    profile = [(0.17, -0.04), (0.19, -0.025), (0.19, 0.025), (0.17, 0.04)]
+    flange = revolve(profile).placed(rotation=turn("y", 90))
     parts = [
         Part(box(0.50, 0.62, 0.30, 0.025).placed((-0.42, 0.0, 0.0)), _BODY),
         Part(box(0.30, 0.40, 0.06, 0.02).placed((-0.44, 0.0, 0.30)), _ALUMINIUM),
-        Part(_flange().placed((-0.70, 0.0, 0.20)), _STEEL),
+        Part(flange.placed((-0.70, 0.0, 0.20)), _STEEL),
         Part(rod(0.055, 0.60).placed((-1.12, 0.0, 0.20)), _STEEL),
         Part(box(0.18, 0.70, 0.26, 0.02).placed((-0.10, 0.0, 0.0)), _ALUMINIUM),
         Part(ball(0.165).placed((0.62, 0.0, 0.0)), matt(0.8)),
@@ -223,15 +225,13 @@ def _gripper() -> Scene:
             parts.append(Part(_screw().placed((x, 0.25 * side, 0.30)), _BOLT))
         parts.append(Part(_screw().placed((-0.10, 0.28 * side, 0.26)), _BOLT))
     paper = Part(sheet(), matt(0.8))
-    placed = [Part(_in_place(part.mesh), part.material) for part in parts]
+    # Enlarged about the paper's middle and turned, the gripper fills the view.
+    placed = []
+    for part in parts:
+        larger = Mesh(part.mesh.vertices * 1.1, part.mesh.faces)
+        placed.append(Part(larger.placed((-0.10, 0.0, 0.0), turn("z", 14)), part.material))
     description = "a robot gripper with metal fingers holding a ball, lying on white paper"
     return Scene("gripper", description, (paper, *placed), version=2)
-
-
-def _in_place(mesh: Mesh) -> Mesh:
-    """Enlarged about the paper's middle and turned, so that the gripper fills the view."""
-    larger = Mesh(mesh.vertices * 1.1, mesh.faces)
-    return larger.placed((-0.10, 0.0, 0.0), turn("z", 14))
 
 
 def _finger(side: int) -> list[Part]:
@@ -249,11 +249,6 @@ def _finger(side: int) -> list[Part]:
     steel = [Part(piece.placed((0, 0, 0.08)), _ALUMINIUM) for piece in pieces]
     feet = Part(box(0.09, 0.09, 0.08, 0.01).placed((0.20, side * 0.24, 0.0)), _RUBBER)
     return [*steel, Part(pad, _RUBBER), Part(joint, _STEEL), feet]
-
-
-def _flange() -> Mesh:
-    profile = [(0.17, -0.04), (0.19, -0.025), (0.19, 0.025), (0.17, 0.04)]
-    return revolve(profile).placed(rotation=turn("y", 90))
 
 
 def _screw(radius: float = 0.035, height: float = 0.022) -> Mesh:
@@ -334,14 +329,10 @@ def _corner() -> Scene:
 
 def _valley(rim: float = 1.5, half: float = 3.0) -> Mesh:
     """Two walls at right angles that meet in the line x = 0, z = _EDGE."""
-    reach = rim - _EDGE
-    left, right = (
-        [[-reach, y, rim] for y in (-half, half)],
-        [[reach, y, rim] for y in (-half, half)],
-    )
-    middle = [[0.0, y, _EDGE] for y in (-half, half)]
+    lines = [(_EDGE - rim, rim), (0.0, _EDGE), (rim - _EDGE, rim)]
+    points = [[x, y, z] for x, z in lines for y in (-half, half)]
     faces = [[0, 2, 3], [0, 3, 1], [2, 4, 5], [2, 5, 3]]
-    return Mesh(np.array([*left, *middle, *right], float), np.array(faces))
+    return Mesh(np.array(points), np.array(faces))
 
 
 _PAPER = translucent(0.88, 1.1)

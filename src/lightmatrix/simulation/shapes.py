@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.spatial.transform import Rotation
 
 # Meshes of the scenes, lofted through rings of points so that edges can be bevelled.
 
@@ -130,23 +131,13 @@ def revolve(profile: ArrayLike, points: int = 64) -> Mesh:
 
 def turn(axis: str, degrees: float) -> NDArray[np.float64]:
     """Rotation matrix about a coordinate axis."""
-    c, s = np.cos(np.radians(degrees)), np.sin(np.radians(degrees))
-    i, j = {"x": (1, 2), "y": (2, 0), "z": (0, 1)}[axis]
-    matrix = np.eye(3)
-    matrix[[i, i, j, j], [i, j, i, j]] = c, -s, s, c
-    return matrix
+    return np.asarray(Rotation.from_euler(axis, degrees, degrees=True).as_matrix())
 
 
 def from_quaternion(quaternion: ArrayLike) -> NDArray[np.float64]:
     """Rotation matrix of a unit quaternion (w, x, y, z)."""
-    w, x, y, z = np.asarray(quaternion, float) / np.linalg.norm(quaternion)
-    return np.array(
-        [
-            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-        ]
-    )
+    # SciPy has w last.
+    return np.asarray(Rotation.from_quat(np.roll(quaternion, -1)).as_matrix())
 
 
 def sheet(size: float = 4.0) -> Mesh:

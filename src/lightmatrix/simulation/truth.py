@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import pairwise
@@ -71,16 +71,6 @@ def view_geometry(
     )
 
 
-def finer(geometry: RigGeometry, side: int) -> RigGeometry:
-    """The geometry of a camera with `side` x `side` pixels in place of each."""
-    rows, cols = geometry.camera_shape
-    return replace(
-        geometry,
-        camera_matrix=binned_matrix(geometry.camera_matrix, (1 / side, 1 / side)),
-        camera_shape=(rows * side, cols * side),
-    )
-
-
 def trace_surface(scene: Scene, geometry: RigGeometry) -> Surface:
     """Depth and normals of a scene as a camera without distortion sees it."""
     mesh = merge([part.mesh for part in scene.parts])
@@ -110,7 +100,10 @@ def _nearest(mesh: Mesh, geometry: RigGeometry) -> tuple[NDArray[np.float64], ND
     counts = sizes.prod(axis=1)
     depth = np.full(rows * cols, np.inf)
     nearest = np.full(rows * cols, -1, np.int64)
-    for start, stop in _batches(counts):
+    # Triangles in batches of about as many pixels; one triangle may have more.
+    batch = np.cumsum(counts) // _PAIRS
+    cuts = [0, *(np.flatnonzero(np.diff(batch)) + 1).tolist(), len(counts)]
+    for start, stop in pairwise(cuts):
         triangle = np.repeat(np.arange(start, stop), counts[start:stop])
         within = np.arange(len(triangle)) - np.repeat(
             np.cumsum(counts[start:stop]) - counts[start:stop], counts[start:stop]
@@ -128,13 +121,6 @@ def _nearest(mesh: Mesh, geometry: RigGeometry) -> tuple[NDArray[np.float64], ND
         depth[pixel[closer]] = distance[closer]
         nearest[pixel[closer]] = triangle[closer]
     return np.where(nearest >= 0, depth, np.nan), nearest
-
-
-def _batches(counts: NDArray[np.int64]) -> Sequence[tuple[int, int]]:
-    """Ranges of triangles with about `_PAIRS` pixels each; one triangle may have more."""
-    batch = np.cumsum(counts) // _PAIRS
-    cuts = [0, *(np.flatnonzero(np.diff(batch)) + 1), len(counts)]
-    return [(int(a), int(b)) for a, b in pairwise(cuts) if b > a]
 
 
 def _hits(
@@ -231,8 +217,13 @@ class Truth:
         """
         if self._scene is None or self.geometry is None:
             return None
-        fine = trace_surface(self._scene, finer(self.geometry, side)).depth
         rows, cols = self.geometry.camera_shape
+        finer = replace(
+            self.geometry,
+            camera_matrix=binned_matrix(self.geometry.camera_matrix, (1 / side, 1 / side)),
+            camera_shape=(rows * side, cols * side),
+        )
+        fine = trace_surface(self._scene, finer).depth
         blocks = fine.reshape(rows, side, cols, side).swapaxes(1, 2)
         return blocks.reshape(rows, cols, side * side)
 
@@ -259,14 +250,12 @@ class Truth:
         """The truth of a rectangle of the camera's pixels."""
         rows = region.samples(self.camera_shape)
         shape = (*region.shape, *self.camera_shape[2:])
-        direct = self.direct[rows].data
-        geometry = self.geometry and self.geometry.cropped(region.corner, region.shape)
         return replace(
             self,
             matrix=self.matrix[rows],
-            direct_data=direct,
+            direct_data=self.direct[rows].data,
             camera_shape=shape,
-            geometry=geometry,
+            geometry=self.geometry and self.geometry.cropped(region.corner, region.shape),
         )
 
     def transport(self) -> LightTransport:

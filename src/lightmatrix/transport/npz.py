@@ -18,15 +18,7 @@ from scipy.io import savemat
 from scipy.sparse import csr_array
 
 from lightmatrix.errors import InputError, OutputError
-from lightmatrix.files.kinds import (
-    CORRESPONDENCE,
-    CORRESPONDENCE_MARK,
-    MAT,
-    MAT_MARK,
-    TRANSPORT_MARK,
-    TRUTH_MARK,
-    export_kind,
-)
+from lightmatrix.files import kinds
 from lightmatrix.files.numpy_files import NpyHeader, read_npz
 from lightmatrix.files.reading import check_version, parse_json
 from lightmatrix.files.writing import atomic_file, check_output
@@ -92,7 +84,7 @@ def export(
     >>> lm.export("T_of_metal.npz", lm.truth("metal").transport())
     """
     check_type("a light transport matrix", transport, LightTransport, hint=HOW_TO_GIVE)
-    kind = export_kind(path)
+    kind = kinds.export_kind(path)
     check_output(path, kind, overwrite=overwrite)
     matrix, background = _parts(transport, dense_background)
     shapes: dict[str, Any] = {
@@ -101,13 +93,13 @@ def export(
         "background_grid": np.array(transport.background_grid),
     }
     # MATLAB's level-5 files count the bytes of a variable in 32 bits.
-    if kind is MAT and 8 * matrix.nnz >= 2**31:
+    if kind is kinds.MAT and 8 * matrix.nnz >= 2**31:
         raise OutputError(
             f"{path}: {matrix.nnz} entries are too many for a .mat file",
             hint="pass dense_background=False, or export to .npz",
         )
     with atomic_file(path, kind, overwrite=overwrite) as part:
-        if kind is MAT:
+        if kind is kinds.MAT:
             # MATLAB only has sparse matrices of doubles, compressed by columns.
             content: dict[str, Any] = {
                 "T": sparse.csc_array(matrix, dtype=np.float64),
@@ -118,7 +110,7 @@ def export(
             savemat(part, content, appendmat=False, do_compression=True)
             with part.open("r+b") as written:
                 # The file begins with 116 bytes of free text.
-                written.write(MAT_MARK.encode().ljust(116))
+                written.write(kinds.MAT_MARK.encode().ljust(116))
             return
         # Dense entries hardly compress, and gigabytes of them take minutes.
         write = np.savez if dense_background else np.savez_compressed
@@ -217,7 +209,7 @@ def read_sparse_npz(path: str | Path) -> SparseFile:
     """Read a sparse matrix in the form CSR."""
     file = Path(path)
     content = read_npz(file, _check_sizes)
-    for name in (TRANSPORT_MARK, TRUTH_MARK):
+    for name in (kinds.TRANSPORT_MARK, kinds.TRUTH_MARK):
         if name in content:
             _check_version(file, content[name])
     try:
@@ -255,19 +247,18 @@ def _checked(file: Path, content: Mapping[str, NDArray[Any]]) -> SparseFile:
     if lacking:
         raise ValueError(f"{', '.join(lacking)} missing")
     matrix = checked_matrix(content["data"], content["indices"], content["indptr"], (rows, cols))
-    camera, projector = None, None
-    if "camera_shape" in content:
-        camera = checked_shape(content["camera_shape"], (2, 3), "camera_shape")
-    if "projector_shape" in content:
-        projector = _pair(content["projector_shape"], "projector_shape")
+
+    def shape_of(name: str, *lengths: int) -> Any:
+        """A shape that the file states; None if it does not."""
+        return checked_shape(content[name], lengths, name) if name in content else None
+
+    camera, projector = shape_of("camera_shape", 2, 3), shape_of("projector_shape", 2)
+    grid = shape_of("background_grid", 2) or (1, 1)
     for name, shape, length in (("camera", camera, rows), ("projector", projector, cols)):
         if shape is not None and np.prod(shape) != length:
             raise ValueError(
                 f"its {name} has {' x '.join(map(str, shape))} pixels, its matrix has {length}"
             )
-    grid = (1, 1)
-    if "background_grid" in content:
-        grid = _pair(content["background_grid"], "background_grid")
     background = content.get("background")
     if background is not None:
         if background.shape != (rows, grid[0] * grid[1]):
@@ -294,11 +285,6 @@ def _check_version(file: Path, stored: NDArray[Any]) -> None:
     check_version(file, stored.item() if stored.size == 1 else None, VERSION)
 
 
-def _pair(value: NDArray[Any], name: str) -> tuple[int, int]:
-    rows, cols = checked_shape(value, (2,), name)
-    return rows, cols
-
-
 def _text(value: NDArray[Any]) -> str:
     """The text of an array that holds a single value."""
     if value.size != 1:
@@ -312,12 +298,12 @@ def write_correspondence(
 ) -> None:
     """Write a correspondence as an npz file, which `read_correspondence` reads."""
     arrays = {name: getattr(matches, name) for name in _MATCHES}
-    content: dict[str, Any] = {CORRESPONDENCE_MARK: np.array(VERSION)}
+    content: dict[str, Any] = {kinds.CORRESPONDENCE_MARK: np.array(VERSION)}
     content |= {name: array for name, array in arrays.items() if array is not None}
     if matches.projector_shape is not None:
         content["projector_shape"] = np.array(matches.projector_shape)
     with (
-        atomic_file(path, CORRESPONDENCE, overwrite=overwrite) as temporary,
+        atomic_file(path, kinds.CORRESPONDENCE, overwrite=overwrite) as temporary,
         open(temporary, "wb") as stream,
     ):
         # Fractions of pixels hardly compress, and it takes longer than decoding.
@@ -351,7 +337,7 @@ def read_correspondence(path: str | Path) -> Correspondence:
     """
     file = Path(path)
     content = read_npz(file, _check_matches)
-    _check_version(file, content[CORRESPONDENCE_MARK])
+    _check_version(file, content[kinds.CORRESPONDENCE_MARK])
     shape = content.get("projector_shape")
     return Correspondence(
         content["pixel"],
@@ -365,7 +351,7 @@ def read_correspondence(path: str | Path) -> Correspondence:
 
 def _check_matches(headers: Mapping[str, NpyHeader]) -> None:
     """Refuse arrays that no correspondence has, before any of them is read."""
-    if CORRESPONDENCE_MARK not in headers:
+    if kinds.CORRESPONDENCE_MARK not in headers:
         raise ValueError("no correspondence; `lightmatrix decode` writes one")
     if "confidence" not in headers or len(headers["confidence"].shape) != 2:
         raise ValueError("a correspondence without a confidence of each camera pixel")

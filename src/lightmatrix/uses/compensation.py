@@ -151,7 +151,7 @@ def joint_light(transport: Transport | Sequence[Transport]) -> JointLight:
 
 def write_shown(
     output: str | Path, patterns: Sequence[NDArray[np.float32]], *, overwrite: bool = False
-) -> list[Path]:
+) -> None:
     """Write patterns as images: one, three in colour, or several with numbers."""
     path = Path(output)
     if len(patterns) == 3 and len({pattern.shape for pattern in patterns}) == 1:
@@ -165,7 +165,6 @@ def write_shown(
         check_output(place, IMAGE, overwrite=overwrite)
     for place, image in images.items():
         write_image(place, image, overwrite=overwrite)
-    return list(images)
 
 
 def wanted_samples(

@@ -290,10 +290,7 @@ class _DirectSpots:
 
 
 def _find_direct_spots(spots: Spots, shape: tuple[int, int], deviation: float) -> _DirectSpots:
-    """Fit the epipolar geometry to the camera's spots, and reject those that are global light.
-
-    Raises InputError if too few rows have a spot that their neighbours agree on.
-    """
+    """Fit the epipolar geometry to the camera's spots, and reject those that are global light."""
     camera = camera_pixels(shape)
     place, light, total = spots.place, spots.light, spots.total
     lit = (total > _TUNING.dark * float(np.quantile(total, 0.9))) & (light[:, 0] > 0)
@@ -334,11 +331,7 @@ def _find_direct_spots(spots: Spots, shape: tuple[int, int], deviation: float) -
 def _direct_entries(
     matrix: csr_array, found: _DirectSpots, shape: tuple[int, int], width: int, channels: int
 ) -> NDArray[np.float32]:
-    """The direct part of each entry of T, (nnz,), in [0, entry].
-
-    Entries within a footprint are direct, less the global light that the ring around it shows.
-    `channels` rows of T belong to each camera pixel.
-    """
+    """The direct part of each entry of T, (nnz,); `channels` rows belong to each camera pixel."""
     camera = camera_pixels(shape)
     direct = np.zeros(matrix.nnz, np.float32)
     radius = _scaled(_TUNING.footprint, found.deviation)
@@ -363,6 +356,7 @@ def _direct_entries(
         ring = np.bincount(owner, np.where(around & ~inside, light, 0), part.shape[0])
         area = np.pi * (outer**2 - radius**2)
         area_of_row = area * np.maximum(found.direct[pixels].sum(axis=1), 1)
+        # Entries within a footprint are direct, less the global light that the ring shows.
         beneath = _TUNING.ring_factor * ring / area_of_row
         ends = slice(int(matrix.indptr[rows.start]), int(matrix.indptr[rows.stop]))
         direct[ends] = np.where(inside, np.maximum(light - beneath[owner], 0), 0)

@@ -151,12 +151,7 @@ class LayerSource:
         light, matrix = self.matrix, self.matrix.matrix
         samples = np.arange(matrix.shape[0]) % light.channels
         image = np.zeros((matrix.shape[1], light.channels))
-        blocks = light.blocks()
-        while True:
-            with light.lock:
-                start, block = next(blocks, (0, None))
-            if block is None:
-                break
+        for start, block in light.blocks():
             lights = np.eye(light.channels)[samples[start : start + block.count]]
             image += block.coefficients.T @ lights
             image += matrix.pooling.T @ (block.background.T @ lights)

@@ -46,8 +46,18 @@ class Light(ABC):
         """The light of some projector pixels that get brighter, of the camera's shape."""
 
     @abstractmethod
-    def blocks(self) -> Iterator[tuple[int, SparseRows]]:
+    def _blocks(self) -> Iterator[tuple[int, SparseRows]]:
         """All rows in blocks: (first row, rows)."""
+
+    def blocks(self) -> Iterator[tuple[int, SparseRows]]:
+        """All rows in blocks: (first row, rows). Others may read between two blocks."""
+        blocks = self._blocks()
+        while True:
+            with self.lock:
+                block = next(blocks, None)
+            if block is None:
+                return
+            yield block
 
     @abstractmethod
     def rows(self, start: int, stop: int) -> SparseRows:
@@ -121,7 +131,7 @@ class StoredLight(Light):
         with self.lock:
             return self._index.light(pixels, change)
 
-    def blocks(self) -> Iterator[tuple[int, SparseRows]]:
+    def _blocks(self) -> Iterator[tuple[int, SparseRows]]:
         return self.matrix.blocks()
 
     def rows(self, start: int, stop: int) -> SparseRows:
@@ -147,7 +157,7 @@ class MemoryLight(Light):
         light = light + self.matrix.background @ means.astype(np.float32)
         return np.asarray(light, np.float32).reshape(self.matrix.camera_shape)
 
-    def blocks(self) -> Iterator[tuple[int, SparseRows]]:
+    def _blocks(self) -> Iterator[tuple[int, SparseRows]]:
         cuts = row_blocks(self.matrix.sparse.indptr, _BLOCK_ENTRIES)
         for start, stop in zip(cuts[:-1].tolist(), cuts[1:].tolist(), strict=True):
             yield start, self.rows(start, stop)
@@ -194,12 +204,7 @@ class CoarseLight:
         self._matrix = csr_array((count, self._means.shape[0]), dtype=np.float32)
         self._background = np.zeros((count, matrix.pooling.shape[0]), np.float32)
         self._pooling = matrix.pooling
-        blocks = light.blocks()
-        while True:
-            with light.lock:
-                start, block = next(blocks, (0, None))
-            if block is None:
-                break
+        for start, block in light.blocks():
             square = squares[start : start + block.count]
             np.add.at(self._background, square, block.background / sizes[square, None])
             entries = block.coefficients

@@ -243,8 +243,7 @@ class _Painting:
     def finish(self) -> bytes | None:
         """The next parts that the window lacks."""
         if self.blocks is not None:
-            with self._light.lock:
-                start, block = next(self.blocks, (0, None))
+            start, block = next(self.blocks, (0, None))
             if block is None:
                 self.blocks = None
             else:

@@ -17,7 +17,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lightmatrix.errors import DeviceError, InputError
 from lightmatrix.rig.devices.base import Address, AvailableDevice, Camera, Frame, FrameStamps, load
@@ -69,7 +68,10 @@ class VideoCamera(Camera):
                     raise self._timeout(timeout, hint)
             self._check_open()
             picture, number, timestamp = self._frames.popleft()
-        return Frame(self._decoded(picture), number, timestamp, self._clip_level)
+        data = picture.to_ndarray(**({} if self._grey else {"format": "rgb24"}))
+        if not self._grey and self._pixels == "green":
+            data = np.ascontiguousarray(data[..., 1])
+        return Frame(data, number, timestamp, self._clip_level)
 
     def flush(self) -> None:
         """Discard frames that wait."""
@@ -123,12 +125,6 @@ class VideoCamera(Camera):
                 f"the camera is gone ({self._failure})",
                 "check its cable, then run the same command again to go on",
             ) from self._failure
-
-    def _decoded(self, picture: Any) -> NDArray[Any]:
-        if self._grey:
-            return picture.to_ndarray()
-        colours = picture.to_ndarray(format="rgb24")
-        return colours if self._pixels == "all" else np.ascontiguousarray(colours[..., 1])
 
 
 def open_video(address: Address) -> VideoCamera:
