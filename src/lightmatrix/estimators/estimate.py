@@ -25,7 +25,7 @@ from typing import Any
 from lightmatrix.capture.camera_curve import AUTOMATIC, Response
 from lightmatrix.capture.capture import Capture, open_capture
 from lightmatrix.check.curves import FOUND_RESPONSE, with_projector, with_response
-from lightmatrix.check.finding import FINDINGS
+from lightmatrix.check.finding import FINDINGS, OF_THE_RIG, Finding
 from lightmatrix.check.refusals import refuse_unordered, refuse_unusable, warn_of
 from lightmatrix.errors import InputError, warn
 from lightmatrix.estimators.choice import check_and_choose, choose_estimator
@@ -40,6 +40,7 @@ from lightmatrix.files.writing import check_output
 from lightmatrix.patterns.colour import ColourPatterns
 from lightmatrix.patterns.projector_curve import ProjectorResponse
 from lightmatrix.progress_bar import progress_bar
+from lightmatrix.rig_model.model import RigModel
 from lightmatrix.solvers.loop import Progress
 from lightmatrix.transport.matrix import LightTransport
 
@@ -215,7 +216,6 @@ def estimate(
             # A curve that is found is no fault of the capture.
             found_later = ["response"] * camera_unknown + ["projector"] * capture.projector_unknown
             findings = [each for each in check_frames() if each.kind not in found_later]
-            warn_of(findings)
             with _bar("looking for the response", progress is True):
                 found = find_responses(capture, settings)
             warn(f"response: {found}")
@@ -224,7 +224,9 @@ def estimate(
             estimator = choose_estimator(capture, settings, resources)
         else:
             estimator, findings = check_and_choose(check_frames, capture, settings, resources)
-            warn_of(findings)
+        # What the regression may explain is told once it is done.
+        later = [each for each in findings if allowed and each.kind in OF_THE_RIG]
+        warn_of(each for each in findings if each not in later)
         if resources.coherent and isinstance(estimator, PlainEstimator):
             warn(
                 "estimating row by row, which predicts photographs held out better than "
@@ -240,7 +242,7 @@ def estimate(
                 remarks={FINDINGS: [each.as_dict() for each in findings], **remarks},
                 progress=report,
                 pool=pool,
-                review=partial(_without_faults, capture, again, allowed) if allowed else None,
+                review=partial(_without_faults, capture, again, allowed, later),
             )
 
 
@@ -248,13 +250,21 @@ def _without_faults(
     capture: Capture,
     again: Callable[[Capture], LightTransport],
     allowed: Sequence[str],
+    findings: Sequence[Finding],
     first: LightTransport,
 ) -> LightTransport | None:
-    """T without what the rig did, which is told; None if it did nothing wrong."""
-    model, transport = corrected(capture, first, again, allowed)
+    """T without what the rig did, which is told; None if it did nothing wrong.
+
+    What was corrected replaces the `findings` of the same causes.
+    """
+    model, transport = corrected(capture, first, again, allowed) if allowed else (RigModel(), first)
+    if not model.names:
+        warn_of(findings)
+        return None
     for sentence in model.sentences:
         warn(f"rig: {sentence}: corrected")
-    return transport if model.names else None
+    kept = [each for each in first.provenance[FINDINGS] if each["kind"] not in OF_THE_RIG]
+    return replace(transport, provenance={**transport.provenance, FINDINGS: kept})
 
 
 def _bar(title: str, shown: bool) -> AbstractContextManager[Any]:
