@@ -455,7 +455,7 @@ class _SampleReader(Reader):
 
     known: Samples = field(kw_only=True)
 
-    def samples(self, start: int, stop: int) -> Samples:
+    def _uncorrected(self, start: int, stop: int) -> Samples:
         return self.known.rows(slice(start, min(stop, self.rows)))
 
 
@@ -478,4 +478,6 @@ class KnownSamples(Capture):
     @cached_property
     def reader(self) -> Reader:
         """The reader of the samples."""
-        return _SampleReader(self.frames, self.decoder, None, (1, 1), known=self.known)
+        return _SampleReader(
+            self.frames, self.decoder, None, (1, 1), self.correction, known=self.known
+        )

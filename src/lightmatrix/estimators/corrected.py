@@ -69,6 +69,9 @@ def corrected(
     A correction stays as long as photographs held out are predicted better with it.
     """
     model, best, now = RigModel(), first, capture
+    # Estimates row by row hold no photographs out.
+    if prediction_error(first) is None:
+        return model, first
     for _ in range(_MOST_ESTIMATES):
         better = model.refined(now, capture, best, allowed)
         if better is None:
@@ -76,7 +79,7 @@ def corrected(
         now = better.corrected(capture, best)
         transport = estimate(now)
         before, after = prediction_error(best), prediction_error(transport)
-        if before is not None and after is not None and after >= before:
+        if before is None or after is None or after >= before:
             break
         model, best = better, transport
     provenance = {**first.provenance, **({RIG: model.as_dict()} if model.names else {})}

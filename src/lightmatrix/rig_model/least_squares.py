@@ -50,21 +50,30 @@ class Regression:
         }
 
     @cached_property
-    def _parts(self) -> dict[str, tuple[Array, Array]]:
-        """The usable and the swallowed part of each regressor, (P, m, K) and (P, m d, K) by name.
+    def _parts(self) -> dict[str, Array]:
+        """The usable part of each regressor, (P, m, K); projected if all frames share a number."""
+        seen = self.seen
+        return {
+            name: each * seen.usable
+            if self.per_frame[name]
+            else np.stack([seen.projected(one) for one in each])
+            for name, each in self.regressors.items()
+        }
 
-        Those of terms that all frames share are projected, and have no second part.
-        """
-        seen, root = self.seen, np.sqrt(self.weight)[:, None]
-        found = {}
-        for name, each in self.regressors.items():
-            if self.per_frame[name]:
-                usable = each * seen.usable
-                inside = np.einsum("pmk,mkd->pmdk", usable * root, seen.basis)
-                found[name] = usable, inside.reshape(len(each), -1, seen.count)
-            else:
-                found[name] = np.stack([seen.projected(one) for one in each]), np.empty(0)
-        return found
+    def _swallowed(self, one: Array, two: Array) -> Array:
+        """The inner products (K, K) of what the strongest pixels hold of two values (m, K)."""
+        basis, root = self.seen.basis, np.sqrt(self.weight)[:, None]
+        total = np.zeros((self.seen.count, self.seen.count))
+        # Rows are taken some at a time, so that the products with the basis stay in the cache.
+        step = max(1, (1 << 18) // (basis.shape[1] * basis.shape[2]))
+        for start in range(0, len(basis), step):
+            some = slice(start, start + step)
+            first, second = (
+                ((root[some] * each[some])[:, None, :] * basis[some]).reshape(-1, len(total))
+                for each in (one, two)
+            )
+            total += first.T @ second
+        return total
 
     @cached_property
     def _blocks(self) -> dict[tuple[str, str], Array]:
@@ -74,16 +83,17 @@ class Regression:
         """The normal equations between the numbers of two terms, made when they are needed."""
         if (one, two) in self._blocks:
             return self._blocks[one, two]
-        (first, inside), (second, also) = self._parts[one], self._parts[two]
+        first, second = self._parts[one], self._parts[two]
         weight, count = self.weight[:, None], self.seen.count
         if self.per_frame[one] and self.per_frame[two]:
-            blocks = [
-                [
-                    np.diag((weight * f * g).sum(axis=0)) - a.T @ b
-                    for g, b in zip(second, also, strict=True)
-                ]
-                for f, a in zip(first, inside, strict=True)
-            ]
+            blocks = [[np.empty((count, count))] * len(second) for _ in first]
+            for i, f in enumerate(first):
+                for j, g in enumerate(second):
+                    # The blocks of a term with itself lie symmetrically.
+                    if one == two and j < i:
+                        blocks[i][j] = blocks[j][i].T
+                        continue
+                    blocks[i][j] = np.diag((weight * f * g).sum(axis=0)) - self._swallowed(f, g)
             block = np.block(blocks)
             if one == two:
                 # The mean over the frames is T's own: a change that all share explains nothing.
@@ -100,7 +110,7 @@ class Regression:
 
     def _side(self, name: str) -> Array:
         along = "pmk,mk->pk" if self.per_frame[name] else "pmk,mk->p"
-        return np.einsum(along, self._parts[name][0], self.weight[:, None] * self.seen.left).ravel()
+        return np.einsum(along, self._parts[name], self.weight[:, None] * self.seen.left).ravel()
 
     def solve(self, names: Sequence[str]) -> tuple[dict[str, Array], dict[str, Array], float]:
         """Numbers of some terms, (P,) or (P, K), their standard errors, and what they explain."""

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from lightmatrix.capture.capture import Capture
 from lightmatrix.capture.correction import Correction
 from lightmatrix.patterns.pattern_set import ImagePatterns
+from lightmatrix.resources.threads import one_blas_thread
 from lightmatrix.rig_model.choice import choose_terms
 from lightmatrix.rig_model.prediction import MARGIN, Prediction, predicted_light
 from lightmatrix.rig_model.term import Draft
@@ -52,6 +53,8 @@ class RigModel:
 
     values: Mapping[str, Array] = field(default_factory=dict)
     errors: Mapping[str, Array] = field(default_factory=dict)
+    # The largest share by which a term changed the photographs when it was found.
+    largest: float = 0.0
 
     def __repr__(self) -> str:
         return f"RigModel({'; '.join(self.sentences) or 'nothing found'})"
@@ -96,7 +99,10 @@ class RigModel:
         `transport` is T estimated from `capture`. None if nothing else is found.
         """
         terms = [each() for name, each in TERMS.items() if name in allowed]
-        steps, errors = choose_terms(Prediction.of(capture, sent, transport), terms)
+        # Threads of these small products would only wait for each other.
+        with one_blas_thread():
+            seen = Prediction.of(capture, sent, transport)
+            steps, errors, largest = choose_terms(seen, terms, tuple(self.values), self.largest)
         if not steps:
             return None
         values = dict(self.values)
@@ -105,7 +111,7 @@ class RigModel:
             step = term.based(step)
             values[name] = term.based(term.added(values[name], step)) if name in values else step
         ordered = {name: values[name] for name in TERMS if name in values}
-        return RigModel(ordered, {**self.errors, **errors})
+        return RigModel(ordered, {**self.errors, **errors}, largest)
 
     def corrected(self, capture: Capture, transport: LightTransport) -> Capture:
         """The capture without what the rig did, by a T that tells how images move."""

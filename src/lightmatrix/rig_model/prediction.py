@@ -45,7 +45,7 @@ class Prediction:
     chosen: NDArray[np.int64]
     samples: Samples
     around: Array
-    # An orthonormal basis of the columns of each row's strongest pixels and of a constant.
+    # An orthonormal basis of the columns of each row's strongest pixels and a constant, (m, d, K).
     basis: Array
     usable: NDArray[np.bool_]
     free: NDArray[np.int64]
@@ -78,7 +78,7 @@ class Prediction:
         # Weaker directions are rounding errors of columns that depend on each other.
         strong = strength > 1e-6 * np.maximum(strength[:, :1], 1e-12)
         free = counted.sum(axis=1) - strong.sum(axis=1)
-        basis = basis * strong[:, None, :]
+        basis = np.ascontiguousarray((basis * strong[:, None, :]).transpose(0, 2, 1))
         return cls(capture, sent, transport, places, chosen, samples, around, basis, counted, free)
 
     @property
@@ -112,8 +112,8 @@ class Prediction:
     def projected(self, values: Array) -> Array:
         """What the strongest pixels and a constant cannot explain of values (m, K)."""
         masked = values * self.usable
-        inside = np.einsum("mkd,mk->md", self.basis, masked)
-        return np.asarray((masked - np.einsum("mkd,md->mk", self.basis, inside)) * self.usable)
+        inside = np.einsum("mdk,mk->md", self.basis, masked)
+        return np.asarray((masked - np.einsum("mdk,md->mk", self.basis, inside)) * self.usable)
 
 
 def predicted_light(

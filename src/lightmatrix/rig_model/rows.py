@@ -5,16 +5,16 @@ from __future__ import annotations
 import numpy as np
 
 from lightmatrix.rig_model.prediction import Prediction
-from lightmatrix.rig_model.term import Array, Draft, Term, deviation
+from lightmatrix.rig_model.term import Array, Draft, Term
 
 
 def _waves(height: Array) -> Array:
-    """Half a period to three over the picture's height, of places from 0 to 1."""
-    return np.stack([np.sqrt(2) * np.cos(np.pi * number * height) for number in range(1, 7)])
+    """A constant, and half a period to three over the picture's height, of places from 0 to 1."""
+    return np.stack([np.cos(np.pi * number * height) for number in range(7)])
 
 
 class Rows(Term):
-    """The light of frame k varies over the camera's rows, as a sum of six cosines."""
+    """The light of frame k varies over the camera's rows, as a sum of cosines."""
 
     name = "rows"
     per_frame = True
@@ -30,5 +30,6 @@ class Rows(Term):
         draft.profile = 1 + np.tensordot(_waves((np.arange(rows) + 0.5) / rows), values, (0, 0))
 
     def sentence(self, values: Array) -> str:
-        amplitude = 100 * np.sqrt(2) * deviation(values)
+        waves = _waves((np.arange(100) + 0.5) / 100)
+        amplitude = 100 * np.sqrt(2) * np.std(np.tensordot(waves, values, (0, 0)))
         return f"the light varied by {amplitude:.1f} % along the camera's rows (rolling shutter?)"
