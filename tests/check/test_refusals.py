@@ -71,6 +71,19 @@ def test_dark_frames_are_refused(black: int) -> None:
     refuse_unusable(capture(frames=1e4 * floats, clip=1, full_scale=1))  # type: ignore[arg-type]
 
 
+def test_a_pixel_that_clips_without_light_decides_nothing() -> None:
+    dark, lit = (FRAMES % 3).astype(np.uint8), FRAMES.copy()
+    dark[:, 2, 3] = lit[:, 2, 3] = 255
+    black = np.zeros(64)
+    black[19] = 255
+    refuse_unusable(capture(frames=lit, black_frame=black))
+    with pytest.raises(lm.InputError, match="all images are dark"):
+        refuse_unusable(capture(frames=dark, black_frame=black))
+    # At eight times its exposure, what the black frame has at the same place is beyond the clip.
+    black, exposure = np.full(64, 40.0), np.array([8.0, 1, 1, 1, 1, 1])
+    refuse_unusable(capture(frames=lit, exposure=exposure, black_frame=black, black_exposure=1.0))
+
+
 def test_clipped_and_masked_frames_are_refused() -> None:
     clipped = np.full((K, 8, 8), 255, np.uint8)
     clipped[:3, 0, 0] = 3

@@ -267,7 +267,7 @@ def test_the_fast_solver_takes_a_mix_as_bits() -> None:
         (lambda: parse_mix("fine,8x8", (9, 9)), "for example"),
         (
             lambda: remake_patterns({"kind": "mix", "shape": [4, 4], "count": 2, "mix": [3]}),
-            "cannot be read",
+            "a mix of .3.",
         ),
         (lambda: GrayCodePatterns((1, 1)), "one above 1"),
         (lambda: PhasePatterns((8, 8), 2.5), "at least 3"),

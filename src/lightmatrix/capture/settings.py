@@ -22,7 +22,7 @@ from lightmatrix.capture.camera_curve import (
 from lightmatrix.errors import InputError
 from lightmatrix.files.reading import errors_naming, read_json, within
 from lightmatrix.patterns.projector_curve import ProjectorResponse
-from lightmatrix.ranges import check_number
+from lightmatrix.ranges import as_float, check_number, real_numbers
 from lightmatrix.reprs import short_repr
 
 
@@ -100,13 +100,13 @@ class ReadSettings:
                     f"black levels of {self.black:g} and {self.black_level}",
                     hint="give the black level once",
                 )
-            object.__setattr__(self, "black_level", float(self.black))
+            object.__setattr__(self, "black_level", as_float(self.black))
             object.__setattr__(self, "black", None)
         for name in ("black_level", "clip", "exposure"):
             value = getattr(self, name)
             automatic = name == "clip" and isinstance(value, str) and value == AUTOMATIC
             if value is not None and not automatic:
-                levels = np.asarray(value, np.float64)
+                levels = real_numbers(name.replace("_", " "), value)
                 object.__setattr__(self, name, levels if levels.ndim else float(levels))
         clip = None if isinstance(self.clip, str) else self.clip
         check_levels(clip, self.black_level, self.full_scale)

@@ -86,7 +86,9 @@ def _refuse_useless_light(
     brightest, clipped, total = 0.0, 0, 0
     for _, tile in tiles:
         level = np.broadcast_to(tile.clip_level, tile.values.shape)
-        brightest = max(brightest, float((tile.values / level).max(initial=0)))
+        # The level of a pixel that clips without light is 0. It is masked, and has no light.
+        shares = np.divide(tile.values, level, out=np.zeros_like(tile.values), where=level > 0)
+        brightest = max(brightest, float(shares.max(initial=0)))
         clipped += int(tile.clipped.sum())
         total = valid * tile.values.shape[1]
     span = np.min(np.asarray(decoder.clip) - np.asarray(decoder.black_level))

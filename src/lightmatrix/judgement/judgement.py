@@ -21,7 +21,9 @@ from numpy.typing import NDArray
 from scipy.ndimage import rank_filter
 
 from lightmatrix.judgement.metrics import row_energies, unclipped_rows
+from lightmatrix.ranges import check_type
 from lightmatrix.transport.matrix import LightTransport, prediction_error
+from lightmatrix.transport.operator import HOW_TO_GIVE, TransportOperator
 
 Level = Literal["good", "fair", "doubtful", "not tested"]
 
@@ -229,6 +231,7 @@ def verdicts(transport: LightTransport) -> Verdicts:
     >>> lm.verdicts(lm.estimate(capture)).relighting.level
     'good'
     """
+    check_type("a light transport matrix", transport, TransportOperator, hint=HOW_TO_GIVE)
     kinds = stored_findings(transport)
     return Verdicts(
         correspondence_verdict(transport, kinds),

@@ -110,7 +110,12 @@ class MixedPatterns(BinaryPatterns):
     kind: ClassVar[str] = "mix"
 
     def __post_init__(self) -> None:
-        mix = tuple(((int(grid[0]), int(grid[1])), float(share)) for grid, share in self.mix)
+        try:
+            mix = tuple(((int(grid[0]), int(grid[1])), float(share)) for grid, share in self.mix)
+        except (TypeError, ValueError, LookupError) as error:
+            raise InputError(
+                f"a mix of {self.mix!r:.100}", hint="give ((rows, cols), share) for each grid"
+            ) from error
         object.__setattr__(self, "mix", mix)
         check_random(self.shape, self.count, self.density, self.seed)
         shares = [share for _, share in mix]

@@ -25,7 +25,7 @@ from scipy.ndimage import convolve
 
 from lightmatrix import _core
 from lightmatrix.errors import InputError
-from lightmatrix.ranges import real_array
+from lightmatrix.ranges import check_sides, check_whole, real_array
 from lightmatrix.reprs import jsonable, short_repr
 from lightmatrix.resources.threads import computed_once, work_ahead
 
@@ -380,17 +380,9 @@ def to_grey(patterns: NDArray[Any]) -> NDArray[np.uint8]:
 
 def check_geometry(shape: tuple[int, int], count: int) -> None:
     """Refuse projectors without pixels and sets without patterns."""
-    if len(shape) != 2 or min(shape) < 1:
-        raise InputError(f"a projector of shape {shape}", hint="give (rows, cols), both at least 1")
-    # The most pixels of a projector: sparse matrices number them in 32 bits.
-    if shape[0] * shape[1] >= 2**31:
-        raise InputError(
-            f"a projector of {shape[0]} x {shape[1]} pixels", hint="2147483647 in all is the most"
-        )
-    if count < 1:
-        raise InputError(f"{count} patterns", hint="ask for at least 1")
-    if count > _MOST_PATTERNS:
-        raise InputError(f"{count} patterns", hint=f"ask for at most {_MOST_PATTERNS}")
+    check_sides("a projector", shape)
+    hint = f"ask for at least 1, and at most {_MOST_PATTERNS}"
+    check_whole("patterns", count, most=_MOST_PATTERNS, hint=hint)
 
 
 @dataclass(frozen=True, eq=False)
