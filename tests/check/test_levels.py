@@ -86,7 +86,8 @@ def test_a_clip_level_below_the_stated_one_is_named_and_taken(
         read = lm.Capture.from_folders(
             BernoulliPatterns((4, 4), K), tmp_path / "images.npy", lm.ReadSettings(clip="auto")
         )
-    assert (read.decoder.clip, read.decoder.clip_assumed) == (pytest.approx(clip), False)
+    assert read.decoder.clip == pytest.approx(clip)
+    assert not read.decoder.clip_assumed
 
 
 def test_other_checks_judge_by_the_level_at_which_photographs_clip() -> None:
