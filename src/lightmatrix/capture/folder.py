@@ -25,6 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lightmatrix.capture.camera_curve import AUTOMATIC, Response, range_end
+from lightmatrix.capture.clip_level import pile_of_frames
 from lightmatrix.capture.decoder import Decoder
 from lightmatrix.capture.frames import CaptureParts, Frames, level_blocks
 from lightmatrix.capture.packed import FORMAT as PACKED_FORMAT
@@ -317,7 +318,13 @@ def make_decoder(stack: ImageStack, settings: ReadSettings) -> Decoder:
             f"a full scale of {full_scale:g} for images of {stack.dtype}",
             hint=f"use a raw level of at most {top:g}",
         )
-    clip = full_scale if settings.clip is None else settings.clip
+    clip, assumed = settings.clip, settings.clip is None and measured is None
+    if isinstance(clip, str):
+        pile = pile_of_frames(stack)
+        if pile is not None:
+            warn(f"clip: {pile}, where the camera seems to clip")
+        clip, assumed = None if pile is None else float(pile.shown), pile is None
+    clip = full_scale if clip is None else clip
     return Decoder(
         clip,
         full_scale,
@@ -327,7 +334,7 @@ def make_decoder(stack: ImageStack, settings: ReadSettings) -> Decoder:
         _read_black(stack, settings, clip),
         settings.black_exposure,
         # A measured response ends at the clip level of its camera.
-        settings.clip is None and measured is None,
+        assumed,
     )
 
 
@@ -381,9 +388,11 @@ def check_depth(frames: Frames, decoder: Decoder) -> None:
         # Noise and interpolated colours reach somewhat above 1. Raw levels, such as 0 to 255, that
         # were saved as float reach far above 2, and nearly all of them would clip at 1.
         if highest > 2:
+            pile = pile_of_frames(frames)
+            white = "255" if pile is None else f"{pile.shown}: {pile}"
             raise InputError(
                 f"the images are float with levels up to {highest:g}, but float images clip at 1",
-                hint='give their level of white, such as clip=255, or "clip" in capture.json',
+                hint=f'give their level of white, such as clip={white}, or "clip" in capture.json',
             )
     if frames.dtype != np.uint16:
         return
@@ -392,9 +401,12 @@ def check_depth(frames: Frames, decoder: Decoder) -> None:
         top = max(top, int(block.max()))
         if (likely := likely_white(frames.dtype, top)) is None:
             return
+    pile = pile_of_frames(frames)
+    which = f"that clips at {likely}?" if pile is None else f"that clips? {pile}"
+    hint = f"give clip={likely if pile is None else pile.shown}"
     raise InputError(
-        f"the images have 16 bits, but no level above {top}: a camera that clips at {likely}?",
-        hint=f'give clip={likely}, or "clip" in capture.json; clip=65535 if they are just dark',
+        f"the images have 16 bits, but no level above {top}: a camera {which}",
+        hint=f'{hint}, or "clip" in capture.json; clip=65535 if they are just dark',
     )
 
 

@@ -37,7 +37,7 @@ GOOD, FAIR = 0.05, 0.2
 SINGLY_CLIPPED = 0.02
 # Kinds of findings of `check` that spoil T where neither estimated errors nor unseen photographs
 # show it; and those after which photographs held out, which are wrong alike, test nothing.
-_SPOILING = ("order", "unrelated", "response", "projector", "motion", "patterns")
+_SPOILING = ("clip", "order", "unrelated", "response", "projector", "motion", "patterns")
 _WRONG_ALIKE = ("order", "unrelated", "motion")
 _UNTESTED = "It was not tested on unseen photographs, as a report does."
 
