@@ -14,9 +14,9 @@ Cases are captures of 64 x 64 pixels at the planned exposure, 8 bits, read noise
 
 Each is estimated as it is, and with what `correct="auto"` takes out. Each result is a line of
 OUT/cases.jsonl, and a later run goes on after the last; `--again` keeps only those of captures as
-they are. Then come tables, and OUT/summary.json with the aims and whether they are reached. Errors
-are those of T up to a factor, because the exposure of T is that of frame 0 where the frames' light
-differs; seconds are those of all cores together.
+they are. Then come tables, and OUT/summary.json with the aims and whether they are reached. Where
+the light of the frames differs, errors of T are up to a factor, because T has the exposure of one
+of them; seconds are those of all cores together.
 """
 
 from __future__ import annotations
@@ -44,6 +44,7 @@ from lightmatrix.capture.capture import Capture
 from lightmatrix.capture.exposures import exposure_sequence, parse_exposures
 from lightmatrix.capture.sensor import Sensor
 from lightmatrix.judgement.judgement import verdict
+from lightmatrix.judgement.metrics import relative_error
 from lightmatrix.patterns.pattern_set import block_mean
 from lightmatrix.simulation import library
 from lightmatrix.simulation.realism import defocus, vignetting
@@ -281,12 +282,15 @@ def capture_of(case: Case) -> Capture:
     return Capture.from_arrays(patterns, np.ascontiguousarray(raw.T).reshape(-1, *SHAPE), sensor)
 
 
-def error_of(estimate: LightTransport, truth: Truth) -> float:
-    """The error of T relative to its norm, up to a factor."""
-    dense = estimate.dense_rows(np.arange(estimate.sparse.shape[0])).astype(np.float64)
-    known = truth.matrix.toarray().astype(np.float64)
-    along = float((dense * known).sum()) / max(float((dense**2).sum()), 1e-300)
-    return float(np.linalg.norm(along * dense - known) / np.linalg.norm(known))
+def error_of(case: Case, estimate: LightTransport, truth: Truth) -> float:
+    """The relative error of T; up to a factor where the frames' light differs."""
+    known = truth.transport()
+    if all(name != "gain" for name, _ in case.faults):
+        return relative_error(estimate, known)
+    every = np.arange(estimate.sparse.shape[0])
+    dense, wanted = estimate.dense_rows(every), known.dense_rows(every)
+    along = float((dense * wanted).sum() / max(float((dense**2).sum()), 1e-30))
+    return float(np.linalg.norm(along * dense - wanted) / np.linalg.norm(wanted))
 
 
 def ways_of(case: Case) -> dict[str, dict[str, Any]]:
@@ -313,7 +317,7 @@ def measure(case: Case, way: str) -> Row:
     seconds = time.process_time() - started
     judged = verdict(estimate)
     return {
-        "error": error_of(estimate, truth),
+        "error": error_of(case, estimate, truth),
         "verdict": judged.level,
         "sentence": judged.sentence,
         "findings": sorted({each["kind"] for each in estimate.provenance["findings"]}),

@@ -49,6 +49,17 @@ public name. Each is loaded when it is first used.
 
 from __future__ import annotations
 
+import difflib
+from typing import Any
+
 import lazy_loader
 
-__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
+_loaded, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
+
+
+def __getattr__(name: str) -> Any:
+    if name in __all__:
+        return _loaded(name)
+    alike = difflib.get_close_matches(name, __all__, 1)
+    meant = f"; did you mean {alike[0]!r}?" if alike else ""
+    raise AttributeError(f"module 'lightmatrix' has no attribute {name!r}{meant}")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import operator
 from typing import Any
 
 import numpy as np
@@ -27,12 +28,56 @@ def check_number(
 
     With `above`, the number must not equal `least`. `what` names it in the message, as in "a blur".
     """
-    try:
-        number = float(value)
-    except (TypeError, ValueError):
-        number = math.nan
+    number = as_float(value)
     if not (math.isfinite(number) and least <= number <= most) or (above and number == least):
-        raise InputError(f"{what} of {value}", hint=hint)
+        # An integer that no float can hold has hundreds of digits.
+        raise InputError(f"{what} of {number if math.isinf(number) else value}", hint=hint)
+
+
+def as_float(value: Any) -> float:
+    """A number as float: infinite if it is too large, and NaN if the value is no number."""
+    try:
+        return float(value)
+    except OverflowError:
+        return math.inf if value > 0 else -math.inf
+    except (TypeError, ValueError):
+        return math.nan
+
+
+def whole(value: Any) -> int | None:
+    """A whole number as int; None for anything else, such as 2.0, a text or an array."""
+    try:
+        return operator.index(value)
+    except TypeError:
+        return None
+
+
+def check_sides(what: str, shape: Any) -> None:
+    """Refuse all but (rows, cols) of 1 to 2^31 - 1 pixels; `what` names it in the message.
+
+    Sparse matrices number pixels in 32 bits.
+    """
+    try:
+        sides = [whole(side) or 0 for side in shape]
+    except TypeError:
+        sides = []
+    if len(sides) != 2 or min(sides) < 1:
+        raise InputError(
+            f"{what} of shape {shape!s:.100}", hint="give (rows, cols), both at least 1"
+        )
+    if sides[0] * sides[1] >= 2**31:
+        raise InputError(
+            f"{what} of {shape[0]!s:.20} x {shape[1]!s:.20} pixels",
+            hint="2147483647 in all is the most",
+        )
+
+
+def check_whole(what: str, value: Any, *, least: int = 1, most: int = 2**63 - 1, hint: str) -> None:
+    """Refuse all but whole numbers from least to most; `what` names the number in the message."""
+    number = whole(value)
+    if number is None or not least <= number <= most:
+        shown = as_float(value) if number is not None and number > 2**63 else value
+        raise InputError(f"{shown} {what}", hint=hint)
 
 
 def check_type(what: str, value: Any, *kinds: type, hint: str | None = None) -> None:
@@ -46,24 +91,27 @@ def check_type(what: str, value: Any, *kinds: type, hint: str | None = None) -> 
 
 def check_seed(seed: int) -> None:
     """Refuse seeds that are not whole numbers of 64 bits."""
-    if not hasattr(seed, "__index__") or not 0 <= int(seed) <= LARGEST_SEED:
+    number = whole(seed)
+    if number is None or not 0 <= number <= LARGEST_SEED:
         # A text such as "0" keeps its quotes, so that it does not look like a number.
-        text = seed if hasattr(seed, "__index__") else repr(seed)
+        text = repr(seed) if number is None else as_float(seed)
         raise InputError(f"a seed of {text}", hint=f"use a whole number from 0 to {LARGEST_SEED}")
 
 
 def check_positive(**values: float | None) -> None:
     """Refuse parameters that are not positive and finite; None means automatic."""
     for name, value in values.items():
-        if value is not None and not (math.isfinite(value) and value > 0):
+        number = 1.0 if value is None else as_float(value)
+        if not 0 < number < math.inf:
             raise InputError(f"{name} is {value}", hint="use a positive number")
 
 
 def check_at_least_one(**values: int | None) -> None:
     """Refuse counts below 1; None means automatic."""
     for name, value in values.items():
-        if value is not None and value < 1:
-            raise InputError(f"{name} is {value}", hint="use at least 1")
+        number = 1 if value is None else whole(value)
+        if number is None or not 1 <= number < 2**63:
+            raise InputError(f"{name} is {value}", hint="use a whole number, at least 1")
 
 
 def check_unmasked(what: str, values: Any) -> None:
@@ -85,6 +133,16 @@ def real_array(what: str, values: Any) -> NDArray[Any]:
     if array.dtype.kind not in "buif":
         raise InputError(f"{what} of type {array.dtype}", hint="give an array of real numbers")
     return array
+
+
+def real_numbers(what: str, values: Any) -> NDArray[np.float64]:
+    """Numbers as float64; those that are too large for it are infinite. `what` names them."""
+    if isinstance(values, int):
+        return np.asarray(as_float(values))
+    array = real_array(what, values)
+    if not array.size:
+        raise InputError(f"no {what}", hint="give one number at least")
+    return np.asarray(array, np.float64)
 
 
 def check_finite(what: str, values: Any) -> None:

@@ -166,7 +166,7 @@ def test_what_is_accepted_can_be_saved_and_opened(tmp_path: Path) -> None:
 )
 def test_values_outside_0_to_1_are_refused(pattern: NDArray[Any]) -> None:
     matrix = LightTransport.from_matrix(csr_array(np.ones((4, 42))), (2, 2), (6, 7))
-    with pytest.raises(InputError, match=r"the pattern has (values|complex)"):
+    with pytest.raises(InputError, match=r"the pattern has values|a pattern of type complex"):
         matrix.relight(pattern)
     lit = np.ones((6, 7))
     for kind in (np.uint8, np.bool_, np.int64, np.float64):

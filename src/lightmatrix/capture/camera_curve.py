@@ -16,6 +16,7 @@ from lightmatrix.errors import InputError
 from lightmatrix.files.curve_file import CurveFile
 from lightmatrix.files.numpy_files import read_npy
 from lightmatrix.files.reading import read_text
+from lightmatrix.ranges import as_float, check_type, real_numbers
 from lightmatrix.reprs import short_repr
 
 # Raw levels of a camera: their range, their checks, and values that differ from frame to frame.
@@ -50,18 +51,18 @@ def check_levels(
 
     A level that is None is not known yet, and bounds nothing.
     """
-    top = MOST_LEVEL if full_scale is None else full_scale
+    top = MOST_LEVEL if full_scale is None else as_float(full_scale)
     if not 0 < top <= MOST_LEVEL:
         raise InputError(
             f"a full scale of {top:g}",
             hint=f"use the highest raw level, such as 255; at most {MOST_LEVEL:g}",
         )
-    clips = np.asarray(np.inf if clip is None else clip, np.float64)
+    clips = real_numbers("clip levels", np.inf if clip is None else clip)
     if clip is not None and not ((clips > 0) & (clips <= top)).all():
         raise InputError(
             f"a clip level of {clips.min():g}", hint=f"use a raw level above 0 and at most {top:g}"
         )
-    blacks = np.asarray(0.0 if black_level is None else black_level, np.float64)
+    blacks = real_numbers("black levels", 0.0 if black_level is None else black_level)
     if blacks.ndim and clips.ndim and blacks.shape != clips.shape:
         raise InputError(
             f"{blacks.size} black levels, but {clips.size} clip levels",
@@ -77,7 +78,7 @@ def check_levels(
 
 def check_exposures(exposure: float | NDArray[Any]) -> None:
     """Refuse exposures that are not positive, finite numbers, one or one for each frame."""
-    values = np.asarray(exposure, np.float64)
+    values = real_numbers("exposures", exposure)
     # Samples are divided by it, and must stay within single precision (3e38).
     if values.ndim > 1 or not ((values >= 1e-30) & (values < np.inf)).all():
         raise InputError(f"an exposure of {values.min():g}", hint="use positive numbers, such as 1")
@@ -136,6 +137,7 @@ class Response:
             On an unknown name, a gamma out of [0.1, 10], or a curve that does not increase or whose
             numbers are negative or too large.
         """
+        check_type("a response", text, str, hint=f"give one of {RESPONSES}")
         kind, _, argument = text.partition(":")
         if text == "linear":
             return cls()

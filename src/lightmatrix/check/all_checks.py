@@ -19,7 +19,12 @@ from lightmatrix.capture.settings import ReadSettings
 from lightmatrix.check.finding import Finding
 from lightmatrix.check.frame_order import check_counts, check_order
 from lightmatrix.check.inverse_pairs import Pairs, check_pairs, pair_gains
-from lightmatrix.check.levels import check_jpeg, check_light_level, check_plain_frames
+from lightmatrix.check.levels import (
+    check_clip_level,
+    check_jpeg,
+    check_light_level,
+    check_plain_frames,
+)
 from lightmatrix.check.linearity import check_grey_levels, check_linearity, show_pictures
 from lightmatrix.check.motion import check_motion
 from lightmatrix.check.prediction import predict
@@ -162,16 +167,21 @@ def check_capture(capture: Capture) -> list[Finding]:
 
 
 def _check(capture: Capture) -> list[Finding]:
-    whole = capture.whole
-    survey = _survey(whole)
-    names = [capture.frames.name(k) for k in range(capture.count)]
+    survey = _survey(capture.whole)
     findings = check_interchanged(survey)
     if findings:
         return findings
+    # What follows judges by the level at which the photographs do clip.
+    of_clip, survey = check_clip_level(survey)
+    return of_clip + _check_surveyed(survey, capture)
+
+
+def _check_surveyed(survey: Survey, capture: Capture) -> list[Finding]:
+    names = [capture.frames.name(k) for k in range(capture.count)]
     rows = high_variance_rows(survey)
 
     def of_light() -> list[Finding]:
-        seen = survey if whole is capture else _survey(capture)
+        seen = survey if capture.whole is capture else _survey(capture)
         found = check_distinguishable(survey.patterns) + check_light_level(seen)
         return found + check_jpeg(survey, names)
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterable
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lightmatrix.capture.capture import Capture
 from lightmatrix.capture.decoder import Decoder
@@ -15,10 +14,6 @@ from lightmatrix.check.all_checks import check_capture
 from lightmatrix.check.finding import Finding
 from lightmatrix.errors import InputError, warn
 from lightmatrix.patterns.pattern_set import PatternSet
-
-# The brightest levels of cameras of 10, 12 and 14 bits whose levels are stored in 16 bits, aligned
-# to the lowest bit and to the highest one.
-_TOPS_IN_16_BITS = (1023, 4095, 16383, 65472, 65520, 65532)
 
 
 def refuse_unusable(capture: Capture) -> None:
@@ -30,8 +25,6 @@ def refuse_unusable(capture: Capture) -> None:
     _refuse_useless_patterns(capture.patterns)
     check_depth(capture.frames, capture.decoder)
     _refuse_useless_light(capture.tiles(), int(capture.valid.sum()), capture.decoder)
-    if capture.frames.dtype == np.uint16 and capture.bin_camera == (1, 1):
-        _warn_of_hidden_clipping(capture.reader.level_blocks(), capture.decoder)
 
 
 def refuse_unordered(capture: Capture) -> list[Finding]:
@@ -93,7 +86,9 @@ def _refuse_useless_light(
     brightest, clipped, total = 0.0, 0, 0
     for _, tile in tiles:
         level = np.broadcast_to(tile.clip_level, tile.values.shape)
-        brightest = max(brightest, float((tile.values / level).max(initial=0)))
+        # The level of a pixel that clips without light is 0. It is masked, and has no light.
+        shares = np.divide(tile.values, level, out=np.zeros_like(tile.values), where=level > 0)
+        brightest = max(brightest, float(shares.max(initial=0)))
         clipped += int(tile.clipped.sum())
         total = valid * tile.values.shape[1]
     span = np.min(np.asarray(decoder.clip) - np.asarray(decoder.black_level))
@@ -107,22 +102,4 @@ def _refuse_useless_light(
         raise InputError(
             f"{100 * clipped / total:.1f} % of the samples are clipped",
             hint="expose so that most samples stay below the clip level; 1 to 20 % may clip",
-        )
-
-
-def _warn_of_hidden_clipping(blocks: Iterable[NDArray[np.integer]], decoder: Decoder) -> None:
-    """Warn if 16-bit levels, block by block, end below the clip level where many cameras end."""
-    top, many = 0, 0
-    for block in blocks:
-        highest = int(block.max(initial=0))
-        if highest > top:
-            top, many = highest, 0
-        # Counting takes time, and few blocks reach the last level of a camera.
-        if highest == top and top in _TOPS_IN_16_BITS:
-            many += int((block == top).sum())
-    clip = float(np.min(decoder.clip))
-    if top < clip and many > 3:
-        warn(
-            f"{many} samples are exactly {top}, the brightest level, at which many cameras clip, "
-            f"but the clip level is {clip:g}: should it be {top}?",
         )

@@ -9,7 +9,7 @@ from pathlib import Path
 from lightmatrix.capture.capture import Capture
 from lightmatrix.defaults import COHERENT_UP_TO
 from lightmatrix.errors import InputError
-from lightmatrix.ranges import check_at_least_one, check_number
+from lightmatrix.ranges import check_at_least_one, check_number, check_whole
 from lightmatrix.resources.memory import memory_bytes
 from lightmatrix.solvers import ADMM, ROMP, ActiveSet, Fidelity, SaturationADMM, Solver
 
@@ -68,9 +68,9 @@ class EstimateSettings:
             raise InputError(
                 f"there is no fidelity {self.fidelity!r}", hint=f"use one of {', '.join(Fidelity)}"
             )
-        limit = self.iterations
-        if limit is not None and not 1 <= limit <= MOST_ITERATIONS:
-            raise InputError(f"{limit} iterations", hint=f"use 1 to {MOST_ITERATIONS}")
+        if self.iterations is not None:
+            hint = f"use 1 to {MOST_ITERATIONS}"
+            check_whole("iterations", self.iterations, most=MOST_ITERATIONS, hint=hint)
         self._check_tiles()
         if self.workers is not None and self.cluster is not None:
             raise InputError("workers here and a cluster", hint="leave out one of the two")
@@ -121,8 +121,7 @@ class EstimateSettings:
             )
 
     def _check_tiles(self) -> None:
-        if self.tile_rows is not None and self.tile_rows < 1:
-            raise InputError(f"tiles of {self.tile_rows} rows", hint="use at least 1")
+        check_at_least_one(tile_rows=self.tile_rows)
         limits = {"tile rows": self.tile_rows, "a memory limit": self.memory}
         names = [name for name, value in limits.items() if value is not None]
         if len(names) > 1:
@@ -138,7 +137,7 @@ class EstimateSettings:
 
     def _check_regularization(self) -> None:
         value = self.regularization
-        if value == "path" and self.coherent:
+        if isinstance(value, str) and value == "path" and self.coherent:
             raise InputError(
                 "the regularization path is for rows by themselves, not for the coherent estimate",
                 hint="leave out one of the two",

@@ -122,6 +122,11 @@ def as_image_error(name: str) -> Iterator[None]:
         ) from error
 
 
+def given_image(what: str, image: Any, read: Callable[[str | Path], NDArray[Any]]) -> NDArray[Any]:
+    """An image read from its file, or an array of real numbers; `what` names it in messages."""
+    return read(image) if isinstance(image, str | Path) else real_array(what, image)
+
+
 def read_grey(path: str | Path) -> NDArray[np.float32]:
     """Read one pattern: grey values (rows, cols) float32 in [0, 1], of integers the full range.
 

@@ -21,7 +21,9 @@ from numpy.typing import NDArray
 from scipy.ndimage import rank_filter
 
 from lightmatrix.judgement.metrics import row_energies, unclipped_rows
+from lightmatrix.ranges import check_type
 from lightmatrix.transport.matrix import LightTransport, prediction_error
+from lightmatrix.transport.operator import HOW_TO_GIVE, TransportOperator
 
 Level = Literal["good", "fair", "doubtful", "not tested"]
 
@@ -35,7 +37,7 @@ GOOD, FAIR = 0.05, 0.2
 SINGLY_CLIPPED = 0.02
 # Kinds of findings of `check` that spoil T where neither estimated errors nor unseen photographs
 # show it; and those after which photographs held out, which are wrong alike, test nothing.
-_SPOILING = ("order", "unrelated", "response", "projector", "motion", "patterns")
+_SPOILING = ("clip", "order", "unrelated", "response", "projector", "motion", "patterns")
 _WRONG_ALIKE = ("order", "unrelated", "motion")
 _UNTESTED = "It was not tested on unseen photographs, as a report does."
 
@@ -229,6 +231,7 @@ def verdicts(transport: LightTransport) -> Verdicts:
     >>> lm.verdicts(lm.estimate(capture)).relighting.level
     'good'
     """
+    check_type("a light transport matrix", transport, TransportOperator, hint=HOW_TO_GIVE)
     kinds = stored_findings(transport)
     return Verdicts(
         correspondence_verdict(transport, kinds),

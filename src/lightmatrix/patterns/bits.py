@@ -11,8 +11,13 @@ from numpy.typing import NDArray
 
 from lightmatrix import _core
 from lightmatrix.errors import InputError
-from lightmatrix.patterns.pattern_set import ImagePatterns, PatternSet, check_geometry
-from lightmatrix.ranges import check_seed
+from lightmatrix.patterns.pattern_set import (
+    ImagePatterns,
+    PatternSet,
+    check_geometry,
+    seed_sequence,
+)
+from lightmatrix.ranges import as_float, check_seed, real_array
 from lightmatrix.reprs import short_repr
 from lightmatrix.resources.threads import computed_once
 
@@ -108,12 +113,14 @@ class BitPatterns(BinaryPatterns):
     __repr__ = short_repr
 
     def __post_init__(self) -> None:
-        check_geometry(self.shape, self.count)
-        if self.bits.ndim != 2 or self.bits.shape[1] != (self.pixels + 7) // 8:
+        bits = real_array("bits", self.bits)
+        check_geometry(self.shape, len(bits) if bits.ndim else 0)
+        if bits.dtype != np.uint8 or bits.shape[1:] != ((self.pixels + 7) // 8,):
             raise InputError(
-                f"bits of shape {self.bits.shape} for a projector of shape {self.shape}",
+                f"{bits.dtype} bits of shape {bits.shape} for a projector of shape {self.shape}",
                 hint=f"give (K, {(self.pixels + 7) // 8}) bytes",
             )
+        object.__setattr__(self, "bits", bits)
 
     @property
     def count(self) -> int:  # type: ignore[override]
@@ -135,7 +142,7 @@ class BernoulliPatterns(BinaryPatterns):
     density : float
         Probability that a pixel is lit, in (0, 1).
     seed : int
-        Seed of the draw; the same seed gives the same patterns on every machine.
+        Seed of the draw; the same seed, shape and density give the same patterns on every machine.
 
     Examples
     --------
@@ -159,8 +166,9 @@ class BernoulliPatterns(BinaryPatterns):
     def bits(self) -> NDArray[np.uint8]:  # type: ignore[override]
         """Lit pixels, (K, ceil(N / 8)) uint8, least significant bit first."""
         bits = np.empty((self.count, (self.pixels + 7) // 8), np.uint8)
+        seeds = seed_sequence(self.seed, self.shape, self.density)
         # Each pattern has its own generator, so the first k do not depend on how many follow.
-        for k, child in enumerate(np.random.SeedSequence(self.seed).spawn(self.count)):
+        for k, child in enumerate(seeds.spawn(self.count)):
             lit = np.random.Generator(np.random.PCG64(child)).random(self.pixels) < self.density
             bits[k] = np.packbits(lit, bitorder="little")
         return bits
@@ -170,7 +178,7 @@ def check_random(shape: tuple[int, int], count: int, density: float, seed: int) 
     """Refuse projectors, counts, densities and seeds of which no random patterns can be drawn."""
     check_geometry(shape, count)
     check_seed(seed)
-    if not 0 < density < 1:
+    if not 0 < as_float(density) < 1:
         raise InputError(f"a density of {density}", hint="use a share between 0 and 1, such as 0.5")
 
 

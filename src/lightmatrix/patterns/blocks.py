@@ -12,6 +12,7 @@ from scipy.sparse import csr_array
 
 from lightmatrix.errors import InputError
 from lightmatrix.patterns.pattern_set import PatternSet, check_geometry
+from lightmatrix.ranges import check_sides, real_array
 from lightmatrix.reprs import short_repr
 
 
@@ -46,8 +47,16 @@ class BlockPatterns(PatternSet):
     __repr__ = short_repr
 
     def __post_init__(self) -> None:
-        if min(self.block) < 1:
-            raise InputError(f"a block of {self.block} pixels", hint="use at least 1 x 1")
+        check_geometry(self.shape, 1)
+        check_sides("a block", self.block)
+        if self.selected is not None:
+            selected = real_array("numbers of blocks", self.selected)
+            if selected.ndim != 1 or selected.dtype.kind not in "iu":
+                raise InputError(
+                    f"numbers of blocks of shape {selected.shape} and type {selected.dtype}",
+                    hint="give a list of whole numbers",
+                )
+            object.__setattr__(self, "selected", selected.astype(np.int64))
         check_geometry(self.shape, self.count)
         index = self.index
         total = self.grid[0] * self.grid[1]
@@ -116,8 +125,7 @@ def one_pixel_patterns(
     >>> lm.one_pixel_patterns((4, 6)).count
     24
     """
-    index = None if selected is None else np.asarray(selected, np.int64)
-    return BlockPatterns(shape, (1, 1), index)
+    return BlockPatterns(shape, (1, 1), selected)  # type: ignore[arg-type]
 
 
 def sampled_pixels(shape: tuple[int, int], step: int = 8, offset: int = 4) -> NDArray[np.int64]:

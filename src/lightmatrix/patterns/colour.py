@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 
 from lightmatrix.errors import InputError
 from lightmatrix.patterns.bits import BernoulliPatterns, BitPatterns
-from lightmatrix.patterns.pattern_set import ImagePatterns, PatternSet
-from lightmatrix.ranges import check_seed
+from lightmatrix.patterns.pattern_set import ImagePatterns, PatternSet, check_geometry
+from lightmatrix.ranges import whole
 from lightmatrix.reprs import short_repr
 
 
@@ -174,11 +174,11 @@ def colour_bernoulli(
     >>> int(patterns.grey.sum()), patterns.count
     (16, 32)
     """
-    check_seed(seed)
+    check_geometry(shape, count)
     # Grey patterns before the coloured ones, unless stated: half of all, at most 16. From 16 on
     # they show where each camera pixel looks; below 12 they often do not (docs/colour.md).
     alike = min(count // 2, 16) if grey is None else grey
-    if not 0 <= alike < count:
+    if not 0 <= (-1 if whole(alike) is None else alike) < count:
         raise InputError(
             f"{alike} grey patterns of {count}", hint="leave one at least that is in colour"
         )

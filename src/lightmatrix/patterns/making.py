@@ -13,7 +13,7 @@ from lightmatrix.patterns.bits import BernoulliPatterns
 from lightmatrix.patterns.blocks import BlockPatterns, one_pixel_patterns
 from lightmatrix.patterns.hadamard import HadamardPatterns
 from lightmatrix.patterns.mix import Mix, MixedPatterns, default_mix, parse_mix
-from lightmatrix.patterns.pattern_set import PatternSet
+from lightmatrix.patterns.pattern_set import PatternSet, check_geometry
 from lightmatrix.patterns.stripes import GrayCodePatterns, MicroPhasePatterns, PhasePatterns
 
 # The kinds that `make_patterns` makes.
@@ -98,6 +98,7 @@ def make_patterns(
     if kind in CODES:
         return _code(kind, shape, count, inverse, period)
     number = USUAL_COUNT if count is None else count
+    check_geometry(shape, number)
     if kind == "bernoulli":
         return BernoulliPatterns(shape, number, density, seed)
     if kind == "hadamard":

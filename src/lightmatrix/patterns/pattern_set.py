@@ -25,7 +25,7 @@ from scipy.ndimage import convolve
 
 from lightmatrix import _core
 from lightmatrix.errors import InputError
-from lightmatrix.ranges import real_array
+from lightmatrix.ranges import check_sides, check_whole, real_array
 from lightmatrix.reprs import jsonable, short_repr
 from lightmatrix.resources.threads import computed_once, work_ahead
 
@@ -102,6 +102,20 @@ def far_twins(
             np.minimum.at(least, group, away)
             far |= away - least[group] > NEAR
     return far
+
+
+def seed_sequence(
+    seed: int, shape: tuple[int, int], density: float = 0.5
+) -> np.random.SeedSequence:
+    """The source of random patterns, which have nothing in common with those of another shape.
+
+    Otherwise patterns of another size and the same seed would explain photographs, and give a
+    wrong T.
+    """
+    # Zeros at the end change nothing, so that a seed gives the patterns of 64 x 64 pixels, half of
+    # them lit, with which the numbers in the documentation were measured.
+    rows, cols, share = shape[0] ^ 64, shape[1] ^ 64, int(density * 2**32) ^ 2**31
+    return np.random.SeedSequence([seed, rows, cols, share])
 
 
 T = TypeVar("T")
@@ -214,13 +228,24 @@ class PatternSet(ABC):
         """The kind of each pattern, (K,): all are of one kind, except in a mix."""
         return np.zeros(self.count, np.int64)
 
-    @computed_once
+    @property
     def digest(self) -> str:
         """Hash of the patterns' content (8-bit grey, as projected) and shape, 16 hex digits."""
-        hasher = hashlib.sha256(repr((self.shape, self.count)).encode())
+        return self._digests[0]
+
+    @property
+    def digests(self) -> list[str]:
+        """The same of each pattern, which show which set a pattern belongs to."""
+        return self._digests[1]
+
+    @computed_once
+    def _digests(self) -> tuple[str, list[str]]:
+        hasher, each = hashlib.sha256(repr((self.shape, self.count)).encode()), list[str]()
         for k in range(self.count):
-            hasher.update(self.greys(k, k + 1).tobytes())
-        return hasher.hexdigest()[:16]
+            content = self.greys(k, k + 1).tobytes()
+            hasher.update(content)
+            each.append(hashlib.sha256(repr(self.shape).encode() + content).hexdigest()[:16])
+        return hasher.hexdigest()[:16], each
 
     def chunks(self, size: int | None = None) -> Any:
         """Iterate over (start, rows of P) in chunks of bounded memory."""
@@ -380,17 +405,9 @@ def to_grey(patterns: NDArray[Any]) -> NDArray[np.uint8]:
 
 def check_geometry(shape: tuple[int, int], count: int) -> None:
     """Refuse projectors without pixels and sets without patterns."""
-    if len(shape) != 2 or min(shape) < 1:
-        raise InputError(f"a projector of shape {shape}", hint="give (rows, cols), both at least 1")
-    # The most pixels of a projector: sparse matrices number them in 32 bits.
-    if shape[0] * shape[1] >= 2**31:
-        raise InputError(
-            f"a projector of {shape[0]} x {shape[1]} pixels", hint="2147483647 in all is the most"
-        )
-    if count < 1:
-        raise InputError(f"{count} patterns", hint="ask for at least 1")
-    if count > _MOST_PATTERNS:
-        raise InputError(f"{count} patterns", hint=f"ask for at most {_MOST_PATTERNS}")
+    check_sides("a projector", shape)
+    hint = f"ask for at least 1, and at most {_MOST_PATTERNS}"
+    check_whole("patterns", count, most=_MOST_PATTERNS, hint=hint)
 
 
 @dataclass(frozen=True, eq=False)

@@ -15,7 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lightmatrix.errors import InputError
-from lightmatrix.patterns.pattern_set import PatternSet
+from lightmatrix.patterns.pattern_set import PatternSet, check_geometry
+from lightmatrix.ranges import as_float
 
 # What a pattern varies along: its columns (upright stripes), its rows, or nothing (white, black).
 COLUMNS, ROWS, NOTHING = 1, 0, -1
@@ -126,7 +127,8 @@ def stripes_of(patterns: PatternSet) -> Stripes | None:
 
 def check_code_shape(shape: tuple[int, int]) -> None:
     """Refuse projectors of one pixel, which nothing can encode."""
-    if len(shape) != 2 or min(shape) < 1 or max(shape) < 2:
+    check_geometry(shape, 1)
+    if max(shape) < 2:
         raise InputError(
             f"a code for a projector of shape {shape}", hint="give (rows, cols), one above 1"
         )
@@ -255,7 +257,7 @@ def sinusoid(phase: NDArray[np.float64]) -> NDArray[np.float32]:
 
 def check_period(period: float) -> None:
     """Refuse periods that pixels cannot show."""
-    if not 3 <= period < np.inf:
+    if not 3 <= as_float(period) < np.inf:
         raise InputError(
             f"a period of {period} projector pixels", hint="use at least 3, such as 8 or 16"
         )
@@ -299,8 +301,9 @@ class MicroPhasePatterns(StripePatterns):
 
     def __post_init__(self) -> None:
         check_code_shape(self.shape)
-        check_period(self.period * (1 - _BAND))
+        check_period(as_float(self.period) * (1 - _BAND))
         axes = len(both_axes(self.shape))
+        check_geometry(self.shape, self.total)
         # An axis needs three shifts of one period, and one of each of two more.
         if self.total % axes or self.total < 5 * axes:
             raise InputError(

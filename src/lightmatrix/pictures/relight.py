@@ -13,14 +13,21 @@ from PIL import Image
 
 from lightmatrix.errors import InputError
 from lightmatrix.files.colours import colour_paths, holds_colour
-from lightmatrix.files.images import DISPLAY_GAMMA, read_grey, read_light, write_image
+from lightmatrix.files.images import (
+    DISPLAY_GAMMA,
+    given_image,
+    read_grey,
+    read_light,
+    write_image,
+)
 from lightmatrix.files.kinds import IMAGE
 from lightmatrix.files.reading import errors_naming
 from lightmatrix.files.writing import check_output
 from lightmatrix.patterns.pattern_set import block_mean
-from lightmatrix.ranges import check_number
+from lightmatrix.ranges import check_number, check_type
 from lightmatrix.transport import store
 from lightmatrix.transport.matrix import ColourTransport, LightTransport
+from lightmatrix.transport.operator import HOW_TO_GIVE
 
 Relit = LightTransport | store.StoredTransport
 
@@ -93,8 +100,8 @@ def relight(
             )
     if isinstance(transport, str | Path) and holds_colour(transport):
         transport = colour_paths(transport)
-    single = isinstance(transport, LightTransport | store.StoredTransport | str | Path)
-    sources: list[Any] = [transport] if single else [*transport]  # type: ignore[misc]
+    several = isinstance(transport, Sequence | ColourTransport) and not isinstance(transport, str)
+    sources: list[Any] = [*transport] if several else [transport]  # type: ignore[misc]
     matrices = [_opened(source) for source in sources]
     if len(matrices) not in (1, 3):
         raise InputError(
@@ -126,8 +133,8 @@ def relight(
 def _channels(pattern: NDArray[Any] | str | Path, count: int) -> list[NDArray[Any]]:
     """The pattern of each of the projector's primaries."""
     if count == 1:
-        return [read_grey(pattern) if isinstance(pattern, str | Path) else np.asarray(pattern)]
-    image = read_light(pattern) if isinstance(pattern, str | Path) else np.asarray(pattern)
+        return [given_image("a pattern", pattern, read_grey)]
+    image = given_image("a pattern", pattern, read_light)
     if image.ndim == 2:
         return [image] * count
     if image.ndim != 3 or image.shape[2] != count:
@@ -142,6 +149,7 @@ def _opened(transport: Relit | str | Path) -> Relit:
     """A matrix unchanged, or a store that is read block by block."""
     if isinstance(transport, LightTransport | store.StoredTransport):
         return transport
+    check_type("a light transport matrix", transport, str, Path, hint=HOW_TO_GIVE)
     if Path(transport).suffix.lower() == ".npz":
         return store.open(transport)
     return store.StoredTransport.open(transport)
@@ -150,7 +158,9 @@ def _opened(transport: Relit | str | Path) -> Relit:
 def _fitted(pattern: NDArray[Any], transport: Relit, resize: bool) -> NDArray[Any]:
     """A pattern averaged as the projector was binned, or resized if that is allowed."""
     wanted = transport.projector_shape
-    if pattern.ndim != 2 or pattern.shape == wanted:
+    if pattern.ndim != 2:
+        raise InputError(f"a pattern of shape {pattern.shape}", hint="give (rows, cols)")
+    if pattern.shape == wanted:
         return pattern
     description = transport.provenance.get("capture_description")
     block = description.get("bin_projector") if isinstance(description, Mapping) else None

@@ -18,10 +18,10 @@ from lightmatrix.files.writing import atomic_file
 from lightmatrix.patterns.pattern_set import to_grey
 from lightmatrix.pictures.maps import Map, correspondence_maps
 from lightmatrix.pictures.style import CLIPPED_COLOUR, COLOURS, STYLE, display, panel, white_level
-from lightmatrix.ranges import check_number
+from lightmatrix.ranges import check_number, check_type
 from lightmatrix.transport.correspondence import correspondence
 from lightmatrix.transport.matrix import LightTransport
-from lightmatrix.transport.operator import singular_values
+from lightmatrix.transport.operator import HOW_TO_GIVE, TransportOperator, singular_values
 
 # The colours of a row or column follow this power of the values, which makes faint light beside a
 # bright spot visible. Chosen by eye.
@@ -77,6 +77,7 @@ def show_relit(
     >>> stripes[:, ::8] = 1
     >>> lm.show_relit(lm.truth("metal").transport(), stripes).savefig("relit.png")
     """
+    check_type("a light transport matrix", transport, TransportOperator, hint=HOW_TO_GIVE)
     image = transport.relight(pattern)
     title = "The scene under this pattern"
     if exposure is None:

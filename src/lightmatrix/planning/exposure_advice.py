@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from lightmatrix.defaults import USUAL_NOISE
 from lightmatrix.errors import InputError
+from lightmatrix.ranges import as_float
 
 # Random patterns light this share of the projector pixels.
 DENSITY = 0.5
@@ -136,9 +137,9 @@ def _three_digits(exposure: float) -> float:
 
 def check_camera(noise: float, shortest: float | None) -> None:
     """Raise InputError on an impossible camera, before a scene is rendered for it."""
-    if not (np.isfinite(noise) and 0 <= noise < 1):
+    if not 0 <= as_float(noise) < 1:
         raise InputError(f"a noise of {noise}", hint="use a share of the clip level, such as 0.003")
-    if shortest is not None and not (np.isfinite(shortest) and shortest > 0):
+    if shortest is not None and not 0 < as_float(shortest) < math.inf:
         raise InputError(f"a shortest exposure of {shortest}", hint="use a number above 0")
 
 

@@ -36,7 +36,7 @@ from lightmatrix.planning.exposure_advice import (
     clipped_share,
     single_clipped_share,
 )
-from lightmatrix.ranges import check_number
+from lightmatrix.ranges import as_float, check_number, check_sides, check_whole
 from lightmatrix.reprs import html_table, text_table
 from lightmatrix.simulation import library
 from lightmatrix.simulation.scenes import names
@@ -318,13 +318,15 @@ def plan(
       error to expect, coherent  0.011 to 0.024
     >>> capture = lm.simulate("metal", advice.make_patterns(), exposure=advice.exposure)
     """
-    if not 0 < error < 1:
+    if not 0 < as_float(error) < 1:
         raise InputError(f"an error of {error}", hint="use a relative error, such as 0.05")
-    if frames is not None and not 2 <= frames <= 1_000_000:
-        raise InputError(f"{frames} frames", hint="use 2 to 1000000")
+    if frames is not None:
+        check_whole("frames", frames, least=2, most=1_000_000, hint="use 2 to 1000000")
     check_camera(noise, shortest)
     of_photograph = {"exposure": exposure, "black": black, "clip": clip, "response": response}
-    projector, simulated = size or USUAL_SIZE, False
+    if size is not None:
+        check_sides("a projector", size)
+    projector, simulated = USUAL_SIZE if size is None else size, False
     if isinstance(white, WhiteFrame):
         frame = white
     elif isinstance(white, Truth) or str(white).lower().endswith(".npz") or str(white) in names():

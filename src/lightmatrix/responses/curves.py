@@ -32,6 +32,7 @@ from lightmatrix.files.writing import check_output
 from lightmatrix.patterns.projector_curve import ProjectorResponse
 from lightmatrix.pictures.style import COLOURS, STYLE
 from lightmatrix.pictures.transport import Picture
+from lightmatrix.ranges import as_float, real_array, real_numbers
 from lightmatrix.reprs import short_repr
 
 Photographs = str | Path | NDArray[Any]
@@ -48,6 +49,7 @@ def open_photographs(source: Photographs) -> Frames:
     """Open photographs of a folder or of a stack, or take an array (K, rows, cols[, 3])."""
     if isinstance(source, str | Path):
         return ImageStack.open(source)
+    source = real_array("photographs", source)
     if source.ndim not in (3, 4) or source.dtype not in (np.uint8, np.uint16, np.float32):
         raise InputError(
             f"photographs of shape {source.shape} and type {source.dtype}",
@@ -68,7 +70,7 @@ def exposures_of(frames: Frames, stated: float | NDArray[Any] | None) -> NDArray
                 hint="give the exposures, in any unit, in the order of the photographs",
             )
         return np.array(times, np.float64)
-    exposures = np.atleast_1d(np.asarray(stated, np.float64))
+    exposures = np.atleast_1d(real_numbers("exposures", stated))
     if exposures.shape != (frames.count,):
         raise InputError(
             f"{exposures.size} exposures for {frames.count} photographs",
@@ -407,8 +409,12 @@ def camera_response(
             hint="it needs 5 at least, each about twice the one before; Debevec's needs fewer",
         )
     end = range_end(frames.dtype)
-    top = end if clip is None else float(clip)
-    dark = float(np.median(read_image(black)) if isinstance(black, str | Path) else black or 0)
+    top = end if clip is None else as_float(clip)
+    dark = (
+        float(np.median(read_image(black)))
+        if isinstance(black, str | Path)
+        else as_float(black or 0)
+    )
     if not 0 <= dark < 0.9 * top <= 0.9 * end:
         raise InputError(
             f"levels from {dark:g} without light to {top:g} where the camera clips, in images of "
@@ -504,7 +510,11 @@ def projector_response(
     count = frames.count
     if count < 5:
         raise InputError(f"{count} photographs of grey values", hint="take 5 at least, better 17")
-    grey = np.rint(np.linspace(0, TOP, count)) if levels is None else np.asarray(levels, np.float64)
+    grey = (
+        np.rint(np.linspace(0, TOP, count))
+        if levels is None
+        else real_numbers("grey values", levels)
+    )
     if grey.shape != (count,):
         raise InputError(
             f"{grey.size} grey values for {count} photographs",

@@ -30,7 +30,7 @@ from lightmatrix.files.kinds import CAPTURE, PACKED_CAPTURE
 from lightmatrix.files.writing import check_output
 from lightmatrix.patterns.folder import read_patterns
 from lightmatrix.patterns.pattern_set import PatternSet
-from lightmatrix.ranges import check_seed
+from lightmatrix.ranges import as_float, check_seed, check_sides
 from lightmatrix.resources.disk import scratch_array
 from lightmatrix.resources.memory import check_memory
 from lightmatrix.simulation.irradiance import irradiance
@@ -81,14 +81,12 @@ class ProceduralScene:
 
     def __post_init__(self) -> None:
         for device, shape in (("camera", self.camera_shape), ("projector", self.projector_shape)):
-            if min(shape) < 1:
-                raise InputError(
-                    f"a {device} of {shape[0]} x {shape[1]}", hint="use at least 1 x 1"
-                )
+            check_sides(f"a {device}", shape)
+        check_seed(self.seed)
         for name in ("bounces", "indirect", "background"):
-            if not 0 <= getattr(self, name) < float("inf"):
+            if not 0 <= as_float(getattr(self, name)) < float("inf"):
                 raise InputError(f"{name} is {getattr(self, name)}", hint="use 0 or more")
-        if not 0 <= self.relief <= 1:
+        if not 0 <= as_float(self.relief) <= 1:
             raise InputError(f"a relief of {self.relief}", hint="use a share from 0 to 1")
 
     @property

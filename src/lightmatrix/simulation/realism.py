@@ -13,7 +13,7 @@ from scipy.ndimage import gaussian_filter1d
 from scipy.sparse import csr_array
 
 from lightmatrix.errors import InputError
-from lightmatrix.ranges import check_number
+from lightmatrix.ranges import as_float, check_number
 from lightmatrix.simulation.thinning import joined, sparse_rows
 from lightmatrix.simulation.truth import Truth
 
@@ -30,9 +30,9 @@ def check_realism(
     widest = max(projector_shape)
     hint = f"use projector pixels from 0 to {widest}, as many as the projector has"
     check_number("a blur", blur, most=widest, hint=hint)
-    if not 0 <= vignetting < 1:
+    if not 0 <= as_float(vignetting) < 1:
         raise InputError(f"a vignetting of {vignetting}", hint="use a share from 0 to below 1")
-    if not 0 <= leak < 1:
+    if not 0 <= as_float(leak) < 1:
         raise InputError(f"a leak of {leak}", hint="use a share from 0 to below 1, such as 0.001")
     hint = "use a share of the white image, from 0 to 1000"
     check_number("an ambient level", ambient, most=1000, hint=hint)

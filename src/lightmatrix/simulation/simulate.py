@@ -20,7 +20,7 @@ from lightmatrix.errors import InputError
 from lightmatrix.patterns.colour import ColourPatterns
 from lightmatrix.patterns.folder import read_patterns
 from lightmatrix.patterns.pattern_set import PatternSet
-from lightmatrix.ranges import check_seed
+from lightmatrix.ranges import as_float, check_seed
 from lightmatrix.regions import Region
 from lightmatrix.simulation import library, realism
 from lightmatrix.simulation.colour import in_all_primaries, in_primary, is_of_all_primaries
@@ -211,9 +211,9 @@ def simulate(
         raise InputError(
             f"the primary {primary} for patterns in colour", hint="leave out one of the two"
         )
-    exposures = parse_exposures(exposure if isinstance(exposure, str) else repr(float(exposure)))
+    exposures = parse_exposures(exposure if isinstance(exposure, str) else repr(as_float(exposure)))
     sensor = Sensor(
-        exposure_sequence(exposures, patterns), float(black_level), noise, shot_noise, bits
+        exposure_sequence(exposures, patterns), as_float(black_level), noise, shot_noise, bits
     )
     realism.check_realism(
         patterns.shape, blur=blur, vignetting=vignetting, leak=leak, ambient=ambient

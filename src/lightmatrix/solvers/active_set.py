@@ -16,7 +16,7 @@ from lightmatrix import _core
 from lightmatrix.defaults import PASSES
 from lightmatrix.errors import InputError, SolverError
 from lightmatrix.patterns.pattern_set import PatternSet
-from lightmatrix.ranges import check_at_least_one
+from lightmatrix.ranges import as_float, check_at_least_one
 from lightmatrix.solvers.fidelity import Fidelity
 from lightmatrix.solvers.loop import Progress
 from lightmatrix.solvers.problem import Problem, Result, Status, solved_rows
@@ -85,7 +85,7 @@ class ActiveSet:
                 f"the active-set solver cannot use the fidelity {self.fidelity}: {reason}",
                 hint="use one-sided, or the solver saturation-admm",
             )
-        if not 0 < self.tolerance < 1:
+        if not 0 < as_float(self.tolerance) < 1:
             raise InputError(
                 f"a tolerance of {self.tolerance}", hint="use a relative gap such as 1e-4"
             )

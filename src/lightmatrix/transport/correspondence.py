@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
+from lightmatrix.errors import InputError
+from lightmatrix.ranges import check_sides, check_type, real_array
 from lightmatrix.reprs import short_repr
 from lightmatrix.transport.matrix import LightTransport
+from lightmatrix.transport.operator import HOW_TO_GIVE
 
 # Half width, in projector pixels, of the window around the strongest pixel. It is wide enough for a
 # slightly defocused lens and narrow enough to exclude light that arrives by other paths. Chosen by
@@ -59,6 +62,22 @@ class Correspondence:
 
     __repr__ = short_repr
 
+    def __post_init__(self) -> None:
+        grid = real_array("a confidence", self.confidence).shape
+        for part in fields(self)[:-1]:
+            if (given := getattr(self, part.name)) is None and part.default is None:
+                continue
+            values = real_array(part.name, given)
+            wanted = grid if part.name in ("confidence", "light") else (*grid, 2)
+            if len(grid) != 2 or values.shape != wanted:
+                raise InputError(
+                    f"{part.name} of shape {values.shape}, for photographs of shape {grid}",
+                    hint="give (rows, cols) of confidence and light, and (rows, cols, 2) of others",
+                )
+            object.__setattr__(self, part.name, values)
+        if self.projector_shape is not None:
+            check_sides("a projector", self.projector_shape)
+
     @property
     def valid(self) -> NDArray[np.bool_]:
         """The camera pixels that see the projector, (rows, cols)."""
@@ -100,6 +119,7 @@ def correspondence(transport: LightTransport) -> Correspondence:
     >>> [round(float(place), 1) for place in matches.place[20, 30]]
     [20.1, 29.8]
     """
+    check_type("a light transport matrix", transport, LightTransport, hint=HOW_TO_GIVE)
     matrix, background = pixel_rows(transport)
     width = transport.projector_shape[1]
     step = max(1, _ENTRIES // max(1, matrix.nnz // len(background)))

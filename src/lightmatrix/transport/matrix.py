@@ -17,7 +17,7 @@ from lightmatrix.patterns.pattern_set import check_grid
 from lightmatrix.ranges import check_finite, check_type, real_array
 from lightmatrix.regions import Region
 from lightmatrix.reprs import html_table, labelled
-from lightmatrix.transport.operator import TransportOperator
+from lightmatrix.transport.operator import HOW_TO_GIVE, TransportOperator
 from lightmatrix.transport.sparse_rows import checked_matrix, checked_shape
 
 # The entries of the provenance that a summary repeats.
@@ -174,7 +174,10 @@ class LightTransport(TransportOperator):
     ) -> LightTransport:
         """A light transport without background, such as a rendered truth."""
         # Stated here, because SciPy drops the mask of a masked array.
-        sparse = csr_array(matrix if issparse(matrix) else real_array("a matrix", matrix))
+        dense = matrix if issparse(matrix) else real_array("a matrix", matrix)
+        if dense.ndim != 2:
+            raise InputError(f"a matrix of shape {dense.shape}", hint="give rows and columns")
+        sparse = csr_array(dense)
         background = np.zeros((sparse.shape[0], 1), np.float32)
         return cls(sparse, background, camera_shape, projector_shape, **more)
 
@@ -322,7 +325,8 @@ class ColourTransport:
     blue: LightTransport
 
     def __post_init__(self) -> None:
-        for other in (self.green, self.blue):
+        for other in (self.red, self.green, self.blue):
+            check_type("a light transport matrix", other, LightTransport, hint=HOW_TO_GIVE)
             if other.image_shapes != self.red.image_shapes:
                 raise InputError(
                     f"matrices of shapes {self.red.image_shapes} and {other.image_shapes}",
@@ -353,7 +357,7 @@ class ColourTransport:
 
         Grey patterns, (rows, cols), are white light. The images are linear and not clipped.
         """
-        shown = np.asarray(patterns)
+        shown = real_array("a pattern", patterns)
         if shown.ndim < 3:
             shown = np.repeat(shown[..., None], 3, axis=-1)
         if shown.shape[-1] != 3:

@@ -23,8 +23,10 @@ from lightmatrix.files.numpy_files import NpyHeader, read_npz
 from lightmatrix.files.reading import check_version, parse_json
 from lightmatrix.files.writing import atomic_file, check_output
 from lightmatrix.geometry.rig_geometry import RigGeometry, checked_fields
+from lightmatrix.ranges import check_type
 from lightmatrix.transport.correspondence import Correspondence
 from lightmatrix.transport.matrix import LightTransport
+from lightmatrix.transport.operator import HOW_TO_GIVE
 from lightmatrix.transport.sparse_rows import checked_float32, checked_matrix, checked_shape
 
 # The version of exports, truth files and correspondences. Files of another one are refused.
@@ -81,6 +83,7 @@ def export(
     >>> import lightmatrix as lm
     >>> lm.export("T_of_metal.npz", lm.truth("metal").transport())
     """
+    check_type("a light transport matrix", transport, LightTransport, hint=HOW_TO_GIVE)
     kind = kinds.export_kind(path)
     check_output(path, kind, overwrite=overwrite)
     matrix, background = _parts(transport, dense_background)

@@ -13,8 +13,15 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
 from lightmatrix.errors import InputError
+from lightmatrix.files.numpy_files import as_float32
 from lightmatrix.patterns.pattern_set import grid_cells
-from lightmatrix.ranges import check_finite, check_seed, check_unmasked, real_array
+from lightmatrix.ranges import check_finite, check_seed, check_type, check_whole, real_array, whole
+
+# How a matrix is given where something else was, in messages.
+HOW_TO_GIVE = (
+    "give what `estimate` or `open` returned, or "
+    "lm.LightTransport.from_matrix(matrix, camera_shape, projector_shape)"
+)
 
 
 class Operator(ABC):
@@ -47,14 +54,14 @@ class Operator(ABC):
 
     def __matmul__(self, other: Any) -> NDArray[Any]:
         """The product with vectors (n[, k]) or with an image, which gives an image as well."""
-        values = _floating(other)
+        values = real_array("values for a product with T", other)
         made, taken = self.image_shapes
         flat = values.ndim in (1, 2) and len(values) == self.shape[1]
         if flat:
-            result = self.multiplied(values.reshape(self.shape[1], -1))
+            result = self.multiplied(_floating(values).reshape(self.shape[1], -1))
             return result.reshape(self.shape[0], *values.shape[1:])
         if values.shape == taken:
-            return self.multiplied(values.reshape(-1, 1)).reshape(made)
+            return self.multiplied(_floating(values).reshape(-1, 1)).reshape(made)
         size = " x ".join(map(str, taken))
         raise InputError(
             f"a product of a matrix of {self.shape[0]} x {self.shape[1]} with values of shape "
@@ -171,11 +178,11 @@ class TransportOperator(Operator):
         The result is the image that the projector would see, (rows, cols).
         """
         camera, projector = self.image_shapes
-        light = np.asarray(real_array("camera lights", lights), np.float32)
-        if light.shape != camera:
-            raise InputError(f"camera lights of shape {light.shape}", hint=f"give shape {camera}")
-        check_unmasked("camera lights", lights)
-        check_finite("camera lights", lights)
+        values = real_array("camera lights", lights)
+        if values.shape != camera:
+            raise InputError(f"camera lights of shape {values.shape}", hint=f"give shape {camera}")
+        light = as_float32(values)
+        check_finite("camera lights", light)
         image = self.multiplied_transposed(light.ravel())
         return np.asarray(image, np.float32).reshape(projector)
 
@@ -190,24 +197,19 @@ class TransportOperator(Operator):
 
 def _checked_index(index: tuple[int, ...], shape: tuple[int, ...], what: str) -> int:
     """The place of an index in a flattened image; raises InputError if it is outside."""
-    whole = all(hasattr(number, "__index__") for number in index)
-    inside = whole and len(index) == len(shape)
-    if not (inside and all(0 <= n < size for n, size in zip(index, shape, strict=True))):
+    numbers = [-1 if (number := whole(given)) is None else number for given in index]
+    inside = all(0 <= n < size for n, size in zip(numbers, shape, strict=False))
+    if len(index) != len(shape) or not inside:
         last = ", ".join(str(size - 1) for size in shape)
         raise InputError(
             f"there is no {what} {', '.join(map(str, index)) or '()'}",
             hint=f"give {len(shape)} whole numbers from {', '.join('0' * len(shape))} to {last}",
         )
-    return int(np.ravel_multi_index(index, shape))
+    return int(np.ravel_multi_index(numbers, shape))
 
 
-def _floating(values: Any) -> NDArray[Any]:
-    """Values as an array of single or double precision."""
-    array = np.asarray(values)
-    if array.dtype.kind not in "bfiu":
-        raise InputError(
-            f"a product of T with {array.dtype} values", hint="give real numbers as an array"
-        )
+def _floating(array: NDArray[Any]) -> NDArray[Any]:
+    """Real numbers in single or double precision."""
     exact = array.dtype == np.float32
     small = array.dtype.kind == "b" or array.dtype.itemsize <= 2
     return array if exact else array.astype(np.float32 if small else np.float64)
@@ -217,10 +219,14 @@ def checked_patterns(
     patterns: NDArray[Any], projector_shape: tuple[int, ...]
 ) -> NDArray[np.float32]:
     """Patterns as float32; refuses other shapes than the projector's and values outside [0, 1]."""
-    check_unmasked("a pattern", patterns)
-    values = np.asarray(patterns)
-    if values.dtype.kind not in "bfiu":
-        raise InputError(f"the pattern has {values.dtype} values", hint="give values in [0, 1]")
+    values = real_array("a pattern", patterns)
+    # Before its values, which a view may have without end.
+    if values.shape[-2:] != projector_shape or values.ndim not in (2, 3):
+        raise InputError(
+            f"the pattern has shape {values.shape}, but the projector has "
+            f"{projector_shape[0]} x {projector_shape[1]}",
+            hint="resize the pattern to the projector",
+        )
     # Written so that it refuses NaN, too.
     if values.size and not (values.min() >= 0 and values.max() <= 1):
         raw = values.dtype.kind in "iu"
@@ -228,12 +234,6 @@ def checked_patterns(
             f"the pattern has values from {values.min():g} to {values.max():g}",
             hint="use values in [0, 1]"
             + (": divide raw levels by their largest one, such as 255" if raw else ""),
-        )
-    if values.shape[-2:] != projector_shape or values.ndim not in (2, 3):
-        raise InputError(
-            f"the pattern has shape {values.shape}, but the projector has "
-            f"{projector_shape[0]} x {projector_shape[1]}",
-            hint="resize the pattern to the projector",
         )
     return np.asarray(values, np.float32)
 
@@ -278,12 +278,11 @@ def singular_values(
     True
     """
     check_seed(seed)
+    check_type("a light transport matrix", transport, TransportOperator, hint=HOW_TO_GIVE)
     rows, pixels = transport.shape
     most = min(rows, pixels)
-    if not hasattr(count, "__index__") or not 1 <= int(count) <= most:
-        raise InputError(
-            f"{count} singular values of a matrix of {rows} x {pixels}", hint=f"ask for 1 to {most}"
-        )
+    what = f"singular values of a matrix of {rows} x {pixels}"
+    check_whole(what, count, most=most, hint=f"ask for 1 to {most}")
     # 20 directions more than asked for, and 6 rounds: direct light has a flat spectrum, for which
     # Halko et al. advise several. The 20 largest values of metal then agree with a dense SVD to 1 %
     # (tests/transport/test_operator.py).

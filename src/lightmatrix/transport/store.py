@@ -40,7 +40,7 @@ from lightmatrix.resources.memory import check_memory
 from lightmatrix.transport.correspondence import Correspondence
 from lightmatrix.transport.matrix import ColourTransport, LightTransport
 from lightmatrix.transport.npz import import_npz, read_correspondence
-from lightmatrix.transport.operator import TransportOperator
+from lightmatrix.transport.operator import HOW_TO_GIVE, TransportOperator
 from lightmatrix.transport.sparse_rows import (
     SparseRows,
     check_indptr,
@@ -88,7 +88,7 @@ def save(path: str | Path, transport: LightTransport, *, overwrite: bool = False
     >>> import lightmatrix as lm
     >>> lm.save("saved.zarr", lm.truth("metal").transport())
     """
-    check_type("a light transport matrix", transport, LightTransport)
+    check_type("a light transport matrix", transport, LightTransport, hint=HOW_TO_GIVE)
     # Checked again, because arrays can be changed, and `open` would refuse what they hold.
     transport = replace(transport)
     rows = SparseRows(transport.sparse, transport.background, transport.diagnostics)

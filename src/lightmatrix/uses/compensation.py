@@ -19,13 +19,13 @@ from PIL import Image
 
 from lightmatrix.errors import InputError
 from lightmatrix.files.colours import colour_paths, holds_colour
-from lightmatrix.files.images import read_image, read_light, write_image
+from lightmatrix.files.images import given_image, read_image, read_light, write_image
 from lightmatrix.files.kinds import IMAGE, PATTERNS
 from lightmatrix.files.stacks import list_images
 from lightmatrix.files.writing import check_output
 from lightmatrix.patterns.folder import write_patterns
 from lightmatrix.patterns.pattern_set import ImagePatterns
-from lightmatrix.ranges import check_number
+from lightmatrix.ranges import check_number, check_whole
 from lightmatrix.reprs import short_repr
 from lightmatrix.transport.matrix import LightTransport
 from lightmatrix.uses.loading import Transport, loaded
@@ -182,9 +182,10 @@ def wanted_samples(
     """
     check_number("a gamma", gamma, least=0.1, most=10, hint="use 0.1 to 10, such as 2.2")
     name = str(wanted) if isinstance(wanted, str | Path) else "the wanted picture"
-    image = read_light(wanted) if isinstance(wanted, str | Path) else np.asarray(wanted)
-    if image.dtype.kind not in "bfiu":
-        raise InputError(f"{name} has {image.dtype} values", hint="give values in [0, 1]")
+    image = given_image(name, wanted, read_light)
+    if not resize and image.shape[:2] != camera_shape[:2]:
+        # Shapes are refused before values, which a view may have without end.
+        _samples(image, camera_shape, name, "resize it with resize=True")
     # Written so that it refuses NaN, too.
     if image.size and not (image.min() >= 0 and image.max() <= 1):
         raise InputError(
@@ -235,7 +236,7 @@ def mask_samples(mask: Picture | None, camera_shape: tuple[int, ...]) -> NDArray
     if mask is None:
         return np.ones(int(np.prod(camera_shape)), np.bool_)
     name = str(mask) if isinstance(mask, str | Path) else "the mask"
-    image: NDArray[Any] = read_image(mask) if isinstance(mask, str | Path) else np.asarray(mask)
+    image = given_image(name, mask, read_image)
     if image.ndim == 3 and len(camera_shape) == 2:
         image = image.max(axis=2)
     hint = "give one value for each camera pixel, 0 where the picture does not matter"
@@ -253,7 +254,7 @@ def ambient_samples(ambient: Picture | None, camera_shape: tuple[int, ...]) -> N
     if ambient is None:
         return np.zeros(int(np.prod(camera_shape)), np.float32)
     name = str(ambient) if isinstance(ambient, str | Path) else "the ambient light"
-    image = read_light(ambient) if isinstance(ambient, str | Path) else np.asarray(ambient)
+    image = given_image(name, ambient, read_light)
     if image.ndim == 3 and len(camera_shape) == 2:
         image = image.mean(axis=2)
     samples = _samples(image, camera_shape, name, "give a photograph of the same camera")
@@ -653,8 +654,7 @@ def compensate(
     (64, 64)
     """
     check_brightness(brightness)
-    if not hasattr(iterations, "__index__") or iterations < 1:
-        raise InputError(f"{iterations} iterations", hint="use at least 1, such as 25")
+    check_whole("iterations", iterations, hint="use at least 1, such as 25")
     if output is not None:
         check_output(output, IMAGE, overwrite=overwrite)
     shared = compensator(transport, ambient=ambient, mask=mask, exposure=exposure)

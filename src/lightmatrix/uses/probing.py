@@ -12,8 +12,10 @@ from scipy.sparse import csr_array, sparray
 from lightmatrix.capture.capture import Capture
 from lightmatrix.errors import InputError
 from lightmatrix.patterns.pattern_set import grid_cells
+from lightmatrix.ranges import check_type
 from lightmatrix.reprs import short_repr
 from lightmatrix.transport.matrix import LightTransport
+from lightmatrix.transport.operator import HOW_TO_GIVE
 
 # Camera samples that are decoded at a time.
 _ROWS = 1 << 14
@@ -53,6 +55,7 @@ def probe(transport: LightTransport, mask: sparray) -> LightTransport:
     >>> lm.probe(known, near).relight(np.ones((64, 64))).shape
     (64, 64)
     """
+    check_type("a light transport matrix", transport, LightTransport, hint=HOW_TO_GIVE)
     if getattr(mask, "shape", None) != transport.shape:
         raise InputError(
             f"a probing mask of shape {getattr(mask, 'shape', 'none')}",
@@ -123,6 +126,7 @@ def max_min(capture: Capture) -> QuickLook:
     >>> bool(parts.direct.mean() > parts.global_.mean())
     True
     """
+    check_type("a capture", capture, Capture, hint="give what lm.Capture.open returned")
     pixels = int(np.prod(capture.projector_shape))
     lit = capture.patterns.forward(np.ones((1, pixels), np.float32))
     share = float(np.mean(lit)) / pixels

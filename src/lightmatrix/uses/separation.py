@@ -19,7 +19,7 @@ from scipy.sparse import csr_array
 from scipy.spatial import cKDTree
 
 from lightmatrix.errors import InputError
-from lightmatrix.files.images import read_grey, write_image
+from lightmatrix.files.images import given_image, read_grey, write_image
 from lightmatrix.files.kinds import SEPARATION
 from lightmatrix.files.writing import atomic_folder, check_output
 from lightmatrix.reprs import short_repr
@@ -620,7 +620,7 @@ def pattern_or_white(
     """A pattern from an image or an array as light, (rows, cols) float32; white by default."""
     if pattern is None:
         return np.ones(projector_shape, np.float32)
-    values = read_grey(pattern) if isinstance(pattern, str | Path) else np.asarray(pattern)
+    values = given_image("a pattern", pattern, read_grey)
     if values.ndim != 2:
         raise InputError(f"a pattern of shape {values.shape}", hint="give (rows, cols)")
     return checked_patterns(values, projector_shape)
