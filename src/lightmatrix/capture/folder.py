@@ -42,7 +42,7 @@ from lightmatrix.capture.settings import (
 )
 from lightmatrix.errors import InputError, warn
 from lightmatrix.files.images import JPEG, READABLE, fill_image, is_grey, likely_white, read_image
-from lightmatrix.files.kinds import CAPTURE
+from lightmatrix.files.kinds import CAPTURE, read_object
 from lightmatrix.files.reading import errors_naming
 from lightmatrix.files.stacks import ImageStack, is_stack, nonlinear_tag
 from lightmatrix.files.writing import atomic_folder
@@ -84,7 +84,9 @@ def read_capture(
                 raise InputError(f"{entry}: is not read under this name", hint=hint)
         description = Description()
     settings = _with_files_beside(place, description, described)
-    patterns = _as_light(read_patterns(pattern_images), settings)
+    shown = read_patterns(pattern_images)
+    _check_projected(shown, file)
+    patterns = _as_light(shown, settings)
     stack = ImageStack.open(photographs, mosaic=settings.mosaic)
     if counted:
         _check_counts(patterns, stack, photographs)
@@ -115,6 +117,7 @@ def read_folders(
 ) -> CaptureParts:
     """Read two folders of images, or stacks, as many of each if `counted`."""
     projected = patterns if isinstance(patterns, PatternSet) else read_patterns(patterns)
+    _check_projected(projected, Path(images).parent / NAME)
     projected = _as_light(projected, settings)
     stack = ImageStack.open(images, mosaic=settings.mosaic)
     if counted:
@@ -130,6 +133,19 @@ def read_folders(
     unknown = settings.projector_response == AUTOMATIC
     mask = read_mask(settings.mask, stack.shape)
     return CaptureParts(projected, stack, decoder, mask, projector_unknown=unknown)
+
+
+def _check_projected(patterns: PatternSet, file: Path) -> None:
+    """Refuse patterns that the description beside the photographs does not list."""
+    listed = (read_object(file) or {}).get("patterns")
+    if not isinstance(listed, list) or set(patterns.digests) <= set(map(str, listed)):
+        return
+    other = [k for k, digest in enumerate(patterns.digests) if digest not in listed]
+    raise InputError(
+        f"{file}: {len(other)} of the {patterns.count} patterns, the first of them number "
+        f"{other[0]}, are not those that were projected",
+        hint=f'give the patterns of this capture; or remove "patterns" from {file} to use others',
+    )
 
 
 def write_capture(
@@ -181,6 +197,7 @@ def write_capture(
             "version": VERSION,
             "projector_shape": list(patterns.shape),
             "camera_shape": list(shape or ()),
+            "patterns": patterns.digests,
             "exposure": jsonable(sensor.exposure),
             "clip": jsonable(sensor.decoder().clip),
             "black_level": sensor.black_level,

@@ -268,6 +268,7 @@ KEYS: dict[str, _Kind] = {
     "projector_shape": (_shape, "two whole numbers, such as [64, 64]"),
     "camera_shape": (_shape, "two or three whole numbers, such as [480, 640]"),
     "provenance": (_of(dict), "an object; anything may stand in it"),
+    "patterns": (_of(list), "the digest of each pattern that was projected"),
     "mask": _IMAGE,
     "black": (_of(dict), "an object with the black frame's file"),
     "exposure": (_several(_above_0), "a number above 0, or one for each frame"),
