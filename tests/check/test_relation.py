@@ -41,7 +41,9 @@ def relation(capture: lm.Capture) -> list[Finding]:
     ],
 )
 def test_names_what_the_photographs_follow(scene: str, damage: str, kind: str, words: str) -> None:
-    (finding,) = check_capture(draw(scene, "random", damage, 16, 3).capture)
+    # All checks together take seconds where light is smooth.
+    look = check_capture if scene == "permutation" or kind == "order" else relation
+    (finding,) = look(draw(scene, "random", damage, 16, 3).capture)
     assert finding.kind == kind
     assert words in finding.message
 
