@@ -707,5 +707,5 @@ def test_levels_of_16_bits_are_read_from_other_integers(dtype: str, tmp_path: Pa
     np.testing.assert_array_equal(read, levels)
     if "i" in dtype:
         np.save(tmp_path / "b.npy", (levels - 1).astype(dtype))
-        with pytest.raises(InputError, match="holds .* values"):
+        with pytest.raises(InputError, match=r"holds .* values"):
             read_image(tmp_path / "b.npy")
