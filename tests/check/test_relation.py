@@ -91,7 +91,7 @@ def made(scene: str = "textured", damage: str = "intact", seed: int = 1) -> Rela
 
 
 def test_few_frames_are_not_judged() -> None:
-    capture = draw("textured", "random", "other seed", 16, 0).capture
+    capture = draw("textured", "random", "other seed", 16, 1).capture
     survey = Survey.take(capture.patterns, capture.frames, capture.decoder, capture.mask)
     for count, kinds in ((15, []), (40, ["unrelated"])):
         few = replace(
