@@ -62,14 +62,17 @@ class Draw:
         raw = self.sensor.expose(self.light * gain + self.room[:, None], seed=self.seed)
         return np.ascontiguousarray(raw.T).reshape(-1, *self.shape)
 
-    def check(self, frames: Images) -> list[Finding]:
-        """What is wrong with frames, decoded as this camera's."""
+    def capture(self, frames: Images) -> Capture:
+        """Frames, decoded as this camera's."""
         decoder = self.sensor.decoder()
         if self.room.any():
             black = self.sensor.expose(self.room[:, None], seed=self.seed, first_frame=len(frames))
             decoder = replace(decoder, black_frame=black.ravel())
-        capture = Capture.from_arrays(self.patterns, frames, decoder)
-        return check_capture(capture)
+        return Capture.from_arrays(self.patterns, frames, decoder)
+
+    def check(self, frames: Images) -> list[Finding]:
+        """What is wrong with them."""
+        return check_capture(self.capture(frames))
 
 
 def draws(number: int, seed: int) -> Iterator[Draw]:

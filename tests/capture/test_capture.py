@@ -332,9 +332,7 @@ def test_files_with_unused_bits_are_refused(tmp_path: Path, bits: int) -> None:
         with pytest.raises(InputError, match=f"no level above {2**bits - 1}.*\n.*clip="):
             judge(ReadSettings(), block)
     judge(ReadSettings(clip=2**bits - 1))
-    # A user who insists that they are just dark is warned that many cameras clip there.
-    with pytest.warns(LightMatrixWarning, match=f"samples are exactly {2**bits - 1}"):
-        judge(ReadSettings(clip=65535))
+    judge(ReadSettings(clip=65535))
 
 
 def test_jpeg_without_a_response_is_warned_about(tmp_path: Path) -> None:

@@ -13,6 +13,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+import lightmatrix as lm
 from lightmatrix.capture.camera_curve import Response
 from lightmatrix.capture.capture import Capture
 from lightmatrix.capture.decoder import Decoder
@@ -282,6 +283,25 @@ def test_a_black_frame_or_mask_is_never_ignored_silently(tmp_path: Path) -> None
     write_image(place / "black.npy", DARK)
     with pytest.raises(InputError, match=r"holds Black\.PNG and black\.npy"):
         Capture.open(place)
+
+
+def test_photographs_of_other_patterns_are_refused(tmp_path: Path) -> None:
+    shown, other = lm.BernoulliPatterns((8, 8), 6), lm.BernoulliPatterns((4, 16), 6)
+    lm.simulate(lm.ProceduralScene((6, 6), (8, 8)).truth(), shown).save(tmp_path / "c")
+    for file in (tmp_path / "c/images/image_0002.png", tmp_path / "c/patterns/pattern_0002.png"):
+        file.unlink()
+    # What is left of a set belongs to it.
+    (tmp_path / "c/patterns/patterns.json").unlink()
+    assert Capture.open(tmp_path / "c").patterns.count == 5
+    place = tmp_path / "c/images"
+    with pytest.raises(InputError, match=r"capture\.json: 6 of the 6 patterns.*number 0"):
+        Capture.from_folders(other, place)
+    with pytest.raises(InputError, match="6 of the 6"):
+        lm.check(patterns=other, images=place)
+    file = tmp_path / "c/capture.json"
+    file.write_text(json.dumps({**json.loads(file.read_text()), "patterns": [1]}))
+    with pytest.raises(InputError, match='remove "patterns"'):
+        Capture.open(tmp_path / "c")
 
 
 def test_the_size_of_described_patterns_is_checked_first(tmp_path: Path) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -10,8 +11,11 @@ from numpy.typing import NDArray
 from scipy.fft import dctn, idctn
 
 import lightmatrix as lm
+from benchmarks.synthetic_captures import SCENES, draw
+from lightmatrix.capture.clip_level import find_pile
 from lightmatrix.check import levels
-from lightmatrix.check.levels import check_light_level, check_plain_frames
+from lightmatrix.check.all_checks import check_capture
+from lightmatrix.check.levels import check_clip_level, check_light_level, check_plain_frames
 from lightmatrix.check.survey import Survey
 from lightmatrix.files.images import decode_image, encode_image
 from lightmatrix.patterns.bits import BernoulliPatterns
@@ -23,9 +27,12 @@ K, SIDE = 12, 20
 CAMERA = lm.Decoder(clip=255, full_scale=255)
 
 
-def survey(frames: NDArray[np.uint8], decoder: lm.Decoder = CAMERA) -> Survey:
-    patterns = BernoulliPatterns((4, 4), len(frames))
-    capture = lm.Capture.from_arrays(patterns, frames, decoder)
+def captured(frames: NDArray[np.generic], decoder: lm.Decoder = CAMERA) -> lm.Capture:
+    return lm.Capture.from_arrays(BernoulliPatterns((4, 4), len(frames)), frames, decoder)
+
+
+def survey(frames: NDArray[np.generic], decoder: lm.Decoder = CAMERA) -> Survey:
+    capture = captured(frames, decoder)
     return Survey.take(capture.patterns, capture.frames, capture.decoder, capture.mask)
 
 
@@ -48,6 +55,56 @@ def test_two_thirds_of_the_samples_may_clip() -> None:
         # Rows of the image: 12.8 of 20 and 13.8 of 20.
         frames[:, : int(SIDE * share), :] = 255
         assert kinds(frames) == found
+
+
+@pytest.mark.parametrize(
+    ("clip", "scale", "dtype", "end"),
+    [(235, 1, "u1", 255), (128, 0.5, "u1", 255), (4031, 16, "u2", 4095), (0.951, 1 / 255, "f4", 1)],
+)
+def test_a_clip_level_below_the_stated_one_is_named_and_taken(
+    clip: float, scale: float, dtype: str, end: float, tmp_path: Path
+) -> None:
+    whole = (np.random.default_rng(0).gamma(3, 60, (K, SIDE, SIDE)) + 5) * scale
+    # A hot pixel lies above.
+    whole[:, 0, 0] = np.inf
+    sensor = lm.Decoder(clip=end, full_scale=end)
+
+    def photographed(level: float) -> NDArray[np.generic]:
+        seen = np.minimum(whole, level)
+        seen[:, 0, 0] = end
+        return np.ascontiguousarray((seen if dtype == "f4" else np.rint(seen)).astype(dtype))
+
+    frames = photographed(clip)
+    (found,), mended = check_clip_level(survey(frames, sensor))
+    assert found.kind == "clip"
+    assert f"clip={clip}, or" in found.advice
+    assert check_clip_level(mended) == ([], mended)
+    # Noise that ends below the level is no pile, and neither is the stated level.
+    assert check_clip_level(survey(photographed(end), sensor))[0] == []
+    np.save(tmp_path / "images.npy", frames)
+    with pytest.warns(lm.LightMatrixWarning, match=f"exactly {clip}"):
+        read = lm.Capture.from_folders(
+            BernoulliPatterns((4, 4), K), tmp_path / "images.npy", lm.ReadSettings(clip="auto")
+        )
+    assert read.decoder.clip == pytest.approx(clip)
+    assert not read.decoder.clip_assumed
+
+
+def test_other_checks_judge_by_the_level_at_which_photographs_clip() -> None:
+    intact = draw("textured", "random", "intact", 16, 1).capture
+    frames = np.stack([intact.frame(k) for k in range(intact.count)])
+    video = lm.Capture.from_arrays(intact.patterns, np.minimum(frames, 128), CAMERA)
+    assert [each.kind for each in check_capture(video)] == ["clip"]
+
+
+@pytest.mark.parametrize("scene", sorted(SCENES))
+def test_no_pile_is_seen_where_nothing_clips(scene: str) -> None:
+    """Camera pixels that see one projector pixel, or stripes, have few distinct levels."""
+    for patterns in ("random", "stripes", "one pixel"):
+        drawn = draw(scene, patterns, "intact", 16, 1)
+        light = drawn.truth.sparse @ drawn.capture.patterns.rows(0, drawn.capture.count).T
+        raw = lm.Sensor(1.0, 0.0, 0.003).expose(0.8 * light / light.max(), seed=0)
+        assert find_pile(raw) is None
 
 
 @pytest.mark.parametrize("black", [0, 10])

@@ -48,7 +48,11 @@ def kinds_and_frames(found: list[Finding]) -> list[tuple[str, tuple[int, ...]]]:
 @pytest.fixture(scope="module")
 def board() -> tuple[lm.PatternSet, Images]:
     frames = np.stack(list(ImageStack.open(BOARD / "capture_0")))
-    return lm.read_patterns(BOARD / "graycode_pattern"), frames
+    patterns = lm.read_patterns(BOARD / "graycode_pattern")
+    if BOARD == WINDOW:
+        # The window sees this part of the projector; the rest would take seconds.
+        patterns = lm.ImagePatterns(patterns.images()[:, 512:704, 192:464].astype(np.float32))
+    return patterns, frames
 
 
 def darkened(frames: Images) -> Images:
@@ -58,9 +62,9 @@ def darkened(frames: Images) -> Images:
 
 
 def shifted(frames: Images) -> Images:
-    late = np.roll(frames[21:], 2, axis=2)
-    late[:, :, :2] = frames[21:, :, :2]
-    return np.concatenate([frames[:21], late])
+    late = np.roll(frames[25:], 2, axis=2)
+    late[:, :, :2] = frames[25:, :, :2]
+    return np.concatenate([frames[:25], late])
 
 
 def flickering(frames: Images) -> Images:
@@ -77,7 +81,7 @@ def flickering(frames: Images) -> Images:
         (darkened, [("frame", (9,))]),
         (coded, [("response", ())]),
         (compressed, [("jpeg", ())]),
-        (shifted, [("motion", tuple(range(22, 42)))]),
+        (shifted, [("motion", tuple(range(26, 42)))]),
         (flickering, [("flicker", ())]),
     ],
     ids=["intact", "swapped", "white and black", "black", "gamma", "JPEG", "shifted", "flicker"],

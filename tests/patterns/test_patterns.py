@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -305,3 +307,26 @@ def test_black_and_white_images_are_bits_as_generated_ones_are(
     assert type(whiter) is type(read)
     np.testing.assert_array_equal(whiter.images()[:-1], read.images())
     assert (whiter.images()[-1] == 1).all()
+
+
+@pytest.mark.parametrize(
+    "make",
+    [
+        lambda shape: BernoulliPatterns(shape, 4),
+        lambda shape: make_patterns("mix", shape, 64).subset(np.arange(4)),
+        lambda shape: make_patterns("hadamard", shape, 4, permute=True).subset(np.arange(1, 4)),
+    ],
+    ids=["bernoulli", "mix", "hadamard"],
+)
+def test_patterns_of_other_shapes_share_nothing(make: Callable[[Any], Any]) -> None:
+    """Else those of another size explain photographs, and T is wrong without a finding."""
+    first = make((64, 64)).images().reshape(-1, 4096)
+    for shape in ((32, 128), (128, 32), (128, 64), (64, 128), (128, 128), (96, 64)):
+        other = make(shape).images().reshape(len(first), -1)[:, :4096]
+        # Of 4096 independent pixels, half are the same, with a deviation of 0.8 %.
+        assert np.abs((first == other).mean(axis=1) - 0.5).max() < 0.05, shape
+
+
+def test_patterns_of_other_densities_are_not_nested() -> None:
+    dark, bright = (BernoulliPatterns((16, 16), 4, density).images() for density in (0.3, 0.6))
+    assert (bright[dark == 1] == 0).any()

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import csv
-import io
-import json
+import math
+import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,9 +18,10 @@ from lightmatrix.capture.sensor import Sensor
 from lightmatrix.errors import InputError
 from lightmatrix.files.colours import COLOURS
 from lightmatrix.files.images import READABLE, read_image
-from lightmatrix.files.reading import read_text
+from lightmatrix.files.reading import parse_json, read_text
 from lightmatrix.files.stacks import list_images, natural_order
 from lightmatrix.patterns.pattern_set import ImagePatterns
+from lightmatrix.ranges import as_float
 
 # Folders of other programs that hold patterns and photographs, and how they lie in them.
 #
@@ -135,32 +136,53 @@ def _exposures(place: Path) -> dict[str, float]:
             hint="list each file name with its exposure in one of them",
         )
     file = sources[0]
+    text = read_text(file)
     try:
-        text = read_text(file)
-        if file.suffix == ".json":
-            content = json.loads(text)
-        else:
-            rows = [row for row in csv.reader(io.StringIO(text)) if row]
-            content = {row[0].strip(): row[-1] for row in rows if _is_number(row[-1])}
-            if all(len(row) == 1 for row in rows):
-                content = [row[0] for row in rows]
-        pairs = content.items() if isinstance(content, dict) else enumerate(content)
+        content = parse_json(text, str(file)) if file.suffix == ".json" else _columns(text)
+        pairs = list(content.items() if isinstance(content, dict) else enumerate(content))
         table = {str(name): float(value) for name, value in pairs}
-    except (ValueError, TypeError) as error:
+    except (ValueError, TypeError, OverflowError, csv.Error) as error:
         raise InputError(
-            f"{file}: is no list of exposures", hint='write file names and numbers: "a.png": 0.5'
+            f"{file}: is no list of exposures: {error!s:.200}",
+            hint='write file names and numbers, such as "a.png",0.5',
         ) from error
     if not table or not all(0 < value < float("inf") for value in table.values()):
         raise InputError(f"{file}: holds an exposure that is not above 0", hint="correct it")
     return table
 
 
-def _is_number(text: str) -> bool:
-    try:
-        float(text)
-    except ValueError:
-        return False
-    return True
+def _columns(text: str) -> dict[str, str] | list[str]:
+    """Names and exposures, or exposures alone, of a table; a ValueError says why it is none."""
+    lines = [line for line in text.splitlines() if line.strip()]
+    # Spreadsheets that write 0,5 for a half separate columns by semicolons, or quote the number.
+    mark = next((mark for mark in ";\t" if mark in text), ",")
+    rows = [[field.strip() for field in row] for row in csv.reader(lines, delimiter=mark)]
+    width = max(map(len, rows), default=0)
+    if any(len(row) != width for row in rows):
+        raise ValueError("its lines have different numbers of columns")
+    column, called = width - 1, list[int]()
+    if rows and not any(_number(field) for field in rows[0]):
+        words = re.compile("expos|time|second", re.IGNORECASE)
+        called = [k for k, name in enumerate(rows.pop(0)) if words.search(name)]
+        column = called[0] if len(called) == 1 else column
+    if width > 2 and len(called) != 1:
+        raise ValueError(
+            f"it has {width} columns, and no first line that calls one of them exposure; "
+            "write 0.5 with a point"
+        )
+    if width == 2 and all(field.isdecimal() for row in rows for field in row):
+        raise ValueError("it has whole numbers in both columns; write 0.5 with a point")
+    values = [row[column].replace(",", ".") for row in rows]
+    if width < 2:
+        return values
+    names = [row[0] for row in rows]
+    if len(set(names)) < len(names):
+        raise ValueError("it names a photograph twice")
+    return dict(zip(names, values, strict=True))
+
+
+def _number(text: str) -> bool:
+    return not math.isnan(as_float(text.replace(",", ".")))
 
 
 def convert(

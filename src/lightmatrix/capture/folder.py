@@ -25,6 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lightmatrix.capture.camera_curve import AUTOMATIC, Response, range_end
+from lightmatrix.capture.clip_level import pile_of_frames
 from lightmatrix.capture.decoder import Decoder
 from lightmatrix.capture.frames import CaptureParts, Frames, level_blocks
 from lightmatrix.capture.packed import FORMAT as PACKED_FORMAT
@@ -41,7 +42,7 @@ from lightmatrix.capture.settings import (
 )
 from lightmatrix.errors import InputError, warn
 from lightmatrix.files.images import JPEG, READABLE, fill_image, is_grey, likely_white, read_image
-from lightmatrix.files.kinds import CAPTURE
+from lightmatrix.files.kinds import CAPTURE, read_object
 from lightmatrix.files.reading import errors_naming
 from lightmatrix.files.stacks import ImageStack, is_stack, nonlinear_tag
 from lightmatrix.files.writing import atomic_folder
@@ -83,7 +84,9 @@ def read_capture(
                 raise InputError(f"{entry}: is not read under this name", hint=hint)
         description = Description()
     settings = _with_files_beside(place, description, described)
-    patterns = _as_light(read_patterns(pattern_images), settings)
+    shown = read_patterns(pattern_images)
+    _check_projected(shown, file)
+    patterns, curve = _as_light(shown, settings)
     stack = ImageStack.open(photographs, mosaic=settings.mosaic)
     if counted:
         _check_counts(patterns, stack, photographs)
@@ -102,7 +105,9 @@ def read_capture(
             decoder.check_count(stack.count)
     mask = read_mask(settings.mask, stack.shape)
     unknown = settings.projector_response == AUTOMATIC
-    return CaptureParts(patterns, stack, decoder, mask, dict(description.provenance), unknown)
+    return CaptureParts(
+        patterns, stack, decoder, mask, {**description.provenance, **curve}, unknown
+    )
 
 
 def read_folders(
@@ -114,7 +119,8 @@ def read_folders(
 ) -> CaptureParts:
     """Read two folders of images, or stacks, as many of each if `counted`."""
     projected = patterns if isinstance(patterns, PatternSet) else read_patterns(patterns)
-    projected = _as_light(projected, settings)
+    _check_projected(projected, Path(images).parent / NAME)
+    projected, curve = _as_light(projected, settings)
     stack = ImageStack.open(images, mosaic=settings.mosaic)
     if counted:
         _check_counts(projected, stack, Path(images))
@@ -128,7 +134,20 @@ def read_folders(
     decoder = make_decoder(stack, settings)
     unknown = settings.projector_response == AUTOMATIC
     mask = read_mask(settings.mask, stack.shape)
-    return CaptureParts(projected, stack, decoder, mask, projector_unknown=unknown)
+    return CaptureParts(projected, stack, decoder, mask, curve, projector_unknown=unknown)
+
+
+def _check_projected(patterns: PatternSet, file: Path) -> None:
+    """Refuse patterns that the description beside the photographs does not list."""
+    listed = (read_object(file) or {}).get("patterns")
+    if not isinstance(listed, list) or set(patterns.digests) <= set(map(str, listed)):
+        return
+    other = [k for k, digest in enumerate(patterns.digests) if digest not in listed]
+    raise InputError(
+        f"{file}: {len(other)} of the {patterns.count} patterns, the first of them number "
+        f"{other[0]}, are not those that were projected",
+        hint=f'give the patterns of this capture; or remove "patterns" from {file} to use others',
+    )
 
 
 def write_capture(
@@ -180,6 +199,7 @@ def write_capture(
             "version": VERSION,
             "projector_shape": list(patterns.shape),
             "camera_shape": list(shape or ()),
+            "patterns": patterns.digests,
             "exposure": jsonable(sensor.exposure),
             "clip": jsonable(sensor.decoder().clip),
             "black_level": sensor.black_level,
@@ -269,14 +289,17 @@ def _check_counts(patterns: PatternSet, stack: ImageStack, images: Path) -> None
         )
 
 
-def _as_light(patterns: PatternSet, settings: ReadSettings) -> PatternSet:
-    """The light of patterns that the projector was sent as grey values, if their light is known."""
+def _as_light(patterns: PatternSet, settings: ReadSettings) -> tuple[PatternSet, dict[str, Any]]:
+    """The light of patterns that the projector was sent as grey values, if their light is known.
+
+    Also the response for the description of the capture.
+    """
     response = settings.projector_response
     if response is None or response == AUTOMATIC:
-        return patterns
+        return patterns, {}
     if not isinstance(response, ProjectorResponse):
         response = ProjectorResponse.load(response)
-    return response.light_of_patterns(patterns)
+    return response.light_of_patterns(patterns), response.as_provenance
 
 
 def make_decoder(stack: ImageStack, settings: ReadSettings) -> Decoder:
@@ -300,7 +323,13 @@ def make_decoder(stack: ImageStack, settings: ReadSettings) -> Decoder:
             f"a full scale of {full_scale:g} for images of {stack.dtype}",
             hint=f"use a raw level of at most {top:g}",
         )
-    clip = full_scale if settings.clip is None else settings.clip
+    clip, assumed = settings.clip, settings.clip is None and measured is None
+    if isinstance(clip, str):
+        pile = pile_of_frames(stack)
+        if pile is not None:
+            warn(f"clip: {pile}, where the camera seems to clip")
+        clip, assumed = None if pile is None else float(pile.shown), pile is None
+    clip = full_scale if clip is None else clip
     return Decoder(
         clip,
         full_scale,
@@ -310,7 +339,7 @@ def make_decoder(stack: ImageStack, settings: ReadSettings) -> Decoder:
         _read_black(stack, settings, clip),
         settings.black_exposure,
         # A measured response ends at the clip level of its camera.
-        settings.clip is None and measured is None,
+        assumed,
     )
 
 
@@ -364,9 +393,11 @@ def check_depth(frames: Frames, decoder: Decoder) -> None:
         # Noise and interpolated colours reach somewhat above 1. Raw levels, such as 0 to 255, that
         # were saved as float reach far above 2, and nearly all of them would clip at 1.
         if highest > 2:
+            pile = pile_of_frames(frames)
+            white = "255" if pile is None else f"{pile.shown}: {pile}"
             raise InputError(
                 f"the images are float with levels up to {highest:g}, but float images clip at 1",
-                hint='give their level of white, such as clip=255, or "clip" in capture.json',
+                hint=f'give their level of white, such as clip={white}, or "clip" in capture.json',
             )
     if frames.dtype != np.uint16:
         return
@@ -375,9 +406,12 @@ def check_depth(frames: Frames, decoder: Decoder) -> None:
         top = max(top, int(block.max()))
         if (likely := likely_white(frames.dtype, top)) is None:
             return
+    pile = pile_of_frames(frames)
+    which = f"that clips at {likely}?" if pile is None else f"that clips? {pile}"
+    hint = f"give clip={likely if pile is None else pile.shown}"
     raise InputError(
-        f"the images have 16 bits, but no level above {top}: a camera that clips at {likely}?",
-        hint=f'give clip={likely}, or "clip" in capture.json; clip=65535 if they are just dark',
+        f"the images have 16 bits, but no level above {top}: a camera {which}",
+        hint=f'{hint}, or "clip" in capture.json; clip=65535 if they are just dark',
     )
 
 

@@ -312,13 +312,6 @@ class Reader:
             return self.frames.levels(start, stop)
         return self.raw[start:stop]
 
-    def level_blocks(self) -> Iterator[NDArray[Any]]:
-        """All raw levels once, some camera samples at a time."""
-        pixels = int(np.prod(self.frames.shape))
-        step = max(1, BLOCK_LEVELS // self.frames.count)
-        for start in range(0, pixels, step):
-            yield self.levels(start, min(start + step, pixels))
-
     @computed_once
     def raw(self) -> NDArray[Any]:
         """Raw levels (M, K): the frames of a camera sample lie side by side, as tiles need them."""

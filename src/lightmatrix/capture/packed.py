@@ -169,7 +169,8 @@ def _decoder(
 ) -> Decoder:
     """The decoder of the frames, with its response and its black frame."""
     top = float(np.iinfo(frames.dtype).max) if frames.dtype.kind == "u" else np.inf
-    if settings.clip is None or settings.full_scale is None or not settings.full_scale <= top:
+    clip, full_scale = settings.clip, settings.full_scale
+    if clip is None or isinstance(clip, str) or full_scale is None or not full_scale <= top:
         raise ValueError("it does not say its clip level, or a full scale that no image has")
     name, black_exposure = attributes.get("response"), attributes.get("black_exposure")
     if not isinstance(name, str):
@@ -190,8 +191,8 @@ def _decoder(
         raise ValueError(f"the curve of its response {name[:60]!r} is missing")
     black = _array(place, BLACK, frames.shape, "uf")
     decoder = Decoder(
-        settings.clip,
-        settings.full_scale,
+        clip,
+        full_scale,
         0.0 if settings.black_level is None else settings.black_level,
         response,
         settings.exposure,

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -44,9 +44,9 @@ class ReadSettings:
         unit of T, which the room light in a black frame does not change.
     white : str or Path, optional
         Photograph under a white pattern; becomes one more frame.
-    clip : float or (K,), optional
-        Raw level at which the camera clips, > 0. None: `full_scale`, or where a measured response
-        ends.
+    clip : float, (K,) or "auto", optional
+        Raw level at which the camera clips, > 0; "auto" takes the level at which samples pile up,
+        if there is one. None: `full_scale`, or where a measured response ends.
     full_scale : float, optional
         Raw level that the response calls 1, > 0. None: the end of the range (255, 65535, or 1 for
         float).
@@ -83,7 +83,7 @@ class ReadSettings:
     black_exposure: float | None = None
     black_level: float | NDArray[Any] | None = None
     white: str | Path | None = None
-    clip: float | NDArray[Any] | None = None
+    clip: float | NDArray[Any] | Literal["auto"] | None = None
     full_scale: float | None = None
     exposure: float | NDArray[Any] = 1.0
     response: Response | str | None = None
@@ -104,10 +104,12 @@ class ReadSettings:
             object.__setattr__(self, "black", None)
         for name in ("black_level", "clip", "exposure"):
             value = getattr(self, name)
-            if value is not None:
+            automatic = name == "clip" and isinstance(value, str) and value == AUTOMATIC
+            if value is not None and not automatic:
                 levels = real_numbers(name.replace("_", " "), value)
                 object.__setattr__(self, name, levels if levels.ndim else float(levels))
-        check_levels(self.clip, self.black_level, self.full_scale)
+        clip = None if isinstance(self.clip, str) else self.clip
+        check_levels(clip, self.black_level, self.full_scale)
         check_exposures(self.exposure)
         if self.black_exposure is not None:
             check_number(
@@ -242,6 +244,10 @@ def _several(one: Callable[[Any], float | None]) -> Callable[[Any], Levels | Non
     return read
 
 
+def _clip(value: Any) -> Levels | str | None:
+    return AUTOMATIC if value == AUTOMATIC else _several(_above_0)(value)
+
+
 def _shape(value: Any) -> tuple[int, ...] | None:
     whole = isinstance(value, list) and all(type(n) is int and n > 0 for n in value)
     return tuple(value) if whole and len(value) in (2, 3) else None
@@ -262,10 +268,11 @@ KEYS: dict[str, _Kind] = {
     "projector_shape": (_shape, "two whole numbers, such as [64, 64]"),
     "camera_shape": (_shape, "two or three whole numbers, such as [480, 640]"),
     "provenance": (_of(dict), "an object; anything may stand in it"),
+    "patterns": (_of(list), "the digest of each pattern that was projected"),
     "mask": _IMAGE,
     "black": (_of(dict), "an object with the black frame's file"),
     "exposure": (_several(_above_0), "a number above 0, or one for each frame"),
-    "clip": (_several(_above_0), "a level above 0, or one for each frame"),
+    "clip": (_clip, "a level above 0, one for each frame, or auto"),
     "black_level": (_several(_level), "a level of 0 or more, or one for each frame"),
     "full_scale": (_above_0, f"a level above 0, at most {MOST_LEVEL:g}"),
     "response": (_text, RESPONSES),

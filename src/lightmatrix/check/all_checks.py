@@ -19,7 +19,12 @@ from lightmatrix.capture.settings import ReadSettings
 from lightmatrix.check.finding import Finding
 from lightmatrix.check.frame_order import check_counts, check_order
 from lightmatrix.check.inverse_pairs import Pairs, check_pairs, pair_gains
-from lightmatrix.check.levels import check_jpeg, check_light_level, check_plain_frames
+from lightmatrix.check.levels import (
+    check_clip_level,
+    check_jpeg,
+    check_light_level,
+    check_plain_frames,
+)
 from lightmatrix.check.linearity import check_grey_levels, check_linearity, show_pictures
 from lightmatrix.check.motion import check_motion
 from lightmatrix.check.prediction import predict
@@ -34,6 +39,7 @@ from lightmatrix.check.wrong_frames import (
     wrong_frames,
 )
 from lightmatrix.errors import InputError
+from lightmatrix.files.extras import orientation
 from lightmatrix.files.stacks import ImageStack
 from lightmatrix.patterns.colour import ColourPatterns
 from lightmatrix.patterns.pattern_set import ImagePatterns, PatternSet
@@ -158,20 +164,43 @@ def check_capture(capture: Capture) -> list[Finding]:
     photographs.
     """
     with one_blas_thread():
-        return _check(capture)
+        return [_with_orientation(capture, finding) for finding in _check(capture)]
+
+
+def _with_orientation(capture: Capture, finding: Finding) -> Finding:
+    """The finding, with what differing orientation tags have to do with photographs that moved."""
+    frames = capture.whole.frames
+    if finding.kind not in ("motion", "order") or not isinstance(frames, ImageStack):
+        return finding
+    tags = [orientation(path) for path in frames.paths if isinstance(path, Path)]
+    turned = [k for k, tag in enumerate(tags) if tag != tags[0]]
+    if not turned:
+        return finding
+    advice = (
+        f"{finding.advice}; the EXIF orientation of {len(turned)} photographs, from "
+        f"{frames.paths[turned[0]].name} on, differs from that of the first: viewers turn them by "
+        "it, lightmatrix reads all pixels as they are stored; apply the tag to the pixels (such as "
+        "mogrify -auto-orient), or switch it off in the camera"
+    )
+    return replace(finding, advice=advice)
 
 
 def _check(capture: Capture) -> list[Finding]:
-    whole = capture.whole
-    survey = _survey(whole)
-    names = [capture.frames.name(k) for k in range(capture.count)]
+    survey = _survey(capture.whole)
     findings = check_interchanged(survey)
     if findings:
         return findings
+    # What follows judges by the level at which the photographs do clip.
+    of_clip, survey = check_clip_level(survey)
+    return of_clip + _check_surveyed(survey, capture)
+
+
+def _check_surveyed(survey: Survey, capture: Capture) -> list[Finding]:
+    names = [capture.frames.name(k) for k in range(capture.count)]
     rows = high_variance_rows(survey)
 
     def of_light() -> list[Finding]:
-        seen = survey if whole is capture else _survey(capture)
+        seen = survey if capture.whole is capture else _survey(capture)
         found = check_distinguishable(survey.patterns) + check_light_level(seen)
         return found + check_jpeg(survey, names)
 

@@ -14,6 +14,7 @@ KINDS = {
     "patterns": "patterns from which T cannot be determined everywhere",
     "stripes": "patterns of stripes, which suffice where each camera pixel sees one place",
     "light": "too much or too little light",
+    "clip": "photographs that clip below the stated clip level",
     "black": "a black frame that is not the darkest",
     "white": "a white frame that is not the brightest",
     "order": "photographs that show the pattern of another one",

@@ -10,12 +10,14 @@ shows as coefficients that lie on combs.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.fft import dctn, idctn
 
+from lightmatrix.capture.clip_level import find_pile
 from lightmatrix.check.finding import Finding, join_names
 from lightmatrix.check.survey import BLOCK, Survey
 
@@ -69,6 +71,21 @@ def check_light_level(survey: Survey) -> list[Finding]:
         advice = "move camera or lens so that the lit part fills the image, or mask the rest"
         return [Finding("unseen", (), message, advice)]
     return []
+
+
+def check_clip_level(survey: Survey) -> tuple[list[Finding], Survey]:
+    """Whether samples pile up below the clip level; and the survey that clips there."""
+    pile, decoder = find_pile(survey.raw), survey.decoder
+    clip = np.float32(np.min(decoder.clip))
+    if pile is None or not np.max(decoder.black_level) < pile.level < clip:
+        return [], survey
+    message = f"{pile}, and hardly any are above: they seem to clip there, not at {clip:g}"
+    advice = f'give clip={pile.shown}, or "clip" in capture.json'
+    if survey.raw.dtype == np.uint8 and pile.level == 235:
+        advice += "; video has black_level=16, too"
+    return [Finding("clip", (), message, advice)], replace(
+        survey, decoder=replace(decoder, clip=float(pile.shown))
+    )
 
 
 def check_plain_frames(

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterable
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lightmatrix.capture.capture import Capture
 from lightmatrix.capture.decoder import Decoder
@@ -15,10 +14,6 @@ from lightmatrix.check.all_checks import check_capture
 from lightmatrix.check.finding import Finding
 from lightmatrix.errors import InputError, warn
 from lightmatrix.patterns.pattern_set import PatternSet
-
-# The brightest levels of cameras of 10, 12 and 14 bits whose levels are stored in 16 bits, aligned
-# to the lowest bit and to the highest one.
-_TOPS_IN_16_BITS = (1023, 4095, 16383, 65472, 65520, 65532)
 
 
 def refuse_unusable(capture: Capture) -> None:
@@ -30,18 +25,16 @@ def refuse_unusable(capture: Capture) -> None:
     _refuse_useless_patterns(capture.patterns)
     check_depth(capture.frames, capture.decoder)
     _refuse_useless_light(capture.tiles(), int(capture.valid.sum()), capture.decoder)
-    if capture.frames.dtype == np.uint16 and capture.bin_camera == (1, 1):
-        _warn_of_hidden_clipping(capture.reader.level_blocks(), capture.decoder)
 
 
 def refuse_unordered(capture: Capture) -> list[Finding]:
-    """Refuse a capture whose frames are out of order, which spoils all of an estimate.
+    """Refuse a capture whose photographs do not follow their patterns, which spoils all of T.
 
     Returns what else `check` finds.
     """
     findings = check_capture(capture)
     for finding in findings:
-        if finding.kind == "order":
+        if finding.kind in ("order", "unrelated", "interchanged"):
             raise InputError(
                 finding.message, hint=f"{finding.advice}; check=False takes them as they are"
             )
@@ -109,22 +102,4 @@ def _refuse_useless_light(
         raise InputError(
             f"{100 * clipped / total:.1f} % of the samples are clipped",
             hint="expose so that most samples stay below the clip level; 1 to 20 % may clip",
-        )
-
-
-def _warn_of_hidden_clipping(blocks: Iterable[NDArray[np.integer]], decoder: Decoder) -> None:
-    """Warn if 16-bit levels, block by block, end below the clip level where many cameras end."""
-    top, many = 0, 0
-    for block in blocks:
-        highest = int(block.max(initial=0))
-        if highest > top:
-            top, many = highest, 0
-        # Counting takes time, and few blocks reach the last level of a camera.
-        if highest == top and top in _TOPS_IN_16_BITS:
-            many += int((block == top).sum())
-    clip = float(np.min(decoder.clip))
-    if top < clip and many > 3:
-        warn(
-            f"{many} samples are exactly {top}, the brightest level, at which many cameras clip, "
-            f"but the clip level is {clip:g}: should it be {top}?",
         )

@@ -153,7 +153,7 @@ def read_source(
     clip: Annotated[
         str | None,
         _reading(
-            help=f"Raw level at which samples clip: {_EACH}.",
+            help=f"Raw level at which samples clip: {_EACH}; or auto (where samples pile up).",
             show_default="255, 65535, or 1 for float",
         ),
     ] = None,
@@ -237,7 +237,7 @@ def read_source(
         raise InputError(f"{missing} is missing", hint="give both, or a capture folder")
     # Some texts hold numbers.
     for name in ("exposure", "clip", "black_level"):
-        if name in stated:
+        if name in stated and not (name == "clip" and stated[name] == AUTO):
             stated[name] = numbers(stated[name], _option(name))
     if "black" in stated:
         stated["black"] = level_or_file(stated["black"])

@@ -11,7 +11,12 @@ from numpy.typing import NDArray
 
 from lightmatrix import _core
 from lightmatrix.errors import InputError
-from lightmatrix.patterns.pattern_set import ImagePatterns, PatternSet, check_geometry
+from lightmatrix.patterns.pattern_set import (
+    ImagePatterns,
+    PatternSet,
+    check_geometry,
+    seed_sequence,
+)
 from lightmatrix.ranges import as_float, check_seed, real_array
 from lightmatrix.reprs import short_repr
 from lightmatrix.resources.threads import computed_once
@@ -137,7 +142,7 @@ class BernoulliPatterns(BinaryPatterns):
     density : float
         Probability that a pixel is lit, in (0, 1).
     seed : int
-        Seed of the draw; the same seed gives the same patterns on every machine.
+        Seed of the draw; the same seed, shape and density give the same patterns on every machine.
 
     Examples
     --------
@@ -161,8 +166,9 @@ class BernoulliPatterns(BinaryPatterns):
     def bits(self) -> NDArray[np.uint8]:  # type: ignore[override]
         """Lit pixels, (K, ceil(N / 8)) uint8, least significant bit first."""
         bits = np.empty((self.count, (self.pixels + 7) // 8), np.uint8)
+        seeds = seed_sequence(self.seed, self.shape, self.density)
         # Each pattern has its own generator, so the first k do not depend on how many follow.
-        for k, child in enumerate(np.random.SeedSequence(self.seed).spawn(self.count)):
+        for k, child in enumerate(seeds.spawn(self.count)):
             lit = np.random.Generator(np.random.PCG64(child)).random(self.pixels) < self.density
             bits[k] = np.packbits(lit, bitorder="little")
         return bits

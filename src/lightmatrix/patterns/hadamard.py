@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from lightmatrix import _core
 from lightmatrix.errors import InputError
-from lightmatrix.patterns.pattern_set import PatternSet, check_geometry
+from lightmatrix.patterns.pattern_set import PatternSet, check_geometry, seed_sequence
 from lightmatrix.ranges import check_seed
 
 HADAMARD_ORDERS = ("natural", "sequency", "random")
@@ -100,7 +100,7 @@ class HadamardPatterns(PatternSet):
         rows, cols = self.shape
         place = (np.arange(rows)[:, None] * self.grid[1] + np.arange(cols)[None, :]).ravel()
         if self.permute:
-            child = np.random.SeedSequence(self.seed).spawn(1)[0]
+            child = seed_sequence(self.seed, self.shape).spawn(1)[0]
             shuffle = np.random.Generator(np.random.PCG64(child)).permutation(self.transform_size)
             place = shuffle[place]
         return place.astype(np.int64)

@@ -104,6 +104,20 @@ def far_twins(
     return far
 
 
+def seed_sequence(
+    seed: int, shape: tuple[int, int], density: float = 0.5
+) -> np.random.SeedSequence:
+    """The source of random patterns, which have nothing in common with those of another shape.
+
+    Otherwise patterns of another size and the same seed would explain photographs, and give a
+    wrong T.
+    """
+    # Zeros at the end change nothing, so that a seed gives the patterns of 64 x 64 pixels, half of
+    # them lit, with which the numbers in the documentation were measured.
+    rows, cols, share = shape[0] ^ 64, shape[1] ^ 64, int(density * 2**32) ^ 2**31
+    return np.random.SeedSequence([seed, rows, cols, share])
+
+
 T = TypeVar("T")
 
 # Bytes of patterns that are unpacked at a time, as float32. Chosen by hand: little beside the
@@ -214,13 +228,24 @@ class PatternSet(ABC):
         """The kind of each pattern, (K,): all are of one kind, except in a mix."""
         return np.zeros(self.count, np.int64)
 
-    @computed_once
+    @property
     def digest(self) -> str:
         """Hash of the patterns' content (8-bit grey, as projected) and shape, 16 hex digits."""
-        hasher = hashlib.sha256(repr((self.shape, self.count)).encode())
+        return self._digests[0]
+
+    @property
+    def digests(self) -> list[str]:
+        """The same of each pattern, which show which set a pattern belongs to."""
+        return self._digests[1]
+
+    @computed_once
+    def _digests(self) -> tuple[str, list[str]]:
+        hasher, each = hashlib.sha256(repr((self.shape, self.count)).encode()), list[str]()
         for k in range(self.count):
-            hasher.update(self.greys(k, k + 1).tobytes())
-        return hasher.hexdigest()[:16]
+            content = self.greys(k, k + 1).tobytes()
+            hasher.update(content)
+            each.append(hashlib.sha256(repr(self.shape).encode() + content).hexdigest()[:16])
+        return hasher.hexdigest()[:16], each
 
     def chunks(self, size: int | None = None) -> Any:
         """Iterate over (start, rows of P) in chunks of bounded memory."""

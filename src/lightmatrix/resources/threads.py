@@ -6,7 +6,8 @@ import os
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence, Sized
 from concurrent.futures import Future, ThreadPoolExecutor
-from contextlib import AbstractContextManager, nullcontext
+from contextlib import contextmanager, nullcontext
+from contextvars import ContextVar
 from functools import cached_property
 from threading import RLock
 from typing import Any, Self, TypeVar, overload
@@ -23,18 +24,29 @@ def core_threads() -> int:
     return int(wanted) if wanted.isdecimal() and int(wanted) else os.cpu_count() or 1
 
 
-def one_blas_thread() -> AbstractContextManager[object]:
+_ONE_BLAS_THREAD = ContextVar("one_blas_thread", default=False)
+
+
+@contextmanager
+def one_blas_thread() -> Iterator[None]:
     """A context in which NumPy and SciPy multiply matrices on one thread.
 
     For many small products: more threads would mostly wait for each other, which took half of the
     processor time of `check` on two cores.
     """
+    if _ONE_BLAS_THREAD.get():
+        # Looking for the libraries once more takes 2 ms, and `check` predicts hundreds of times.
+        yield
+        return
     controller = ThreadpoolController().select(user_api="blas")
-    if all(library["num_threads"] == 1 for library in controller.info()):
-        # Setting what is set would start threads, and take memory, in a forked process.
-        return nullcontext()
-    limited: AbstractContextManager[object] = controller.limit(limits=1)
-    return limited
+    # Setting what is set would start threads, and take memory, in a forked process.
+    limited = any(library["num_threads"] != 1 for library in controller.info())
+    entered = _ONE_BLAS_THREAD.set(True)
+    try:
+        with controller.limit(limits=1) if limited else nullcontext():
+            yield
+    finally:
+        _ONE_BLAS_THREAD.reset(entered)
 
 
 def work_ahead(
