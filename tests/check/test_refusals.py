@@ -96,11 +96,14 @@ def test_clipped_and_masked_frames_are_refused() -> None:
         refuse_unusable(masked)
 
 
-def test_only_disorder_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize("kind", ["order", "unrelated", "interchanged"])
+def test_only_what_does_not_follow_the_patterns_is_refused(
+    kind: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
     other = Finding("flicker", (), "the light varies", "a steady lamp")
     monkeypatch.setattr(refusals, "check_capture", lambda capture: [other])
     assert refuse_unordered(capture()) == [other]
-    wrong = Finding("order", (1, 2), "frame 1 and frame 2 look swapped", "swap them")
+    wrong = Finding(kind, (1, 2), "frame 1 and frame 2 look swapped", "swap them")
     monkeypatch.setattr(refusals, "check_capture", lambda capture: [other, wrong])
     with pytest.raises(lm.InputError, match="look swapped") as caught:
         refuse_unordered(capture())

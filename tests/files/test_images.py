@@ -696,3 +696,16 @@ def test_writing_refuses_what_is_no_image(tmp_path: Path) -> None:
     with pytest.raises(OutputError, match=r"ends in \.jpg"):
         write_image(tmp_path / "a.jpg", np.zeros((2, 2)))
     assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("dtype", ["i2", "u4", "i4", ">u2", ">i4"])
+def test_levels_of_16_bits_are_read_from_other_integers(dtype: str, tmp_path: Path) -> None:
+    levels = np.array([[0, 1, 300], [7, 30000, 2]])
+    np.save(tmp_path / "a.npy", levels.astype(dtype))
+    read = read_image(tmp_path / "a.npy")
+    assert read.dtype == np.uint16
+    np.testing.assert_array_equal(read, levels)
+    if "i" in dtype:
+        np.save(tmp_path / "b.npy", (levels - 1).astype(dtype))
+        with pytest.raises(InputError, match=r"holds .* values"):
+            read_image(tmp_path / "b.npy")

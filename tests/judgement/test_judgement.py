@@ -11,8 +11,8 @@ import pytest
 import lightmatrix as lm
 from benchmarks import synthetic_captures
 from benchmarks.synthetic_captures import draw
-from lightmatrix.judgement.judgement import Level, OwnError, Verdict, verdict
-from lightmatrix.judgement.metrics import relative_error
+from lightmatrix.judgement.judgement import Level, OwnError, Verdict, verdict, verdicts
+from lightmatrix.judgement.metrics import relative_error, relighting_error
 from lightmatrix.simulation.procedural import ProceduralScene
 from tests.helpers.transports import random_transport
 
@@ -58,25 +58,43 @@ def test_what_no_error_estimate_shows_makes_the_verdict_doubtful() -> None:
     assert spoiled.error is None
 
 
-def test_an_estimate_with_clipped_single_responses_is_not_called_good(
-    transport: lm.LightTransport,
-) -> None:
-    brightest = float(transport.dense_rows(np.arange(30)).max())
+def test_rows_that_clip_singly_count_by_their_light(transport: lm.LightTransport) -> None:
+    light = transport.dense_rows(np.arange(30))
+    brightest = light.max(axis=1)
+    order = np.argsort(-brightest)
+    shares = np.cumsum((light**2).sum(axis=1)[order]) / (light**2).sum()
 
     def judged(exposure: object) -> Verdict:
         known = {"estimated_error": np.full(30, 0.01)}
         made = {"capture_description": {"exposure": exposure}}
         return verdict(replace(transport, diagnostics=known, provenance=made))
 
-    assert judged(0.5 / brightest).level == "good"
-    clipped = judged([1e3 / brightest, 2e3 / brightest])
-    assert clipped.level == "fair"
-    assert "of the rows clip under a single projector pixel" in clipped.sentence
+    assert judged(0.5 / brightest.max()).level == "good"
+    levels = {}
+    for share in (0.2, 0.8):
+        # At this exposure, rows of just that share of the squared light clip, or of a little more.
+        clipped = judged([1e3, float(1 / brightest[order[np.searchsorted(shares, share)]])])
+        levels[share] = clipped.level
+        assert "of the squared light is in rows that clip" in clipped.sentence
+    assert levels == {0.2: "fair", 0.8: "doubtful"}
     # The shortest of several exposures does not clip.
-    assert judged([1e3 / brightest, 0.5 / brightest]).level == "good"
+    assert judged([1e3 / brightest.max(), 0.5 / brightest.max()]).level == "good"
     damaged: object
     for damaged in ("much", None, [], {}, float("nan"), ["a"]):
         assert judged(damaged).level == "good"
+
+
+@pytest.mark.parametrize(("damage", "level"), [("intact", "good"), ("overexposed", "doubtful")])
+def test_photographs_that_clip_do_not_test_linear_images(damage: str, level: str) -> None:
+    case = draw("wall", "random", damage, 16, 5)
+    estimate = lm.estimate(case.capture, check=False)
+    images = np.random.default_rng(0).integers(0, 2, (4, 16, 16)).astype(np.float32)
+    wrong = relighting_error(estimate, case.truth, images)
+    judged = verdicts(estimate).relighting
+    assert judged.level == level
+    assert judged.error is not None
+    assert judged.error < 0.05
+    assert (wrong > 0.1) == (level != "good")
 
 
 def _gray() -> lm.ImagePatterns:

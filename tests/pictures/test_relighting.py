@@ -65,3 +65,12 @@ def test_a_png_is_coded_for_a_display_and_other_files_are_linear(
     np.testing.assert_allclose(lm.read_image(tmp_path / "values.npy"), binned.relight(pattern))
     with pytest.raises(lm.InputError, match=r"a gamma of 2\.2 for .*values\.tiff"):
         lm.relight(binned, pattern, gamma=2.2, output=tmp_path / "values.tiff")
+
+
+def test_an_image_beyond_single_precision_is_refused(tmp_path: Path) -> None:
+    bright = lm.LightTransport.from_matrix(np.full((4, 4), 1e38), (2, 2), (2, 2))
+    lm.save(tmp_path / "scene.zarr", bright)
+    lm.write_image(tmp_path / "pattern.png", np.full((2, 2), 255, np.uint8))
+    words = ["relight", str(tmp_path / "scene.zarr"), str(tmp_path / "pattern.png")]
+    assert main([*words, "-o", str(tmp_path / "relit.png"), "--exposure", "1e9"]) == 2
+    assert not (tmp_path / "relit.png").exists()

@@ -78,7 +78,9 @@ def test_amounts_of_memory(text: str, size: int) -> None:
     assert memory_bytes(text) == size
 
 
-@pytest.mark.parametrize("text", ["", "4", "4 G", "-1GiB", "GiB", "4GiB or so", "\u0664GiB"])
+@pytest.mark.parametrize(
+    "text", ["", "4", "4 G", "-1GiB", "GiB", "4GiB or so", "\u0664GiB", "9" * 400 + "GiB"]
+)
 def test_texts_that_are_no_amount_of_memory(text: str) -> None:
     with pytest.raises(InputError, match="an amount of memory"):
         memory_bytes(text)

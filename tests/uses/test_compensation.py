@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -15,6 +16,7 @@ from scipy.optimize import lsq_linear
 from scipy.sparse import csr_array, kron
 
 import lightmatrix as lm
+from lightmatrix.cli import main
 from lightmatrix.simulation.truth import Truth
 from lightmatrix.uses.compensation import BoundedFit, JointLight, Reach, compensator, joint_light
 
@@ -424,3 +426,68 @@ def test_what_does_not_fit_is_refused(corner: Truth, tmp_path: Path) -> None:
             lm.cancel_global(known, output=tmp_path / "new.png", **arguments)
         assert words in f"{caught.value} {caught.value.hint}"
     assert not list(tmp_path.iterdir())
+
+
+def test_the_pattern_is_encoded_for_the_projector(
+    known: lm.LightTransport,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """A projector of gamma 2.2 that is sent what was written shows the light that was found."""
+    monkeypatch.chdir(tmp_path)
+    response = lm.ProjectorResponse.of_gamma(2.2)
+    response.save("projector.json")
+    capture = {"capture_description": response.as_provenance}
+    of_capture = replace(known, provenance=capture)
+    lm.save("scene.zarr", of_capture)
+    lm.write_image("wanted.png", np.rint(255 * _ramp()).astype(np.uint8))
+
+    def missed(stated: Any, transport: lm.LightTransport = known) -> float:
+        found = lm.compensate(
+            transport, _ramp(), output="p.png", projector_response=stated, overwrite=True
+        )
+        shown = response.light_of(lm.read_image("p.png") / 255)
+        return float(np.abs(shown - found.pattern).max())
+
+    for curve in (response, "projector.json", "gamma:2.2"):
+        assert missed(curve) < 0.01
+    assert missed(None, of_capture) < 0.01
+    assert min(missed(None), missed("linear"), missed("linear", of_capture)) > 0.1
+    video = lm.compensate_video(of_capture, [_ramp()], output="video")
+    sent = lm.read_patterns("video").images()
+    assert np.abs(response.light_of(sent) - video.patterns).max() < 0.01
+
+    def said(*words: str) -> str:
+        arguments = ["compensate", "scene.zarr", "wanted.png", "-o", "q.png", "--overwrite"]
+        assert main([*arguments, *words]) == 0
+        return capsys.readouterr().out
+
+    assert "gamma 2.2, by the capture of T" in said()
+    assert "it holds light" in said("--projector-response", "linear")
+    other = lm.ProjectorResponse.of_gamma(1.8)
+    lm.RigMeasurements({}, {}, response=other).save("rig.json")
+    assert "gamma 1.8, by rig.json" in said()
+    assert "gamma 2, by gamma:2" in said("--projector-response", "gamma:2")
+    with pytest.raises(lm.InputError, match="a gamma of 20"):
+        missed("gamma:20")
+    with pytest.raises(lm.InputError, match=r"nowhere\.json"):
+        missed("nowhere.json")
+
+
+def test_a_capture_tells_the_response_of_its_projector(tmp_path: Path) -> None:
+    patterns = lm.ImagePatterns(np.random.default_rng(0).random((6, 4, 4), np.float32))
+    lm.simulate(lm.ProceduralScene((4, 4), (4, 4)).truth(), patterns).save(tmp_path / "c")
+    response = lm.ProjectorResponse.of_gamma(2.2)
+    response.save(tmp_path / "projector.json")
+    settings = lm.ReadSettings(projector_response=tmp_path / "projector.json")
+    place = tmp_path / "c"
+    capture = lm.Capture.from_folders(place / "patterns", place / "images", settings)
+    kept = {"capture_description": capture.description}
+    read = lm.ProjectorResponse.of_provenance(json.loads(json.dumps(kept)))
+    assert read is not None
+    assert read.gamma == pytest.approx(2.2, abs=0.01)
+    found = lm.ProjectorResponse.of_provenance({"found_response": {"projector_gamma": 1.8}})
+    assert found is not None
+    assert found.gamma == 1.8
+    assert lm.ProjectorResponse.of_provenance({}) is None

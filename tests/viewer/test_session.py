@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import json
+import os
 import random
 import struct
+import sys
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -404,3 +406,12 @@ def test_depth_where_the_geometry_is_known(tmp_path: Path) -> None:
     assert both.mean() > 0.3
     relative = values[both] / expected.ravel()[both] - 1
     assert np.median(np.abs(relative)) < 0.01
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="elsewhere the names of files are text")
+def test_a_store_whose_name_is_no_text_is_shown(tmp_path: Path) -> None:
+    store = tmp_path / os.fsdecode(b"sc\xffne.zarr")
+    lm.save(store, running.scene())
+    lm.export_viewer(tmp_path / "page.html", store)
+    assert "<title>sc?ne.zarr" in (tmp_path / "page.html").read_text()
+    assert b"sc?ne.zarr" in Scene(store).description

@@ -86,7 +86,7 @@ def read_capture(
     settings = _with_files_beside(place, description, described)
     shown = read_patterns(pattern_images)
     _check_projected(shown, file)
-    patterns = _as_light(shown, settings)
+    patterns, curve = _as_light(shown, settings)
     stack = ImageStack.open(photographs, mosaic=settings.mosaic)
     if counted:
         _check_counts(patterns, stack, photographs)
@@ -105,7 +105,9 @@ def read_capture(
             decoder.check_count(stack.count)
     mask = read_mask(settings.mask, stack.shape)
     unknown = settings.projector_response == AUTOMATIC
-    return CaptureParts(patterns, stack, decoder, mask, dict(description.provenance), unknown)
+    return CaptureParts(
+        patterns, stack, decoder, mask, {**description.provenance, **curve}, unknown
+    )
 
 
 def read_folders(
@@ -118,7 +120,7 @@ def read_folders(
     """Read two folders of images, or stacks, as many of each if `counted`."""
     projected = patterns if isinstance(patterns, PatternSet) else read_patterns(patterns)
     _check_projected(projected, Path(images).parent / NAME)
-    projected = _as_light(projected, settings)
+    projected, curve = _as_light(projected, settings)
     stack = ImageStack.open(images, mosaic=settings.mosaic)
     if counted:
         _check_counts(projected, stack, Path(images))
@@ -132,7 +134,7 @@ def read_folders(
     decoder = make_decoder(stack, settings)
     unknown = settings.projector_response == AUTOMATIC
     mask = read_mask(settings.mask, stack.shape)
-    return CaptureParts(projected, stack, decoder, mask, projector_unknown=unknown)
+    return CaptureParts(projected, stack, decoder, mask, curve, projector_unknown=unknown)
 
 
 def _check_projected(patterns: PatternSet, file: Path) -> None:
@@ -287,14 +289,17 @@ def _check_counts(patterns: PatternSet, stack: ImageStack, images: Path) -> None
         )
 
 
-def _as_light(patterns: PatternSet, settings: ReadSettings) -> PatternSet:
-    """The light of patterns that the projector was sent as grey values, if their light is known."""
+def _as_light(patterns: PatternSet, settings: ReadSettings) -> tuple[PatternSet, dict[str, Any]]:
+    """The light of patterns that the projector was sent as grey values, if their light is known.
+
+    Also the response for the description of the capture.
+    """
     response = settings.projector_response
     if response is None or response == AUTOMATIC:
-        return patterns
+        return patterns, {}
     if not isinstance(response, ProjectorResponse):
         response = ProjectorResponse.load(response)
-    return response.light_of_patterns(patterns)
+    return response.light_of_patterns(patterns), response.as_provenance
 
 
 def make_decoder(stack: ImageStack, settings: ReadSettings) -> Decoder:

@@ -39,6 +39,7 @@ from lightmatrix.check.wrong_frames import (
     wrong_frames,
 )
 from lightmatrix.errors import InputError
+from lightmatrix.files.extras import orientation
 from lightmatrix.files.stacks import ImageStack
 from lightmatrix.patterns.colour import ColourPatterns
 from lightmatrix.patterns.pattern_set import ImagePatterns, PatternSet
@@ -163,7 +164,25 @@ def check_capture(capture: Capture) -> list[Finding]:
     photographs.
     """
     with one_blas_thread():
-        return _check(capture)
+        return [_with_orientation(capture, finding) for finding in _check(capture)]
+
+
+def _with_orientation(capture: Capture, finding: Finding) -> Finding:
+    """The finding, with what differing orientation tags have to do with photographs that moved."""
+    frames = capture.whole.frames
+    if finding.kind not in ("motion", "order") or not isinstance(frames, ImageStack):
+        return finding
+    tags = [orientation(path) for path in frames.paths if isinstance(path, Path)]
+    turned = [k for k, tag in enumerate(tags) if tag != tags[0]]
+    if not turned:
+        return finding
+    advice = (
+        f"{finding.advice}; the EXIF orientation of {len(turned)} photographs, from "
+        f"{frames.paths[turned[0]].name} on, differs from that of the first: viewers turn them by "
+        "it, lightmatrix reads all pixels as they are stored; apply the tag to the pixels (such as "
+        "mogrify -auto-orient), or switch it off in the camera"
+    )
+    return replace(finding, advice=advice)
 
 
 def _check(capture: Capture) -> list[Finding]:

@@ -222,7 +222,8 @@ def with_response(capture: Capture, response: Response) -> Capture:
 def with_projector(capture: Capture, projector: ProjectorResponse) -> Capture:
     """The capture, with the grey values of its patterns read as light."""
     patterns = projector.light_of_patterns(capture.patterns)
-    return replace(capture, patterns=patterns, projector_unknown=False)
+    provenance = {**capture.provenance, **projector.as_provenance}
+    return replace(capture, patterns=patterns, provenance=provenance, projector_unknown=False)
 
 
 def as_estimated(capture: Capture, provenance: Mapping[str, Any]) -> Capture:

@@ -28,13 +28,13 @@ def refuse_unusable(capture: Capture) -> None:
 
 
 def refuse_unordered(capture: Capture) -> list[Finding]:
-    """Refuse a capture whose frames are out of order, which spoils all of an estimate.
+    """Refuse a capture whose photographs do not follow their patterns, which spoils all of T.
 
     Returns what else `check` finds.
     """
     findings = check_capture(capture)
     for finding in findings:
-        if finding.kind == "order":
+        if finding.kind in ("order", "unrelated", "interchanged"):
             raise InputError(
                 finding.message, hint=f"{finding.advice}; check=False takes them as they are"
             )

@@ -39,6 +39,14 @@ def compensate(
     exposure: Annotated[
         float, Option(help="Exposure e at which samples are counted that clip.")
     ] = 1.0,
+    projector_response: Annotated[
+        str | None,
+        Option(
+            metavar="FILE|gamma:2.2|linear",
+            help="Light of the projector's grey values, by which the pattern is encoded.",
+            show_default="that of the rig's file, or of T's capture",
+        ),
+    ] = None,
     green: options.Green = None,
     blue: options.Blue = None,
     beside: Annotated[
@@ -108,13 +116,26 @@ def compensate(
             f"a rig and --{'video' if video is not None else 'black'}",
             hint="a rig takes a picture, and photographs black by itself",
         )
+    response: Any = projector_response
+    source = projector_response or "the capture of T"
+    if with_rig:
+        if projector_response is not None:
+            raise InputError(
+                "a rig and --projector-response", hint="a rig measures its response by itself"
+            )
+        source = "the rig"
+    elif response is None and not several and rig_file.is_file():
+        response, source = lm.RigMeasurements.load(rig_file).response, str(rig_file)
+    encoding = {"projector_response": response}
     summary: dict[str, Any] = {"output": output}
     if cancel_global:
-        found = lm.cancel_global(scene, wanted, output=output, overwrite=overwrite)
+        found = lm.cancel_global(scene, wanted, output=output, overwrite=overwrite, **encoding)
         summary |= found.as_dict()
     elif video is not None:
         with progress("compensating", "frames") as report:
-            frames = lm.compensate_video(scene, video, ambient=black, progress=report, **common)
+            frames = lm.compensate_video(
+                scene, video, ambient=black, progress=report, **common, **encoding
+            )
         summary |= frames.as_dict()
     elif with_rig:
         opened = lm.open_rig(rig, projector=projector, camera=camera, patience=patience)
@@ -129,12 +150,19 @@ def compensate(
     else:
         matrices = [*(options.primaries(scene, green, blue) or (scene,)), *(beside or ())]
         assert wanted is not None
-        found = lm.compensate(matrices, wanted, ambient=black, exposure=exposure, **common)
+        found = lm.compensate(
+            matrices, wanted, ambient=black, exposure=exposure, **common, **encoding
+        )
         summary |= found.as_dict()
     if as_json:
         show_json(summary)
     else:
         _show(summary, cancelled=cancel_global)
+        gamma_shown = summary["projector_gamma"]
+        if gamma_shown is None:
+            say("it holds light: a projector with a gamma needs --projector-response")
+        else:
+            say(f"encoded for a projector of gamma {gamma_shown:.2g}, by {source}")
 
 
 def _brightness(text: str) -> float | None:

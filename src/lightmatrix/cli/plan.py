@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Annotated
 
 from typer import Argument, Option
 
 import lightmatrix as lm
-from lightmatrix.cli.options import USUAL_SIZE, Clip, Json, ResponseCurve, size
+from lightmatrix.cli.options import USUAL_SIZE, Clip, Json, Overwrite, ResponseCurve, size
 from lightmatrix.cli.source import level_or_file
 from lightmatrix.cli.terminal import progress, say, show_columns, show_json
 from lightmatrix.defaults import FEWEST_MIXED, USUAL_NOISE
@@ -50,6 +51,16 @@ def plan(
     ] = None,
     clip: Clip = None,
     response: ResponseCurve = None,
+    output: Annotated[
+        Path | None,
+        Option(
+            "-o",
+            "--output",
+            help="Capture folder to write: patterns/, and capture.json with the exposure of each "
+            "frame. It lacks your photographs, images/.",
+        ),
+    ] = None,
+    overwrite: Overwrite = False,
     as_json: Json = False,
 ) -> None:
     """Advise exposures, patterns and the number of frames.
@@ -68,6 +79,8 @@ def plan(
             black=None if black is None else level_or_file(black),
             clip=clip,
             response=response,
+            output=output,
+            overwrite=overwrite,
             progress=report,
         )
     if as_json:
@@ -103,34 +116,44 @@ def plan(
         )
     show_columns(
         "\nError to expect",
-        ("frames", "patterns", "estimate", "of T", "of relit images"),
+        ("frames", "patterns", "of T", "of relit images"),
         [
             (
                 f"{e.frames} " + ("*" if e.frames == advice.frames else " "),
                 "mix" if e.frames >= FEWEST_MIXED else "all fine",
-                ("row by row" if e.estimator == "plain" else e.estimator)
-                + ("" if e.measured else " (about)"),
-                _range(e.relative_error),
+                ("" if e.measured else "about ") + _range(e.relative_error),
                 _range(e.relighting_error),
             )
             for e in advice.expected
         ],
     )
+    if advice.frames < advice.expected[0].frames:
+        say(
+            f"{advice.frames} frames are too few: nothing was measured below "
+            f"{advice.expected[0].frames}, and errors grow fast. Take more.",
+            style="yellow",
+        )
     scenes = ", ".join(advice.expected[0].scenes)
     say(
         f"* as advised. Measured on {scenes} at 128 x 128, over all rows, with advised exposures "
         "and the projector in focus. If it is blurred by 1 or 2 of its pixels, expect about 2 or 4 "
-        "times the error of coherent estimates."
+        "times the error."
     )
     say("\nCommands")
     for line in advice.commands:
         say(f"  {line}")
     if advice.simulated:
         return
+    if output is not None:
+        say(f"Put your photographs into {output / 'images'}, in the order of the patterns.")
+        if len(advice.exposures) > 1:
+            say(f"The exposure of each frame is in {output / 'capture.json'}.")
+        return
     if " capture/ " in advice.commands[-1]:
         say(
             "capture/ holds patterns/, your photographs as images/, and a capture.json with the "
-            "black level and the exposure of each frame (docs/captures.md)."
+            "black level and the exposure of each frame: -o capture/ writes all but the "
+            "photographs."
         )
     elif "--black" in advice.commands[-1]:
         say("Take the black frame at the exposure of the others.")

@@ -166,6 +166,21 @@ def _levels(file: Path, opened: Any) -> tuple[NDArray[np.float32], NDArray[np.fl
     return black, clip
 
 
+def orientation(path: str | Path) -> int:
+    """How viewers turn a photograph, by its EXIF tag, which is not followed here; 1 is not at all.
+
+    A camera that writes the tag into some frames only would move these against the others.
+    """
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            with Image.open(path) as image:
+                return int(image.getexif().get(ExifTags.Base.Orientation, 1))
+    # Image libraries raise nearly anything on damaged files.
+    except Exception:
+        return 1
+
+
 def exposure_time(path: str | Path) -> float | None:
     """Exposure time of a photograph in seconds; None if it does not say, or is damaged."""
     file = Path(path)

@@ -358,11 +358,7 @@ def _read_tiff(file: Path) -> NDArray[Any]:
 
 
 def read_page(file: Path, page: tifffile.TiffPage) -> NDArray[Any]:
-    """Read a page of an open TIFF file as it lies there, with 0 for black.
-
-    The tag of an orientation is not followed: a camera that writes it into some frames only would
-    move these against the others.
-    """
+    """Read a page of an open TIFF file as it lies there (see `orientation`), with 0 for black."""
     check_page(file, page)
     # Frames are read by several threads already.
     image = np.asarray(page.asarray(maxworkers=1))
@@ -500,8 +496,9 @@ def as_stored(name: str, image: NDArray[Any]) -> NDArray[Any]:
                 hint="replace it, and mask the pixel if it is broken in every frame",
             )
         return np.ascontiguousarray(values)
-    if image.dtype == np.int32 and image.min() >= 0 and image.max() <= 65535:
-        # Pillow returns some 16-bit images in 32 bits.
+    wide = image.dtype.kind in "iu" and 1 < image.dtype.itemsize <= 4
+    if wide and image.size and image.min() >= 0 and image.max() <= 65535:
+        # Pillow and other programs keep some 16-bit images in other integers.
         return image.astype(np.uint16)
     if image.dtype.newbyteorder("=") not in (np.uint8, np.uint16):
         raise InputError(

@@ -31,9 +31,8 @@ Level = Literal["good", "fair", "doubtful", "not tested"]
 # correspondence is judged likewise by the share of the pixels that are uncertain. Both were chosen
 # by hand; no measurement stands behind them.
 GOOD, FAIR = 0.05, 0.2
-# If the single responses of more than this share of the rows clip, no estimate is called good:
-# neither the estimated error nor unseen photographs show the light beyond the clip level. Such rows
-# are bright, so few of them matter. Chosen by hand.
+# A report advises shorter exposures if rows that clip under a single projector pixel hold more than
+# this share of the squared light. Chosen by hand.
 SINGLY_CLIPPED = 0.02
 # Kinds of findings of `check` that spoil T where neither estimated errors nor unseen photographs
 # show it; and those after which photographs held out, which are wrong alike, test nothing.
@@ -61,6 +60,10 @@ class _Doubtful:
     # `bounded_error`, relative to their length: by 0.04 to 0.17.
     bounded: float = 0.65
     bounded_error: float = 0.12
+    # Rows that clip under their strongest projector pixel alone err by about this, times their
+    # share of the squared light: T erred by up to 0.09 at a share of 0.08, by 0.10 to 0.24 at 0.2
+    # to 0.37, and by 0.23 to 0.49 from 0.73 on.
+    singly_clipped_error: float = 0.6
     # A sample lies in a highlight if three of its eight neighbours clip in nearly as large a share
     # of the frames. On the bundled scene `metal`, the brightest pixel clips in 0.81 of 32 frames,
     # its neighbours in up to 0.72. Pixels around a lone glint clip in few.
@@ -265,14 +268,13 @@ def verdict_by_rows(transport: LightTransport, why_untested: str = _UNTESTED) ->
     error = own.stated
     if error is None:
         return Verdict("doubtful", None, ("The error of T is not known.", *own.doubts, *remarks))
-    clipped = singly_clipped(transport, _shortest_exposure(transport))
-    level, warnings = limited(level_of(error), clipped)
+    level = level_of(error)
     if level == "doubtful":
         remarks.append(
             "More patterns help most, then an exposure that uses the camera's range, or binned "
             "projector pixels. Neighbouring camera pixels must see neighbouring projector pixels."
         )
-    return Verdict(level, error, (*warnings, *remarks))
+    return Verdict(level, error, (*own.warnings, *remarks))
 
 
 def correspondence_verdict(transport: LightTransport, findings: Iterable[str] = ()) -> Verdict:
@@ -297,36 +299,24 @@ def correspondence_verdict(transport: LightTransport, findings: Iterable[str] = 
 
 
 def relighting_verdict(transport: LightTransport, findings: Iterable[str] = ()) -> Verdict:
-    """Judge the images that T predicts by the photographs held out of the last round."""
+    """Judge the images that T predicts by the photographs held out of the last round.
+
+    These do not show the light beyond the clip level, which linear images have.
+    """
     error = prediction_error(transport)
     if error is None:
         unknown = "No photograph could be held out and predicted."
         return Verdict("not tested", None, (unknown,))
-    judged = Verdict(level_of(error), error, (), "Prediction error on photographs held out")
+    own = OwnError(transport)
+    level = "doubtful" if own.clip_doubts else level_of(float(np.hypot(error, own.beyond_clip)))
+    reasons = (*own.clip_doubts, *own.warnings)
+    judged = Verdict(level, error, reasons, "Prediction error on photographs held out")
     return judged.with_findings(findings, _WRONG_ALIKE)
 
 
 def level_of(error: float) -> Level:
     """The verdict on a relative error."""
     return "good" if error <= GOOD else "fair" if error <= FAIR else "doubtful"
-
-
-def singly_clipped(transport: LightTransport, exposure: float) -> float:
-    """Share of the rows whose strongest single response clips at an exposure."""
-    return 1 - float(np.mean(unclipped_rows(transport, exposure)))
-
-
-def limited(level: Level, clipped: float) -> tuple[Level, list[str]]:
-    """A level, lowered if the single responses of too many rows clip, and warnings about it."""
-    # Fewer than 0.2 % are not worth a sentence.
-    if clipped <= SINGLY_CLIPPED / 10:
-        return level, []
-    if level == "good" and clipped > SINGLY_CLIPPED:
-        level = "fair"
-    return level, [
-        f"But {percent(clipped)} of the rows clip under a single projector pixel, and no "
-        "photograph shows by how much."
-    ]
 
 
 def stored_findings(transport: LightTransport) -> tuple[str, ...]:
@@ -360,8 +350,40 @@ class OwnError:
         """
         if self.estimated is None or self.doubts:
             return None
+        return float(np.hypot(self.estimated, self.beyond_clip))
+
+    @cached_property
+    def beyond_clip(self) -> float:
+        """The relative error of T that follows from the light that no photograph shows."""
         bounded = DOUBTFUL.bounded_error * np.sqrt(self._bounded_share)
-        return float(np.hypot(self.estimated, bounded))
+        return float(np.hypot(bounded, DOUBTFUL.singly_clipped_error * self.singly_clipped))
+
+    @cached_property
+    def singly_clipped(self) -> float:
+        """Share of the squared light in rows that clip under a single projector pixel.
+
+        It is that of the shortest exposure of the provenance; 0 where that is unknown.
+        """
+        clipped = ~unclipped_rows(self.transport, _shortest_exposure(self.transport))
+        bounded = _diagnostic(self.transport, "only_bounded")
+        # A photograph that shows the pixel and does not clip tells how bright it is.
+        return self._share(clipped & (bounded > 0) if bounded.size else clipped)
+
+    @property
+    def warnings(self) -> list[str]:
+        """A sentence if rows clip under a single projector pixel."""
+        # Less than 0.2 % is not worth a sentence.
+        if self.singly_clipped <= SINGLY_CLIPPED / 10:
+            return []
+        return [
+            f"But {percent(self.singly_clipped)} of the squared light is in rows that clip under "
+            "a single projector pixel, and no photograph shows by how much."
+        ]
+
+    def _share(self, rows: NDArray[np.bool_]) -> float:
+        """The share of the squared light in some rows."""
+        total = float(self._energies.sum())
+        return float(self._energies[rows].sum()) / total if rows.size and total else 0.0
 
     @cached_property
     def estimated(self) -> float | None:
@@ -386,9 +408,7 @@ class OwnError:
     @cached_property
     def _bounded_share(self) -> float:
         """Share of the squared light in rows that are only bounded."""
-        bounded = _diagnostic(self.transport, "only_bounded")
-        total = float(self._energies.sum())
-        return float(self._energies[bounded > 0].sum()) / total if bounded.size and total else 0.0
+        return self._share(_diagnostic(self.transport, "only_bounded") > 0)
 
     @cached_property
     def doubts(self) -> list[str]:
@@ -408,19 +428,24 @@ class OwnError:
                 "Bright samples are darker than T predicts: the camera does not seem linear in "
                 "light. State its response, or take raw photographs."
             )
-        glints = _glints(transport)
+        return doubts + self.clip_doubts
+
+    @cached_property
+    def clip_doubts(self) -> list[str]:
+        """Those of the doubts that are about light beyond the clip level."""
+        glints = _glints(self.transport)
         if glints:
             pixels = "1 camera sample clips" if glints == 1 else f"{glints} camera samples clip"
-            doubts.append(
+            return [
                 f"{pixels} in most photographs, and none shows how bright it is: a glint, or a "
                 "hot pixel. Mask it, or add photographs of shorter exposure."
-            )
-        elif self._bounded_share > DOUBTFUL.bounded:
-            doubts.append(
+            ]
+        if self._bounded_share > DOUBTFUL.bounded:
+            return [
                 "Most of the light comes from camera pixels that clip whenever the projector pixel "
                 "that they see is lit. Add photographs of shorter exposure."
-            )
-        return doubts
+            ]
+        return []
 
 
 def _glints(transport: LightTransport) -> int:

@@ -5,9 +5,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,7 +16,10 @@ from numpy.typing import NDArray
 from lightmatrix.files.curve_file import CurveFile
 from lightmatrix.patterns.colour import ColourPatterns
 from lightmatrix.patterns.pattern_set import ImagePatterns, PatternSet
+from lightmatrix.ranges import as_float, check_number
 
+# Where the description of a capture holds the response of its projector.
+CURVE = "projector_response"
 # The grey value of white.
 _WHITE = 255
 
@@ -79,10 +83,44 @@ class ProjectorResponse:
         levels = np.arange(_WHITE + 1)
         return cls(tuple(map(int, levels)), tuple(map(float, (levels / _WHITE) ** gamma)), gamma)
 
+    @classmethod
+    def parse(cls, text: str | Path) -> ProjectorResponse:
+        """Read a response: ``linear``, ``gamma:2.2``, or the file that `save` wrote.
+
+        Raises
+        ------
+        InputError
+            On a gamma out of 0.1 to 10, or a file that is missing, damaged, or something else.
+        """
+        kind, _, gamma = str(text).partition(":")
+        if kind not in ("linear", "gamma"):
+            return cls.load(text)
+        power = as_float(gamma) if kind == "gamma" else 1.0
+        check_number("a gamma", power, least=0.1, most=10, hint="use 0.1 to 10, such as 2.2")
+        return cls.of_gamma(power)
+
+    @classmethod
+    def of_provenance(cls, provenance: Mapping[str, Any]) -> ProjectorResponse | None:
+        """The response by which the patterns of an estimate became light; None if by none."""
+        description, found = (provenance.get(k) for k in ("capture_description", "found_response"))
+        if isinstance(found, Mapping) and "projector_gamma" in found:
+            return cls.of_gamma(found["projector_gamma"])
+        curve = description.get(CURVE) if isinstance(description, Mapping) else None
+        return cls.of_light(**curve) if isinstance(curve, Mapping) else None
+
+    @property
+    def as_provenance(self) -> dict[str, Any]:
+        """What `of_provenance` reads in the description of a capture, JSON-ready."""
+        return {CURVE: {"levels": list(self.levels), "light": list(self.light)}}
+
     def grey_for(self, light: NDArray[np.floating]) -> NDArray[np.uint8]:
         """Grey values (uint8) that give the wanted light, in [0, 1]."""
         root = np.asarray(light, np.float64) ** (1 / self.gamma)
         return np.rint(np.interp(root, self._root, self.levels)).astype(np.uint8)
+
+    def encoded(self, light: NDArray[np.floating]) -> NDArray[np.float32]:
+        """Grey values as a share of white, in 255 steps, that give the wanted light."""
+        return np.asarray(self.grey_for(light) / np.float32(_WHITE), np.float32)
 
     def light_of(self, grey: NDArray[np.floating]) -> NDArray[np.float32]:
         """Light, in [0, 1], of grey values given as a share of white."""

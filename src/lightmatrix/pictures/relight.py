@@ -121,7 +121,13 @@ def relight(
         # Errors name the store, because its damage may be the reason why the pattern does not fit.
         with errors_naming(Path(source)) if isinstance(source, str | Path) else nullcontext():
             light = _fitted(channel, matrix, resize)
-        image += exposure * matrix.relight(light)
+        with np.errstate(over="ignore", invalid="ignore"):
+            image += exposure * matrix.relight(light)
+    if not np.isfinite(image).all():
+        raise InputError(
+            f"an image at exposure {exposure:g} that single precision cannot hold",
+            hint="use a lower exposure, such as 1",
+        )
     if output is not None:
         written = image
         if target.suffix.lower() == ".png":

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import json
 import shlex
+import shutil
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
 from functools import cache
@@ -20,9 +21,12 @@ from numpy.typing import NDArray
 
 from lightmatrix.capture.exposures import exposure_sequence
 from lightmatrix.capture.folder import read_white_frame
-from lightmatrix.capture.settings import ReadSettings
+from lightmatrix.capture.settings import FORMAT, NAME, VERSION, ReadSettings
 from lightmatrix.defaults import FEWEST_MIXED, USUAL_NOISE, USUAL_SIZE
 from lightmatrix.errors import InputError
+from lightmatrix.files.kinds import CAPTURE
+from lightmatrix.files.writing import atomic_folder
+from lightmatrix.patterns.folder import fill_pattern_folder
 from lightmatrix.patterns.making import make_patterns
 from lightmatrix.patterns.mix import Mix, MixedPatterns, default_mix
 from lightmatrix.patterns.pattern_set import PatternSet
@@ -61,7 +65,8 @@ class ExpectedErrors:
 def expectations(frames: int, *, exposures: str = "advised") -> list[ExpectedErrors]:
     """The errors of each estimator at a number of frames, by a power law between measured ones.
 
-    Patterns are mixed from 64 frames on. `exposures` is "advised" (`advise_exposures`) or "long",
+    None below the fewest that were measured, where errors are far larger. Patterns are mixed from
+    64 frames on. `exposures` is "advised" (`advise_exposures`) or "long",
     the benchmarks' single one, at which a fifth of the rows have a single response that clips.
     """
     rows = [
@@ -71,7 +76,9 @@ def expectations(frames: int, *, exposures: str = "advised") -> list[ExpectedErr
         and row["density"] == 0.5
         and row["patterns"] == ("mix" if row["frames"] >= FEWEST_MIXED else "fine")
     ]
-    result = []
+    result = list[ExpectedErrors]()
+    if frames < counts()[0]:
+        return result
     for estimator in sorted({row["estimator"] for row in rows}, reverse=True):
         measured = [row for row in rows if row["estimator"] == estimator]
         scenes = tuple(sorted({row["scene"] for row in measured}))
@@ -161,7 +168,8 @@ class Advice:
     rows_that_clip_singly : float
         Share of the lit camera pixels that will clip under a single projector pixel.
     expected : tuple of ExpectedErrors
-        Errors to expect with this and with other numbers of frames.
+        Errors to expect with this and with other numbers of frames, of the better estimator; none
+        of fewer frames than were measured.
     commands : tuple of str
         Commands to run.
 
@@ -247,7 +255,7 @@ class Advice:
         for errors in self.expected:
             if errors.frames == self.frames:
                 low, high = errors.relative_error
-                summary[f"error to expect, {errors.estimator}"] = f"{low:.3f} to {high:.3f}"
+                summary["error to expect"] = f"{low:.3f} to {high:.3f}"
         return summary
 
 
@@ -263,6 +271,8 @@ def plan(
     black: str | Path | float | None = None,
     clip: float | None = None,
     response: str | None = None,
+    output: str | Path | None = None,
+    overwrite: bool = False,
     progress: Callable[[int, int], None] | None = None,
 ) -> Advice:
     """Advise exposures, patterns and frames from a white frame or a scene.
@@ -290,6 +300,11 @@ def plan(
         Raw level at which samples clip. None: the end of the range.
     response : str, optional
         See `Response.parse`. None: linear.
+    output : str or Path, optional
+        A capture folder to write, with the patterns and a capture.json that holds the exposure of
+        each frame; it lacks its photographs, images/. Only for photographs.
+    overwrite : bool
+        Whether `output` may replace a capture folder.
     progress : callable, optional
         Called with (done, total) paths while a scene is rendered.
 
@@ -310,12 +325,11 @@ def plan(
     >>> advice = lm.plan("metal", size=(64, 64), frames=32)
     >>> advice
     Advice
-      projector                  64 x 64
-      patterns                   32, random, all fine, 50 % lit
-      exposure 0.587             24 frames, 4.0 % of their samples will clip
-      exposure 0.146             8 frames, 0.1 % of their samples will clip
-      error to expect, plain     0.207 to 0.504
-      error to expect, coherent  0.011 to 0.024
+      projector        64 x 64
+      patterns         32, random, all fine, 50 % lit
+      exposure 0.587   24 frames, 4.0 % of their samples will clip
+      exposure 0.146   8 frames, 0.1 % of their samples will clip
+      error to expect  0.011 to 0.024
     >>> capture = lm.simulate("metal", advice.make_patterns(), exposure=advice.exposure)
     """
     if not 0 < as_float(error) < 1:
@@ -324,6 +338,7 @@ def plan(
         check_whole("frames", frames, least=2, most=1_000_000, hint="use 2 to 1000000")
     check_camera(noise, shortest)
     of_photograph = {"exposure": exposure, "black": black, "clip": clip, "response": response}
+    of_photograph |= {"output": output}
     if size is not None:
         check_sides("a projector", size)
     projector, simulated = USUAL_SIZE if size is None else size, False
@@ -375,10 +390,34 @@ def plan(
         exposure_of_frames=per_frame,
         white_clipped_share=frame.clipped_share,
         rows_that_clip_singly=single_clipped_share(frame, exposures),
-        expected=tuple(e for k in sorted({count, *counts()}) for e in expectations(k)),
+        expected=tuple(
+            min(expectations(k), key=lambda each: each.relative_error[1])
+            for k in sorted({count, *counts()})
+            if expectations(k)
+        ),
         commands=(),
     )
-    return replace(advice, commands=_commands(advice, black, clip, response))
+    if output is None:
+        return replace(advice, commands=_commands(advice, black, clip, response))
+    content: dict[str, Any] = {
+        "format": FORMAT,
+        "version": VERSION,
+        "projector_shape": list(projector),
+        "exposure": per_frame.tolist() if len(exposures) > 1 else exposures[0][0],
+    }
+    level = black if isinstance(black, int | float) else None
+    stated = {"clip": clip, "response": response, "black_level": level}
+    content |= {name: value for name, value in stated.items() if value is not None}
+    with atomic_folder(output, CAPTURE, overwrite=overwrite) as part:
+        (part / "patterns").mkdir()
+        fill_pattern_folder(part / "patterns", advice.make_patterns())
+        if isinstance(black, str | Path):
+            name = f"black{Path(black).suffix}"
+            shutil.copyfile(black, part / name)
+            content["black"] = {"file": name, "exposure": exposure or 1.0}
+        (part / NAME).write_text(json.dumps(content, indent=2) + "\n")
+    command = f"lightmatrix estimate {shlex.quote(str(output))} -o scene.zarr"
+    return replace(advice, commands=(command,))
 
 
 def _commands(

@@ -22,10 +22,8 @@ from lightmatrix.judgement.judgement import (
     OwnError,
     Verdict,
     level_of,
-    limited,
     percent,
     relighting_verdict,
-    singly_clipped,
     stored_findings,
     verdict_by_rows,
 )
@@ -180,9 +178,9 @@ class Facts:
         return float(np.mean(white <= 0.02 * np.quantile(white, 0.99)))
 
     @cached_property
-    def singly_clipped(self) -> float:
-        """Share of the rows whose strongest single response clips at every exposure."""
-        return singly_clipped(self.transport, float(self.capture.exposures.min()))
+    def own(self) -> OwnError:
+        """What the diagnostics say of the error."""
+        return OwnError(self.transport)
 
     @cached_property
     def relative_error(self) -> float | None:
@@ -214,13 +212,15 @@ class Facts:
         """The verdict on T's predictions, by the unseen photographs where there are any."""
         if not isinstance(self.validation, Validation):
             return relighting_verdict(self.transport, stored_findings(self.transport))
-        error = _validation_error(self.validation)
-        return Verdict(level_of(error), None, (_validation_sentence(self.validation),))
+        error = float(np.hypot(_validation_error(self.validation), self.own.beyond_clip))
+        level = "doubtful" if self.own.clip_doubts else level_of(error)
+        reasons = (_validation_sentence(self.validation), *self.own.clip_doubts, *self.own.warnings)
+        return Verdict(level, None, reasons)
 
     @cached_property
     def verdict(self) -> Verdict:
         """The verdict by the worst of the prediction error, the true and the estimated error."""
-        own = OwnError(self.transport)
+        own = self.own
         errors = [] if own.stated is None else [own.stated]
         reasons = list[str]()
         if isinstance(self.validation, Validation):
@@ -234,10 +234,9 @@ class Facts:
             return verdict_by_rows(self.transport, why)
         level = level_of(max(errors))
         if self.relative_error is None:
-            level, warnings = limited(level, self.singly_clipped)
             if own.doubts:
                 level = "doubtful"
-            reasons += [*own.doubts, *warnings]
+            reasons += [*own.doubts, *own.warnings]
         return Verdict(level, own.stated, tuple(reasons))
 
 

@@ -42,6 +42,7 @@ from lightmatrix.report.sections import (
     transport_matrix,
     uses,
 )
+from lightmatrix.rig_model.model import RigModel
 from lightmatrix.shape.triangulation import geometry_of
 from lightmatrix.simulation.truth import Truth
 from lightmatrix.solvers.loop import Progress
@@ -55,11 +56,11 @@ def recommendations(facts: Facts) -> tuple[str, ...]:
     diagnostics, count = transport.diagnostics, facts.capture.count
     sentences = list[str]()
     often = float(np.mean(np.asarray(diagnostics.get("clipped_share", 0.0)) > 0.5))
-    if facts.singly_clipped > SINGLY_CLIPPED:
+    if facts.own.singly_clipped > SINGLY_CLIPPED:
         sentences.append(
-            f"{percent(facts.singly_clipped)} of the rows clip under a single projector pixel, so "
-            "their strongest entry is only a lower bound. Take a few frames at a quarter of the "
-            "exposure (`lightmatrix plan` says how many)."
+            f"{percent(facts.own.singly_clipped)} of the squared light is in rows that clip under "
+            "a single projector pixel, so that their strongest entry is only a lower bound. Take a "
+            "few frames at a quarter of the exposure (`lightmatrix plan` says how many)."
         )
     elif often > 0.1:
         sentences.append(
@@ -211,6 +212,7 @@ def report(
     """
     known = truth.transport() if isinstance(truth, Truth) else truth
     capture = as_estimated(capture, transport.provenance)
+    capture = RigModel.of(transport).corrected(capture, transport)
     check_same_rig(transport, capture, "capture")
     if known is not None:
         check_same_rig(transport, known)

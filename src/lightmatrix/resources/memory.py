@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from pathlib import Path
 
@@ -27,9 +28,12 @@ def memory_bytes(text: str) -> int:
     """Parse an amount of memory such as 4GiB, 800MB or 2.5 GiB."""
     match = re.fullmatch(r"\s*(\d+(?:\.\d*)?)\s*([A-Za-z]+)\s*", text, flags=re.ASCII)
     unit = UNITS.get(match[2].lower()) if match else None
-    if match is None or unit is None:
-        raise InputError(f"an amount of memory of {text!r}", hint="write one such as 4GiB or 800MB")
-    return int(float(match[1]) * unit)
+    amount = float(match[1]) * unit if match and unit else math.inf
+    if math.isinf(amount):
+        raise InputError(
+            f"an amount of memory of {text!r:.100}", hint="write one such as 4GiB or 800MB"
+        )
+    return int(amount)
 
 
 def check_memory(file: Path, needed: int) -> None:

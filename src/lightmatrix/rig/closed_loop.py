@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -186,10 +186,11 @@ def refine_compensation(
         if progress is not None:
             progress(step + 1, steps + 1)
     assert best is not None
+    found = replace(best[0], encoding=(loop.known.response,))
     if output is not None:
-        write_shown(output, best[0].patterns, overwrite=overwrite)
+        write_shown(output, found.encoded, overwrite=overwrite)
     photograph = best[1].reshape(shared.light.camera_shape)
-    return RefinedCompensation(best[0], photograph, np.array(errors))
+    return RefinedCompensation(found, photograph, np.array(errors))
 
 
 @dataclass(frozen=True, eq=False)

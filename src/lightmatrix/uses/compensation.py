@@ -25,6 +25,7 @@ from lightmatrix.files.stacks import list_images
 from lightmatrix.files.writing import check_output
 from lightmatrix.patterns.folder import write_patterns
 from lightmatrix.patterns.pattern_set import ImagePatterns
+from lightmatrix.patterns.projector_curve import ProjectorResponse
 from lightmatrix.ranges import check_number, check_whole
 from lightmatrix.reprs import short_repr
 from lightmatrix.transport.matrix import LightTransport
@@ -165,6 +166,19 @@ def write_shown(
         check_output(place, IMAGE, overwrite=overwrite)
     for place, image in images.items():
         write_image(place, image, overwrite=overwrite)
+
+
+def encoding_of(
+    given: ProjectorResponse | str | Path | None, light: JointLight
+) -> tuple[ProjectorResponse | None, ...]:
+    """What each projector's patterns are encoded by: what is given, or what the patterns of T were.
+
+    None is light, as of a response that is linear.
+    """
+    if given is None:
+        return tuple(ProjectorResponse.of_provenance(one.provenance) for one in light.matrices)
+    curve = given if isinstance(given, ProjectorResponse) else ProjectorResponse.parse(given)
+    return (None if given == "linear" else curve,) * len(light.matrices)
 
 
 def wanted_samples(
@@ -374,6 +388,8 @@ class Compensation:
         dark there, 4 too bright there.
     exposure : float
         The exposure e for which `clipped` is told.
+    encoding : tuple of ProjectorResponse or None
+        What `encoded` and the written image encode each pattern by; None: as light.
 
     Examples
     --------
@@ -391,8 +407,18 @@ class Compensation:
     brightness: float
     reach: NDArray[np.uint8]
     exposure: float = 1.0
+    encoding: tuple[ProjectorResponse | None, ...] = ()
 
     __repr__ = short_repr
+
+    @property
+    def encoded(self) -> tuple[NDArray[np.float32], ...]:
+        """The patterns as grey values in [0, 1], by which the projectors show their light."""
+        encoding = self.encoding or (None,) * len(self.patterns)
+        return tuple(
+            pattern if response is None else response.encoded(pattern)
+            for pattern, response in zip(self.patterns, encoding, strict=True)
+        )
 
     @property
     def pattern(self) -> NDArray[np.float32]:
@@ -429,6 +455,7 @@ class Compensation:
             "predicted_psnr": self.psnr,
             **shares,
             "clipped": float(self.clipped.mean()),
+            "projector_gamma": next((curve.gamma for curve in self.encoding if curve), None),
         }
 
 
@@ -590,6 +617,7 @@ def compensate(
     resize: bool = False,
     exposure: float = 1.0,
     iterations: int = USUAL_ITERATIONS,
+    projector_response: ProjectorResponse | str | Path | None = None,
     output: str | Path | None = None,
     overwrite: bool = False,
 ) -> Compensation:
@@ -626,8 +654,12 @@ def compensate(
         The exposure for which `Compensation.clipped` is told.
     iterations : int
         Of the solver, at least 1.
+    projector_response : ProjectorResponse, str or Path, optional
+        What the grey values of the projector are in light, by which the output is encoded: a file
+        from `projector_response`, "gamma:2.2", or "linear", which writes light. None: as the
+        patterns of T were.
     output : str or Path, optional
-        Image file to write the pattern to: .png (8 bits, linear), .tiff, .exr or .npy. Three
+        Image file to write the pattern to, to be shown: .png, .tiff, .exr or .npy. Three
         patterns of one size become one in colour; otherwise several become NAME-1.png, NAME-2.png.
     overwrite : bool
         Whether existing images may be replaced.
@@ -660,8 +692,9 @@ def compensate(
     shared = compensator(transport, ambient=ambient, mask=mask, exposure=exposure)
     samples = wanted_samples(wanted, shared.light.camera_shape, gamma=gamma, resize=resize)
     found = shared.solve(samples, brightness, iterations=iterations)
+    found = replace(found, encoding=encoding_of(projector_response, shared.light))
     if output is not None:
-        write_shown(output, found.patterns, overwrite=overwrite)
+        write_shown(output, found.encoded, overwrite=overwrite)
     return found
 
 
@@ -686,6 +719,8 @@ class CompensatedVideo:
         The predicted error of each frame in dB.
     reached : (K,) float64
         Share of camera samples that come close to what they should be.
+    encoding : ProjectorResponse, optional
+        What the images that were written are encoded by; None: they are light.
 
     Examples
     --------
@@ -700,6 +735,7 @@ class CompensatedVideo:
     scale: float
     predicted_psnr: NDArray[np.float64]
     reached: NDArray[np.float64]
+    encoding: ProjectorResponse | None = None
 
     __repr__ = short_repr
 
@@ -711,6 +747,7 @@ class CompensatedVideo:
             "scale": self.scale,
             "predicted_psnr": float(self.predicted_psnr.mean()),
             "reached": float(self.reached.mean()),
+            "projector_gamma": None if self.encoding is None else self.encoding.gamma,
         }
 
 
@@ -723,6 +760,7 @@ def compensate_video(
     brightness: float | None = None,
     gamma: float = 1.0,
     resize: bool = False,
+    projector_response: ProjectorResponse | str | Path | None = None,
     output: str | Path | None = None,
     overwrite: bool = False,
     progress: Callable[[int, int], None] | None = None,
@@ -735,7 +773,7 @@ def compensate_video(
         T, or where `open` finds it.
     frames : (K, rows, cols[, channels]) array, a sequence of images, or a folder of image files
         The wanted pictures; a folder is read in natural order.
-    ambient, mask, brightness, gamma, resize
+    ambient, mask, brightness, gamma, resize, projector_response
         As in `compensate`. The automatic brightness suits the whole video: each pixel at its
         brightest.
     output : str or Path, optional
@@ -795,9 +833,11 @@ def compensate_video(
         last, iterations = found.pattern.ravel(), 10
         if progress is not None:
             progress(index + 1, len(pictures))
+    (encoding,) = encoding_of(projector_response, shared.light)
     if output is not None:
-        write_patterns(output, ImagePatterns(patterns), overwrite=overwrite)
-    return CompensatedVideo(patterns, brightness, scale, errors, reached)
+        shown = patterns if encoding is None else encoding.encoded(patterns)
+        write_patterns(output, ImagePatterns(shown), overwrite=overwrite)
+    return CompensatedVideo(patterns, brightness, scale, errors, reached, encoding)
 
 
 def cancel_global(
@@ -805,6 +845,7 @@ def cancel_global(
     pattern: NDArray[Any] | str | Path | None = None,
     *,
     direct: LightTransport | None = None,
+    projector_response: ProjectorResponse | str | Path | None = None,
     output: str | Path | None = None,
     overwrite: bool = False,
 ) -> Compensation:
@@ -823,8 +864,8 @@ def cancel_global(
         The pattern p in [0, 1]. None: white.
     direct : LightTransport, optional
         The direct part D. None: that of `separate`.
-    output : str or Path, optional
-        Image file to write the pattern q to, as `compensate` does.
+    projector_response, output
+        As in `compensate`, of the pattern q.
     overwrite : bool
         Whether an existing image may be replaced.
 
@@ -871,6 +912,7 @@ def cancel_global(
     compensation = shared.reaching(
         target.ravel(), 1.0, start=shown.ravel(), iterations=2 * USUAL_ITERATIONS
     )
+    compensation = replace(compensation, encoding=encoding_of(projector_response, light))
     if output is not None:
-        write_shown(output, compensation.patterns, overwrite=overwrite)
+        write_shown(output, compensation.encoded, overwrite=overwrite)
     return compensation

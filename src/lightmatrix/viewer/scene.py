@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from lightmatrix.capture.capture import Capture
 from lightmatrix.defaults import PAGE_BYTES
 from lightmatrix.errors import InputError, LightMatrixError
+from lightmatrix.files.kinds import printable
 from lightmatrix.geometry.rig_geometry import RigGeometry
 from lightmatrix.patterns.pattern_set import PatternSet
 from lightmatrix.pictures.style import white_level
@@ -51,7 +52,8 @@ class Scene:
         self._path = None if isinstance(transport, LightTransport) else Path(transport)
         self.matrix = opened(transport, page_bytes)
         name = self.matrix.provenance.get("scene", "Light transport")
-        self.title = self._path.name if self._path is not None else str(name)
+        # The name of a file may hold bytes that are no text, which no page can.
+        self.title = printable(self._path.name if self._path is not None else str(name))
         channels = self.matrix.camera_shape[2:]
         if channels not in ((), (1,), (3,)):
             raise InputError(
