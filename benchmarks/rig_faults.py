@@ -46,6 +46,7 @@ from lightmatrix.capture.sensor import Sensor
 from lightmatrix.judgement.judgement import verdict
 from lightmatrix.judgement.metrics import relative_error
 from lightmatrix.patterns.pattern_set import block_mean
+from lightmatrix.rig_model.model import RigModel
 from lightmatrix.simulation import library
 from lightmatrix.simulation.realism import defocus, vignetting
 from lightmatrix.simulation.truth import Truth, binned
@@ -69,7 +70,7 @@ FAULTS: dict[str, tuple[tuple[float, ...], str, str | None]] = {
     "projector-curve": ((1.1, 1.4, 2.2), "grey", "projector-curve"),
     "crosstalk": ((0.1, 0.2, 0.3), "random", "crosstalk"),
     "sharpening": ((0.5, 1.0, 1.5), "grey", "sharpening"),
-    "camera-sharpening": ((0.2, 0.5, 1.0), "random", "sharpening"),
+    "camera-sharpening": ((0.2, 0.5, 1.0), "random", "camera-sharpening"),
     "dynamic-contrast": ((0.1, 0.3, 0.6), "varied", "dynamic-contrast"),
     "exposure": ((0.02, 0.05, 0.2), "random", "exposure"),
     "black": ((0.2, 0.5, 1.0), "random", "black"),
@@ -328,7 +329,7 @@ def measure(case: Case, way: str) -> Row:
 
 def names_of(estimate: LightTransport) -> list[str]:
     """What the estimate names as wrong with the rig."""
-    return sorted(estimate.provenance.get("rig_model", {}).get("names", ()))
+    return sorted(RigModel.of(estimate).names)
 
 
 def results_of(wanted: Iterable[Case], file: Path, *, again: bool) -> dict[Case, Row]:

@@ -83,6 +83,8 @@ from .responses.curves import (
 
 # Estimates.
 from .estimators.estimate import estimate as estimate
+from .estimators.corrected import fit_rig as fit_rig
+from .rig_model.model import RigModel as RigModel
 from .estimators.colour import estimate_colour as estimate_colour
 from .estimators.resource_estimate import estimate_resources as estimate_resources
 from .estimators.settings import EstimateSettings as EstimateSettings

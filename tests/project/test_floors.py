@@ -23,6 +23,7 @@ FLOORS = [
     {"geometry", "patterns"},
     {"capture", "transport"},
     {"check", "pictures", "simulation", "solvers"},
+    {"rig_model"},
     {"estimators", "judgement", "responses"},
     {"planning", "uses"},
     {"rig", "shape"},

@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from lightmatrix.capture.correction import Correction
 from lightmatrix.capture.decoder import Decoder
 from lightmatrix.capture.folder import holds_capture, read_capture, read_folders
 from lightmatrix.capture.frames import (
@@ -63,6 +64,8 @@ class Capture:
     projector_unknown : bool
         Whether the patterns are grey values whose light `estimate` finds in the frames. They are
         taken as light until then.
+    correction : Correction, optional
+        What the rig did to the binned samples, taken out as they are read; see `fit_rig`.
 
     Raises
     ------
@@ -87,6 +90,7 @@ class Capture:
     provenance: Mapping[str, Any] = field(default_factory=dict)
     surroundings: Surroundings | None = None
     projector_unknown: bool = False
+    correction: Correction | None = None
 
     def __repr__(self) -> str:
         facts = (f"{name}={value}" for name, value in self.summary().items())
@@ -303,17 +307,18 @@ class Capture:
         around, frames = self.surroundings, self.frames.frames
         decoder = replace(self.decoder, black_frame=around.black_frame)
         whole = replace(self, frames=frames, decoder=decoder, mask=around.mask)
-        return replace(whole, bin_camera=(1, 1), surroundings=None)
+        return replace(whole, bin_camera=(1, 1), surroundings=None, correction=None)
 
     def window(self, rows: slice, cols: slice) -> Capture:
         """The capture of a rectangle of its binned camera pixels; slices with start and stop."""
         height, width = self.frames.shape[:2]
         down, across = self.bin_camera
         corner = (rows.start * down, cols.start * across)
+        correction = self.correction and self.correction.window(rows, cols, self.camera_shape)
         end = (min(rows.stop * down, height), min(cols.stop * across, width))
-        whole = replace(self, bin_camera=(1, 1))
+        whole = replace(self, bin_camera=(1, 1), correction=None)
         part = whole.crop(corner, (end[0] - corner[0], end[1] - corner[1]))
-        return replace(part, bin_camera=self.bin_camera, surroundings=None)
+        return replace(part, bin_camera=self.bin_camera, surroundings=None, correction=correction)
 
     def bin(
         self, projector: int | tuple[int, int] = 1, camera: int | tuple[int, int] = 1
@@ -352,6 +357,7 @@ class Capture:
             patterns=self.patterns.subset(index),
             frames=self.frames.select([int(k) for k in index]),
             decoder=self.decoder.select(index),
+            correction=self.correction and self.correction.select(index),
         )
 
     def frame(self, index: int) -> NDArray[Any]:
@@ -368,7 +374,7 @@ class Capture:
     @computed_once
     def reader(self) -> Reader:
         """The reader, which decodes the frames and keeps the levels that it has read."""
-        return Reader(self.frames, self.decoder, self.mask, self.bin_camera)
+        return Reader(self.frames, self.decoder, self.mask, self.bin_camera, self.correction)
 
     @property
     def valid(self) -> NDArray[np.bool_]:
@@ -449,7 +455,7 @@ class _SampleReader(Reader):
 
     known: Samples = field(kw_only=True)
 
-    def samples(self, start: int, stop: int) -> Samples:
+    def _uncorrected(self, start: int, stop: int) -> Samples:
         return self.known.rows(slice(start, min(stop, self.rows)))
 
 
@@ -472,4 +478,6 @@ class KnownSamples(Capture):
     @cached_property
     def reader(self) -> Reader:
         """The reader of the samples."""
-        return _SampleReader(self.frames, self.decoder, None, (1, 1), known=self.known)
+        return _SampleReader(
+            self.frames, self.decoder, None, (1, 1), self.correction, known=self.known
+        )

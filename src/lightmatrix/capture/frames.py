@@ -11,6 +11,7 @@ from typing import Any, Protocol, runtime_checkable
 import numpy as np
 from numpy.typing import NDArray
 
+from lightmatrix.capture.correction import Correction
 from lightmatrix.capture.decoder import Decoder
 from lightmatrix.capture.exposures import frame_weights
 from lightmatrix.capture.samples import Samples, bin_samples
@@ -230,6 +231,7 @@ class Reader:
     decoder: Decoder
     mask: NDArray[np.bool_] | None
     block: tuple[int, int]
+    correction: Correction | None = None
 
     @property
     def camera_shape(self) -> tuple[int, ...]:
@@ -254,6 +256,12 @@ class Reader:
 
     def samples(self, start: int, stop: int) -> Samples:
         """Samples of the camera rows start..stop; masked ones are 0 and have weight 0."""
+        samples = self._uncorrected(start, stop)
+        if self.correction is None:
+            return samples
+        return self.correction.applied(samples, start, self.camera_shape)
+
+    def _uncorrected(self, start: int, stop: int) -> Samples:
         stop = min(stop, self.rows)
         if self.block == (1, 1):
             decoded = self.decoder.decode(self.levels(start, stop), first_row=start)

@@ -32,6 +32,9 @@ KINDS = {
 # Kinds that say what a healthy capture cannot reveal; `check` exits with 0 if it has no other.
 NOTES = ("stripes",)
 
+# Kinds of which the regression of `fit_rig` knows more, once T is estimated.
+OF_THE_RIG = ("flicker", "motion", "response", "projector")
+
 # What to do about photographs out of order.
 WRONG_ORDER = (
     "put the images in the order of the patterns, or take the capture again, waiting longer after "

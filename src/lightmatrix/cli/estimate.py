@@ -147,6 +147,15 @@ Cluster = Annotated[
         "must see capture and output under the same paths. --memory is per worker.",
     ),
 ]
+Correct = Annotated[
+    str,
+    typer.Option(
+        metavar="auto|none|NAME,...",
+        help="Which faults of the rig to look for in the photographs and to take out of T: all, "
+        "none, or some of gain, exposure, ambient, shift, rows, previous, camera-curve, "
+        "projector-curve, crosstalk, sharpening, camera-sharpening, dynamic-contrast.",
+    ),
+]
 Check = Annotated[
     bool,
     typer.Option(
@@ -183,6 +192,7 @@ def estimate(
     workers: Workers = None,
     cluster: Cluster = None,
     check: Check = True,
+    correct: Correct = "auto",
     report: Annotated[
         Path | None,
         typer.Option(
@@ -234,7 +244,7 @@ def estimate(
     if isinstance(capture.patterns, lm.ColourPatterns):
         refuse_unknown_projector(capture)
         others = {"report": report, "viewer": viewer, "dry_run": dry_run, "geometry": geometry}
-        _refuse_settings(settings, others)
+        _refuse_settings(settings, {**others, "correct": correct != "auto"})
         if output == _OUTPUT:
             output = Path("scene")
         if output.suffix.lower() == ".zarr":
@@ -260,7 +270,12 @@ def estimate(
         return
     say_what_is_kept(output, "tiles", enough=not as_json and report is None)
     transport = lm.estimate(
-        capture, **asdict(settings), output=output, overwrite=overwrite, check=check
+        capture,
+        **asdict(settings),
+        output=output,
+        overwrite=overwrite,
+        check=check,
+        correct=correct if correct in ("auto", "none") else correct.split(","),
     )
     seconds, outcome = round(time.perf_counter() - started, 2), None
     findings = transport.provenance["findings"]

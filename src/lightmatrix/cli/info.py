@@ -68,6 +68,8 @@ def info(
         return
     for line in judged.lines():
         say(line)
+    for fault in (transport.provenance.get("rig") or {}).values():
+        say(f"corrected: {fault['sentence']}")
     show_table(str(scene), labelled(transport.summary(), main_only=not verbose))
     versions = transport.provenance.get("versions")
     if verbose and isinstance(versions, Mapping) and versions:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import platform
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from contextlib import ExitStack
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
@@ -29,6 +29,9 @@ from lightmatrix.solvers.problem import Result, check_regularization
 from lightmatrix.transport.checkpoint import ROWS, Checkpoint
 from lightmatrix.transport.matrix import LightTransport
 from lightmatrix.transport.sparse_rows import SparseRows
+
+# The step of a T that takes the place of the one that was estimated.
+_REVIEWED = "reviewed"
 
 
 @dataclass(frozen=True)
@@ -79,6 +82,7 @@ class Estimator(ABC):
         remarks: Mapping[str, Any] | None = None,
         progress: Progress | None = None,
         pool: WorkerPool | None = None,
+        review: Callable[[LightTransport], LightTransport | None] | None = None,
     ) -> LightTransport:
         """Estimate the light transport matrix of a capture.
 
@@ -99,6 +103,8 @@ class Estimator(ABC):
         pool : WorkerPool, optional
             Other processes that solve the tiles (`lightmatrix.estimators.workers`). None: this
             process.
+        review : callable, optional
+            Called with T before it is written; it may return another one to write in its place.
 
         Returns
         -------
@@ -125,10 +131,8 @@ class Estimator(ABC):
             if output is None and pool is None:
                 tiles = TilesInMemory()
                 complete(plan.work, tiles, progress)
-                rows = tiles.read(ROWS)
-                return LightTransport(
-                    rows.coefficients, rows.background, diagnostics=rows.diagnostics, **shapes
-                )
+                transport = _joined(tiles, shapes)
+                return (review and review(transport)) or transport
             if output is None:
                 # Workers hand over their tiles through a folder.
                 folder = stack.enter_context(TemporaryDirectory(prefix="lightmatrix-"))
@@ -139,7 +143,23 @@ class Estimator(ABC):
                 Checkpoint.open(output, plan.fingerprint, overwrite=overwrite)
             )
             complete(plan.work, checkpoint, progress, pool=pool)
-            return checkpoint.finish(**shapes)
+            better = review and review(_joined(checkpoint, shapes))
+            if not better:
+                return checkpoint.finish(**shapes)
+            # The tiles of the first T stay until the output is whole: a run that is killed now
+            # continues from them.
+            checkpoint.forget(_REVIEWED)
+            rows = SparseRows(better.sparse, better.background, dict(better.diagnostics))
+            checkpoint.write(0, plan.work.capture.rows, rows, _REVIEWED)
+            shapes["provenance"] = dict(better.provenance)
+            return checkpoint.finish(**shapes, step=_REVIEWED)
+
+
+def _joined(tiles: TilesInMemory | Checkpoint, shapes: Mapping[str, Any]) -> LightTransport:
+    rows = tiles.read(ROWS)
+    return LightTransport(
+        rows.coefficients, rows.background, diagnostics=rows.diagnostics, **shapes
+    )
 
 
 def rows_with_diagnostics(

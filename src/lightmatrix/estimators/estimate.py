@@ -15,6 +15,7 @@ With workers, 3 hands the tiles to `DaskPool.solve` (`workers.py`), and each wor
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import replace
 from functools import partial
@@ -24,10 +25,11 @@ from typing import Any
 from lightmatrix.capture.camera_curve import AUTOMATIC, Response
 from lightmatrix.capture.capture import Capture, open_capture
 from lightmatrix.check.curves import FOUND_RESPONSE, with_projector, with_response
-from lightmatrix.check.finding import FINDINGS
+from lightmatrix.check.finding import FINDINGS, OF_THE_RIG, Finding
 from lightmatrix.check.refusals import refuse_unordered, refuse_unusable, warn_of
 from lightmatrix.errors import InputError, warn
 from lightmatrix.estimators.choice import check_and_choose, choose_estimator
+from lightmatrix.estimators.corrected import corrected, terms_to_correct
 from lightmatrix.estimators.plain import PlainEstimator
 from lightmatrix.estimators.resource_estimate import estimate_resources
 from lightmatrix.estimators.settings import EstimateSettings
@@ -38,6 +40,7 @@ from lightmatrix.files.writing import check_output
 from lightmatrix.patterns.colour import ColourPatterns
 from lightmatrix.patterns.projector_curve import ProjectorResponse
 from lightmatrix.progress_bar import progress_bar
+from lightmatrix.rig_model.model import RigModel
 from lightmatrix.solvers.loop import Progress
 from lightmatrix.transport.matrix import LightTransport
 
@@ -62,6 +65,7 @@ def estimate(
     output: str | Path | None = None,
     overwrite: bool = False,
     check: bool = True,
+    correct: str | Sequence[str] = "auto",
     progress: Progress | bool = True,
 ) -> LightTransport:
     """Estimate the light transport matrix of a capture, as `lightmatrix estimate` does.
@@ -119,6 +123,12 @@ def estimate(
     check : bool
         Whether to refuse photographs that do not follow their patterns and estimates that do not
         fit into memory, and to warn of what else `lm.check` finds. The provenance keeps it.
+    correct : "auto", "none" or sequence of str
+        Which faults of the rig are looked for in the photographs and taken out of T, see `fit_rig`:
+        all, none, or some of "gain", "exposure", "ambient", "shift", "rows", "previous",
+        "camera-curve", "projector-curve", "crosstalk", "sharpening", "camera-sharpening" and
+        "dynamic-contrast". A correction stays only if photographs held out are predicted better
+        with it. The exposure of T is then that of the first frame.
     progress : bool or callable
         Whether to show a bar on a terminal and in notebooks; or what to call with (done, total)
         rows.
@@ -132,8 +142,9 @@ def estimate(
     Warns
     -----
     LightMatrixWarning
-        For each finding of `lm.check`; with the response that was found; and if the estimate row by
-        row was chosen because it predicts photographs held out better.
+        For each finding of `lm.check`; for what the rig did and is corrected; with the response
+        that was found; and if the estimate row by row was chosen because it predicts photographs
+        held out better.
 
     Raises
     ------
@@ -167,6 +178,7 @@ def estimate(
         cluster,
     )
     settings.check_cluster_output(output)
+    allowed = terms_to_correct(correct)
     capture = open_capture(capture)
     if isinstance(capture.patterns, ColourPatterns):
         raise InputError(
@@ -204,7 +216,6 @@ def estimate(
             # A curve that is found is no fault of the capture.
             found_later = ["response"] * camera_unknown + ["projector"] * capture.projector_unknown
             findings = [each for each in check_frames() if each.kind not in found_later]
-            warn_of(findings)
             with _bar("looking for the response", progress is True):
                 found = find_responses(capture, settings)
             warn(f"response: {found}")
@@ -213,21 +224,47 @@ def estimate(
             estimator = choose_estimator(capture, settings, resources)
         else:
             estimator, findings = check_and_choose(check_frames, capture, settings, resources)
-            warn_of(findings)
+        # What the regression may explain is told once it is done.
+        later = [each for each in findings if allowed and each.kind in OF_THE_RIG]
+        warn_of(each for each in findings if each not in later)
         if resources.coherent and isinstance(estimator, PlainEstimator):
             warn(
                 "estimating row by row, which predicts photographs held out better than "
                 "coherent=True"
             )
         with _bar("estimating", progress is True) as bar:
+            report = progress if callable(progress) else bar
+            again = partial(estimator.estimate, progress=report, pool=pool)
             return estimator.estimate(
                 capture,
                 output=None if output is None else Path(output),
                 overwrite=overwrite,
                 remarks={FINDINGS: [each.as_dict() for each in findings], **remarks},
-                progress=progress if callable(progress) else bar,
+                progress=report,
                 pool=pool,
+                review=partial(_without_faults, capture, again, allowed, later),
             )
+
+
+def _without_faults(
+    capture: Capture,
+    again: Callable[[Capture], LightTransport],
+    allowed: Sequence[str],
+    findings: Sequence[Finding],
+    first: LightTransport,
+) -> LightTransport | None:
+    """T without what the rig did, which is told; None if it did nothing wrong.
+
+    What was corrected replaces the `findings` of the same causes.
+    """
+    model, transport = corrected(capture, first, again, allowed) if allowed else (RigModel(), first)
+    if not model.names:
+        warn_of(findings)
+        return None
+    for sentence in model.sentences:
+        warn(f"rig: {sentence}: corrected")
+    kept = [each for each in first.provenance[FINDINGS] if each["kind"] not in OF_THE_RIG]
+    return replace(transport, provenance={**transport.provenance, FINDINGS: kept})
 
 
 def _bar(title: str, shown: bool) -> AbstractContextManager[Any]:

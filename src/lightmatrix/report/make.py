@@ -42,6 +42,7 @@ from lightmatrix.report.sections import (
     transport_matrix,
     uses,
 )
+from lightmatrix.rig_model.model import RigModel
 from lightmatrix.shape.triangulation import geometry_of
 from lightmatrix.simulation.truth import Truth
 from lightmatrix.solvers.loop import Progress
@@ -211,6 +212,7 @@ def report(
     """
     known = truth.transport() if isinstance(truth, Truth) else truth
     capture = as_estimated(capture, transport.provenance)
+    capture = RigModel.of(transport).corrected(capture, transport)
     check_same_rig(transport, capture, "capture")
     if known is not None:
         check_same_rig(transport, known)

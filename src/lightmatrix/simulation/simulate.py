@@ -176,9 +176,9 @@ def simulate(
         The primary of a colour projector that shows the patterns. The camera then has three
         channels, whose filters overlap. None: a grey projector and the camera of the scene.
     faults : mapping, optional
-        What the rig does wrong, by name and amount, such as ``{"shake": 0.1}``; the names and
-        units are those of `FAULTS` in simulation/faults.py, and an unknown name lists them. The
-        truth has no faults. None: nothing.
+        What the rig does wrong, by name and amount, such as ``{"shake": 0.1}``; the page "What
+        real rigs do" lists the names, as does the error of an unknown one. The truth has no
+        faults. None: nothing.
     seed : int
         Seed of the noise and of the faults.
     progress : callable, optional

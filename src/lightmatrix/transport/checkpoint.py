@@ -159,9 +159,10 @@ class Checkpoint:
         projector_shape: tuple[int, int],
         background_grid: tuple[int, int] = (1, 1),
         provenance: Mapping[str, Any] | None = None,
+        step: str = ROWS,
     ) -> LightTransport:
         """Join the tiles on disk into the output, so that T is in memory once, and remove them."""
-        spans = self.spans(ROWS)
+        spans = self.spans(step)
         edges = [0, *(stop for _, stop in spans)]
         rows = int(np.prod(camera_shape))
         if [start for start, _ in spans] != edges[:-1] or edges[-1] != rows:
@@ -170,7 +171,7 @@ class Checkpoint:
         try:
             save_rows(
                 self._path,
-                self._tiles(ROWS),
+                self._tiles(step),
                 camera_shape=camera_shape,
                 projector_shape=projector_shape,
                 background_grid=background_grid,

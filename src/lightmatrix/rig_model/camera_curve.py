@@ -1,0 +1,34 @@
+"""A camera whose levels are not proportional to light."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from lightmatrix.check.curves import raised, with_response
+from lightmatrix.rig_model.prediction import Prediction
+from lightmatrix.rig_model.term import Array, Draft, Term
+
+
+class CameraCurve(Term):
+    """Light is the stated light to the power 1 + c."""
+
+    name = "camera-curve"
+
+    def regressors(self, seen: Prediction) -> Array:
+        decoder = seen.capture.decoder
+        full = decoder.response.linearise(np.asarray(decoder.clip) / decoder.full_scale)
+        dark = decoder.response.linearise(np.asarray(decoder.black_level) / decoder.full_scale)
+        unit = seen.capture.exposures * np.max(full - dark)
+        # Half a step of 8 bits is the faintest light whose logarithm is trusted.
+        light = np.clip(seen.predicted * unit + np.min(dark), 0.002, None)
+        return np.asarray(-light * np.log(light) / unit)[None]
+
+    def take_out(self, values: Array, draft: Draft) -> None:
+        response = raised(draft.capture.decoder.response, 1 + float(values[0]))
+        draft.capture = with_response(draft.capture, response)
+
+    def added(self, values: Array, step: Array) -> Array:
+        return (1 + values) * (1 + step) - 1
+
+    def sentence(self, values: Array) -> str:
+        return f"the camera's levels have a gamma of {1 + values[0]:.2f} that is not declared"

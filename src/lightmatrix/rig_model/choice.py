@@ -1,0 +1,120 @@
+"""Which terms are there: one after the other, as long as they explain what is left."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lightmatrix.rig_model.least_squares import Regression
+from lightmatrix.rig_model.prediction import Prediction
+from lightmatrix.rig_model.term import Term
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Limits:
+    """When a term is there.
+
+    Parameters
+    ----------
+    explained : float
+        It explains at least this share of what is left.
+    chance : float
+        It explains at least this many times what as many random numbers would.
+    beside : float
+        It explains at least this share of what the first term does, and changes the photographs by
+        this share of what was taken out before. A smaller one may be a trace of large ones that are
+        not known exactly.
+    """
+
+    explained: float = 0.01
+    chance: float = 25.0
+    beside: float = 0.1
+
+
+LIMITS = Limits()
+
+
+def choose_terms(
+    seen: Prediction, terms: Sequence[Term], known: Sequence[str] = (), largest: float = 0.0
+) -> tuple[dict[str, Array], dict[str, Array], float]:
+    """The numbers of the terms that are there, and their standard errors, by name.
+
+    Third comes the largest share by which one of them changes the photographs. Terms that are not
+    `known` yet must change them by more than a tenth of the `largest` that was taken out before.
+    Rows count by the inverse of what they miss anyway, so that glossy rows invent no curve.
+    """
+    enough = seen.free >= 3
+    found: dict[str, Array] = {}
+    errors: dict[str, Array] = {}
+    if enough.sum() < 100:
+        return found, errors, largest
+    asked = {each.name: each for each in terms}
+    every = {name: each.regressors(seen) for name, each in asked.items()}
+    regressors = {name: each for name, each in every.items() if each is not None}
+    per_frame = {name: asked[name].per_frame for name in regressors}
+    least = {
+        name: each.least if name in known else max(each.least, LIMITS.beside * largest)
+        for name, each in asked.items()
+    }
+    left = seen.left
+    for _ in range(2):
+        missed = (left**2).sum(axis=1) / np.maximum(seen.free, 1)
+        weight = np.where(enough, 1 / (missed + np.median(missed[enough])), 0)
+        regression = Regression(seen, regressors, per_frame, weight)
+        found, errors = _forward(regression, asked, least)
+        if not found:
+            break
+        effects = [regression.effect(name, numbers) for name, numbers in found.items()]
+        left = seen.left - seen.projected(sum(effects, np.zeros_like(seen.left)))
+    light = np.sqrt((weight[:, None] * seen.usable * seen.predicted**2).sum())
+    sizes = [
+        np.sqrt((weight[:, None] * seen.usable * regression.effect(*each) ** 2).sum()) / light
+        for each in found.items()
+    ]
+    return found, errors, max([largest, *sizes])
+
+
+def _forward(
+    regression: Regression, terms: dict[str, Term], smallest: dict[str, float]
+) -> tuple[dict[str, Array], dict[str, Array]]:
+    """The terms that are there, chosen by what they explain beyond chance."""
+    seen, weight = regression.seen, regression.weight[:, None] * regression.seen.usable
+    free = float(seen.free[regression.weight > 0].sum())
+    light = (weight * seen.predicted**2).sum()
+    chosen: list[str] = []
+    found: dict[str, Array] = {}
+    errors: dict[str, Array] = {}
+    explained, first = 0.0, 0.0
+    while True:
+        best = 0.0
+        candidate = None
+        for name in regression.numbers:
+            if name in chosen or name not in terms:
+                continue
+            numbers, stated, together = regression.solve([*chosen, name])
+            more, rest = together - explained, regression.total - explained
+            by_chance = regression.numbers[name] / free * (regression.total - together)
+            effect = regression.effect(name, numbers[name])
+            size = np.sqrt((weight * effect**2).sum() / light)
+            score = more - LIMITS.chance * by_chance
+            least, most = terms[name].between
+            if not terms[name].per_frame and not least <= numbers[name].sum() <= most:
+                continue
+            if more < max(LIMITS.explained * rest, LIMITS.beside * first):
+                continue
+            if size > smallest[name] and score > best:
+                best, candidate = score, (name, numbers, stated, together)
+        if candidate is None:
+            # Pictures that move are blurred in T, which looks as if the camera sharpened them.
+            if "shift" in found and "camera-sharpening" in found:
+                others = {name: each for name, each in terms.items() if name != "camera-sharpening"}
+                return _forward(regression, others, smallest)
+            return found, errors
+        name, found, errors, explained = candidate
+        chosen.append(name)
+        first = first or explained

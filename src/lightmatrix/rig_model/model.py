@@ -1,0 +1,149 @@
+"""`RigModel`: what a rig did in the course of a capture, and the capture without it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lightmatrix.capture.capture import Capture
+from lightmatrix.capture.correction import Correction
+from lightmatrix.patterns.pattern_set import ImagePatterns
+from lightmatrix.resources.threads import one_blas_thread
+from lightmatrix.rig_model.choice import choose_terms
+from lightmatrix.rig_model.prediction import MARGIN, Prediction, predicted_light
+from lightmatrix.rig_model.term import Draft
+from lightmatrix.rig_model.terms import TERMS
+from lightmatrix.transport.matrix import LightTransport
+
+Array = NDArray[np.float64]
+
+# The entry of a store's provenance that holds what the rig did.
+RIG = "rig"
+
+
+@dataclass(frozen=True, eq=False)
+class RigModel:
+    """What a rig did in the course of a capture of K frames; made by `fit_rig`.
+
+    Parameters
+    ----------
+    values : mapping of str to array
+        The numbers of each term that is there: (P, K), or (P,) where all frames share them. gain:
+        share by which a frame is brighter than the first. ambient: light added, in clip levels at
+        exposure 1. shift: camera pixels down and to the right. rows: shares of a sine and a cosine
+        along the rows. previous: share of the picture before. camera-curve and projector-curve: the
+        undeclared gamma less 1. crosstalk: share lost across and down. sharpening,
+        camera-sharpening: strength. dynamic-contrast: change of the light from black to white.
+    errors : mapping of str to array
+        Their standard errors, of the same shapes.
+
+    Examples
+    --------
+    >>> import lightmatrix as lm
+    >>> patterns = lm.BernoulliPatterns((64, 64), 32)
+    >>> capture = lm.simulate("metal", patterns, exposure=0.15, faults={"previous": 0.1})
+    >>> model = lm.fit_rig(capture)
+    >>> model.names, round(float(model.values["previous"][0]), 2)
+    (('previous',), 0.1)
+    """
+
+    values: Mapping[str, Array] = field(default_factory=dict)
+    errors: Mapping[str, Array] = field(default_factory=dict)
+    # The largest share by which a term changed the photographs when it was found.
+    largest: float = 0.0
+
+    def __repr__(self) -> str:
+        return f"RigModel({'; '.join(self.sentences) or 'nothing found'})"
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The terms that are there, by the names that `correct` takes and the user reads."""
+        labels = (TERMS[name]().label_of(values) for name, values in self.values.items())
+        return tuple(dict.fromkeys(labels))
+
+    @property
+    def sentences(self) -> tuple[str, ...]:
+        """What the rig did, a sentence for each term, without full stops."""
+        return tuple(TERMS[name]().sentence(values) for name, values in self.values.items())
+
+    def as_dict(self) -> dict[str, Any]:
+        """Names, numbers and sentences, JSON-ready."""
+        return {
+            name: {"values": np.round(values, 6).tolist(), "sentence": sentence}
+            for (name, values), sentence in zip(self.values.items(), self.sentences, strict=True)
+        }
+
+    @classmethod
+    def of(cls, transport: LightTransport) -> RigModel:
+        """What was corrected in an estimate, by its provenance, which may hold anything."""
+        kept = transport.provenance.get(RIG)
+        values = {}
+        for name, facts in kept.items() if isinstance(kept, Mapping) else ():
+            if name in TERMS and isinstance(facts, Mapping):
+                values[name] = np.asarray(facts.get("values"), np.float64)
+        return cls(values)
+
+    def refined(
+        self,
+        capture: Capture,
+        sent: Capture,
+        transport: LightTransport,
+        allowed: Iterable[str] = tuple(TERMS),
+    ) -> RigModel | None:
+        """The model with what else it finds in `capture`, which is `sent` without what is known.
+
+        `transport` is T estimated from `capture`. None if nothing else is found.
+        """
+        terms = [each() for name, each in TERMS.items() if name in allowed]
+        # Threads of these small products would only wait for each other.
+        with one_blas_thread():
+            seen = Prediction.of(capture, sent, transport)
+            steps, errors, largest = choose_terms(seen, terms, tuple(self.values), self.largest)
+        if not steps:
+            return None
+        values = dict(self.values)
+        for name, step in steps.items():
+            term = TERMS[name]()
+            step = term.based(step)
+            values[name] = term.based(term.added(values[name], step)) if name in values else step
+        ordered = {name: values[name] for name in TERMS if name in values}
+        return RigModel(ordered, {**self.errors, **errors}, largest)
+
+    def corrected(self, capture: Capture, transport: LightTransport) -> Capture:
+        """The capture without what the rig did, by a T that tells how images move."""
+        if not self.values:
+            return capture
+        draft = Draft(capture, np.ones(capture.count), np.zeros(capture.count))
+        for name, values in self.values.items():
+            term = TERMS[name]()
+            term.take_out(values, draft)
+        changed = draft.capture
+        if draft.patterns:
+            changed = replace(changed, patterns=_changed_patterns(capture, draft))
+        added = _added(changed, transport, draft) if draft.images else None
+        correction = Correction(draft.gain, draft.ambient, draft.profile, added)
+        return replace(changed, correction=correction)
+
+
+def _changed_patterns(capture: Capture, draft: Draft) -> ImagePatterns:
+    """The patterns that the projector really showed."""
+    images = capture.patterns.images().astype(np.float64)
+    for change in draft.patterns:
+        before = np.concatenate([images[:1], images[:-1]])
+        images = change(images, before)
+    return ImagePatterns(np.clip(images, 0, 1).astype(np.float32))
+
+
+def _added(capture: Capture, transport: LightTransport, draft: Draft) -> NDArray[np.float32]:
+    """What images of the camera have more than they should, (M, K)."""
+    light = predicted_light(transport, slice(None), capture)
+    rows, cols = capture.camera_shape[:2]
+    images = light.reshape(1, rows, cols, -1, capture.count)
+    around = ((0, 0), (MARGIN, MARGIN), (MARGIN, MARGIN), (0, 0), (0, 0))
+    images = np.pad(images, around, mode="edge")
+    added = sum(change(images) for change in draft.images)
+    return np.asarray(added, np.float32).reshape(capture.rows, capture.count)

@@ -1,0 +1,221 @@
+"""What T predicts for camera samples, and what the strongest entries of T may have swallowed."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lightmatrix.capture.capture import Capture
+from lightmatrix.capture.samples import Samples
+from lightmatrix.transport.matrix import LightTransport
+
+Array = NDArray[np.float64]
+
+# Camera pixels around each patch, whose prediction tells how an image changes when it moves.
+MARGIN = 4
+# Samples of the regression: ten thousand rows of 32 patterns. Twice as many change the
+# numbers of the faults in the third digit.
+_SAMPLES = 320_000
+
+
+@dataclass(frozen=True, eq=False)
+class Prediction:
+    """m camera samples under K patterns.
+
+    Parameters
+    ----------
+    capture : Capture
+        Where the samples are from, corrected as far as faults are known.
+    sent : Capture
+        The capture before any correction, with the patterns as they were sent.
+    transport : LightTransport
+        The T that was estimated of `capture`.
+    """
+
+    capture: Capture
+    sent: Capture
+    transport: LightTransport
+    # Rows of T of patches with margins, (patches, rows, cols, channels); which samples of the inner
+    # ones count, flat; their samples, and their T p.
+    places: NDArray[np.int64]
+    chosen: NDArray[np.int64]
+    samples: Samples
+    around: Array
+    # An orthonormal basis of the columns of each row's strongest pixels and a constant, (m, d, K).
+    basis: Array
+    usable: NDArray[np.bool_]
+    free: NDArray[np.int64]
+    left: Array = field(init=False)
+
+    def __post_init__(self) -> None:
+        left = self.projected(self.samples.values - self.predicted)
+        object.__setattr__(self, "left", left)
+
+    @classmethod
+    def of(cls, capture: Capture, sent: Capture, transport: LightTransport) -> Prediction:
+        """The prediction of rows of patches that are spread over the whole camera."""
+        places = _patches(capture.camera_shape, _SAMPLES // capture.count)
+        inner = places[:, MARGIN:-MARGIN, MARGIN:-MARGIN].reshape(-1)
+        samples = _samples(capture, inner)
+        spread = np.where(samples.counted, samples.values, 0).std(axis=1)
+        usable = capture.valid[inner] & (samples.clipped.mean(axis=1) <= 0.3) & (spread > 0)
+        # Rows that hardly vary hold little but noise.
+        if usable.any():
+            usable &= spread > 0.1 * np.quantile(spread[usable], 0.9)
+        chosen = np.flatnonzero(usable)
+        samples = samples.rows(chosen)
+        around = predicted_light(transport, places.reshape(-1), capture)
+        around = around.reshape(*places.shape, capture.count)
+        counted = samples.counted & ~samples.clipped
+        pixels = strongest_pixels(transport, inner[chosen], capture.count)
+        lit = np.moveaxis(capture.patterns.at(pixels), 0, 1).astype(np.float64)
+        columns = np.concatenate([np.ones((*lit.shape[:2], 1)), lit], axis=2) * counted[..., None]
+        basis, strength, _ = np.linalg.svd(columns, full_matrices=False)
+        # Weaker directions are rounding errors of columns that depend on each other.
+        strong = strength > 1e-6 * np.maximum(strength[:, :1], 1e-12)
+        free = counted.sum(axis=1) - strong.sum(axis=1)
+        basis = np.ascontiguousarray((basis * strong[:, None, :]).transpose(0, 2, 1))
+        return cls(capture, sent, transport, places, chosen, samples, around, basis, counted, free)
+
+    @property
+    def count(self) -> int:
+        """Number of frames K."""
+        return self.capture.count
+
+    @cached_property
+    def predicted(self) -> Array:
+        """T p of the samples, (m, K)."""
+        return self.inner(self.around[:, MARGIN:-MARGIN, MARGIN:-MARGIN])
+
+    @cached_property
+    def position(self) -> Array:
+        """Row and column of each sample in the camera, from 0 to 1, (2, m, 1)."""
+        rows, cols = self.capture.camera_shape[:2]
+        channels = int(np.prod(self.capture.camera_shape[2:]))
+        inner = self.places[:, MARGIN:-MARGIN, MARGIN:-MARGIN].reshape(-1)[self.chosen]
+        row, col = np.divmod(inner // channels, cols)
+        return np.stack([(row + 0.5) / rows, (col + 0.5) / cols])[:, :, None]
+
+    def inner(self, images: Array) -> Array:
+        """The samples (m, ...) of images of the patches without margins."""
+        return images.reshape(-1, *images.shape[4:])[self.chosen]
+
+    def under(self, change: Callable[[Array, Array], Array]) -> Array:
+        """T applied to a change of the patterns as they were sent, (m, K)."""
+        inner = self.places[:, MARGIN:-MARGIN, MARGIN:-MARGIN].reshape(-1)[self.chosen]
+        return predicted_light(self.transport, inner, self.sent, change)
+
+    def projected(self, values: Array) -> Array:
+        """What the strongest pixels and a constant cannot explain of values (m, K)."""
+        masked = values * self.usable
+        inside = np.einsum("mdk,mk->md", self.basis, masked)
+        return np.asarray((masked - np.einsum("mdk,md->mk", self.basis, inside)) * self.usable)
+
+
+def predicted_light(
+    transport: LightTransport,
+    rows: NDArray[np.integer] | slice,
+    capture: Capture,
+    change: Callable[[Array, Array], Array] | None = None,
+) -> Array:
+    """T p of some rows under the patterns of a capture, or a change of them, (m, K)."""
+    sparse, background = transport.sparse[rows], transport.background[rows]
+    light = np.empty((sparse.shape[0], capture.count))
+    before = capture.patterns.images(0, 1).astype(np.float64)
+    for start, chunk in capture.patterns.chunks():
+        images = chunk.reshape(-1, *capture.projector_shape).astype(np.float64)
+        if change is not None:
+            earlier = np.concatenate([before, images[:-1]])
+            before, images = images[-1:], change(images, earlier)
+        shown = images.reshape(len(images), -1).T
+        light[:, start : start + len(chunk)] = sparse @ shown
+        light[:, start : start + len(chunk)] += background @ (transport.pooling @ shown)
+    return light
+
+
+def strongest_pixels(
+    transport: LightTransport, rows: NDArray[np.int64], frames: int
+) -> NDArray[np.int64]:
+    """The strongest projector pixels of some rows, (m, count): six, and one for five `frames`."""
+    count = max(1, min(6, frames // 5))
+    sparse = transport.sparse[rows].copy()
+    order = np.lexsort((-sparse.data, np.repeat(np.arange(len(rows)), np.diff(sparse.indptr))))
+    ranks = np.arange(sparse.nnz) - np.repeat(sparse.indptr[:-1], np.diff(sparse.indptr))
+    owner = np.repeat(np.arange(len(rows)), np.diff(sparse.indptr))
+    pixels = np.zeros((len(rows), count), np.int64)
+    best = ranks < count
+    pixels[owner[best], ranks[best]] = sparse.indices[order][best]
+    return pixels
+
+
+def spline_coefficients(images: Array, axis: int) -> Array:
+    """Coefficients of splines through images (...), of which a margin is cut off along an axis.
+
+    Their slope is half of what the next one differs by from the one before.
+    """
+    # The filter's pole is 0 for central differences and -0.268 for cubic splines. A camera's pixels
+    # are means over areas, and lie in between: T errs least at about -0.2, on cameras that move on
+    # the grid of their pixels as well as on a finer one (`python -m benchmarks.rig_faults`).
+    reach = MARGIN - 1
+    taps = (-0.2) ** np.abs(np.arange(-reach, reach + 1))
+    length = images.shape[axis] - 2 * reach
+    parts = (np.take(images, np.arange(j, j + length), axis) * tap for j, tap in enumerate(taps))
+    return np.asarray(sum(parts) / taps.sum())
+
+
+def _inside(images: Array, axis: int, margin: int) -> Array:
+    return np.take(images, np.arange(margin, images.shape[axis] - margin), axis)
+
+
+def slopes(images: Array) -> tuple[Array, Array]:
+    """First and second derivatives of images (n, rows, cols, ...), (2, ...) each: down and right.
+
+    Their margins are cut off.
+    """
+    first, second = [], []
+    for axis in (1, 2):
+        coefficients = spline_coefficients(_inside(images, 3 - axis, MARGIN), axis)
+        length = coefficients.shape[axis] - 2
+        before, here, after = (
+            np.take(coefficients, np.arange(start, start + length), axis) for start in (0, 1, 2)
+        )
+        first.append((after - before) / 2)
+        second.append(after - 2 * here + before)
+    return np.stack(first), np.stack(second)
+
+
+def _samples(capture: Capture, rows: NDArray[np.int64]) -> Samples:
+    """The samples of some rows of a capture, in their order; each tile is read once."""
+    parts, order = [], []
+    for start, tile in capture.tiles(1 << 16):
+        inside = np.flatnonzero((rows >= start) & (rows < start + tile.count))
+        if len(inside):
+            parts.append(tile.rows(rows[inside] - start))
+            order.append(inside)
+    return Samples.joined(parts).rows(np.argsort(np.concatenate(order)))
+
+
+def _patches(camera: tuple[int, ...], most: int) -> NDArray[np.int64]:
+    """Rows of T in patches with margins, (patches, rows, cols, channels), all over the camera."""
+    rows, cols, channels = *camera[:2], int(np.prod(camera[2:]))
+    side = 24
+    height, width = min(rows, side), min(cols, side)
+    count = max(1, most // (height * width * channels))
+    down = max(1, min(-(-rows // height), round(np.sqrt(count * rows / cols))))
+    right = max(1, min(-(-cols // width), -(-count // down)))
+    if rows * cols * channels <= most:
+        down, right, height, width = 1, 1, rows, cols
+    tops = np.linspace(0, rows - height, down).astype(int)
+    lefts = np.linspace(0, cols - width, right).astype(int)
+    around = np.arange(-MARGIN, height + MARGIN), np.arange(-MARGIN, width + MARGIN)
+    patches = []
+    for top in tops:
+        for left in lefts:
+            row = np.clip(top + around[0], 0, rows - 1)[:, None, None]
+            col = np.clip(left + around[1], 0, cols - 1)[None, :, None]
+            patches.append((row * cols + col) * channels + np.arange(channels))
+    return np.stack(patches)

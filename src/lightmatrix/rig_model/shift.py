@@ -1,0 +1,38 @@
+"""A camera, projector or scene that moves from frame to frame."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from lightmatrix.rig_model.prediction import Prediction, slopes
+from lightmatrix.rig_model.term import Array, Draft, Term, deviation
+
+
+class Shift(Term):
+    """The image of frame k lies d_k camera pixels (down, right) from where it was."""
+
+    name = "shift"
+    per_frame = True
+    # T is that of the mean place, which is known best.
+    of_first_frame = False
+
+    def regressors(self, seen: Prediction) -> Array:
+        return np.stack([-seen.inner(each) for each in slopes(seen.around)[0]])
+
+    def take_out(self, values: Array, draft: Draft) -> None:
+        def moved(images: Array) -> Array:
+            first, second = slopes(images)
+            change = np.zeros_like(first[0])
+            for step, slope, bend in zip(values, first, second, strict=True):
+                change += step**2 / 2 * bend - step * slope
+            return change
+
+        draft.images.append(moved)
+
+    def sentence(self, values: Array) -> str:
+        # A creep is smooth: frames differ less from the next one than from all others.
+        steps = np.diff(values, axis=1)
+        if (steps**2).sum() < 0.4 * ((values - values.mean(axis=1)[:, None]) ** 2).sum():
+            moved = float(np.hypot(*(values[:, -1] - values[:, 0])))
+            return f"the picture crept by {moved:.2f} camera pixels in the course of the capture"
+        return f"the picture shook by {deviation(values):.2f} camera pixels from frame to frame"

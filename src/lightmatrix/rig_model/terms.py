@@ -1,0 +1,45 @@
+"""All terms, in the order in which they are taken out of the patterns and of the photographs."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from lightmatrix.rig_model.ambient import Ambient
+from lightmatrix.rig_model.camera_curve import CameraCurve
+from lightmatrix.rig_model.camera_sharpening import CameraSharpening
+from lightmatrix.rig_model.crosstalk import Crosstalk
+from lightmatrix.rig_model.dynamic_contrast import DynamicContrast
+from lightmatrix.rig_model.gain import Gain
+from lightmatrix.rig_model.previous import Previous
+from lightmatrix.rig_model.projector_curve import ProjectorCurve
+from lightmatrix.rig_model.rows import Rows
+from lightmatrix.rig_model.sharpening import Sharpening
+from lightmatrix.rig_model.shift import Shift
+from lightmatrix.rig_model.term import Term
+from lightmatrix.rig_model.zoom import Zoom
+
+TERMS: dict[str, type[Term]] = {
+    each.name: each
+    for each in (
+        ProjectorCurve,
+        Sharpening,
+        Crosstalk,
+        Previous,
+        CameraSharpening,
+        Shift,
+        Zoom,
+        DynamicContrast,
+        Gain,
+        Rows,
+        Ambient,
+        CameraCurve,
+    )
+}
+
+
+def allowed_terms(names: Sequence[str]) -> tuple[str, ...] | None:
+    """The terms of some names that a user may give; None if one of them is no name."""
+    names = ["gain" if name == "exposure" else name for name in names]
+    found = {name for name, term in TERMS.items() if name in names or term.label in names}
+    known = found | {TERMS[name].label for name in found}
+    return tuple(name for name in TERMS if name in found) if set(names) <= known else None

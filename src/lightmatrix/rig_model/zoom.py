@@ -1,0 +1,48 @@
+"""A picture that grows, shrinks or turns from frame to frame, as a lens that breathes shows it."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from lightmatrix.rig_model.prediction import Prediction, slopes
+from lightmatrix.rig_model.term import Array, Draft, Term, deviation
+
+
+def _directions(position: Array) -> Array:
+    """Where places (2, ...) move by a pixel at the border: (zoom and turn, down and right, ...)."""
+    down, right = 2 * position - 1
+    return np.stack([np.stack([down, right]), np.stack([-right, down])])
+
+
+class Zoom(Term):
+    """Frame k is larger by z_k pixels at the border of the picture, and turned by t_k."""
+
+    name = "zoom"
+    label = "shift"
+    per_frame = True
+    of_first_frame = False
+
+    def regressors(self, seen: Prediction) -> Array:
+        first = np.stack([seen.inner(each) for each in slopes(seen.around)[0]])
+        return -(_directions(seen.position) * first).sum(axis=1)
+
+    def take_out(self, values: Array, draft: Draft) -> None:
+        rows, cols = draft.capture.camera_shape[:2]
+        places = np.stack(
+            np.meshgrid(
+                (np.arange(rows) + 0.5) / rows, (np.arange(cols) + 0.5) / cols, indexing="ij"
+            )
+        )
+        directions = _directions(places)[..., None, None]
+
+        def moved(images: Array) -> Array:
+            change = 0.0
+            for axis, (slope, bend) in enumerate(zip(*slopes(images), strict=True)):
+                step = (directions[:, axis] * values[:, None, None, None, :]).sum(axis=0)
+                change = change + step**2 / 2 * bend - step * slope
+            return np.asarray(change)
+
+        draft.images.append(moved)
+
+    def sentence(self, values: Array) -> str:
+        return f"the picture grew or turned by {deviation(values):.2f} camera pixels at its border"

@@ -1,0 +1,208 @@
+"""What a rig did wrong is found in its photographs, named, and taken out of T."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import lightmatrix as lm
+from lightmatrix.capture.capture import KnownSamples
+from lightmatrix.capture.correction import Correction
+from lightmatrix.capture.samples import Samples
+from lightmatrix.rig_model.least_squares import Regression
+from lightmatrix.rig_model.model import RigModel
+from lightmatrix.rig_model.prediction import MARGIN, Prediction, slopes
+from lightmatrix.rig_model.terms import TERMS
+from lightmatrix.simulation.simulate import SimulatedCapture
+
+PATTERNS = lm.BernoulliPatterns((64, 64), 32)
+
+
+def photographed(**faults: float) -> SimulatedCapture:
+    """The middle of a scene, 64 x 24 camera pixels, photographed by a rig with faults."""
+    known = {name.replace("_", "-"): amount for name, amount in faults.items()}
+    whole = lm.simulate("l_objects", PATTERNS, exposure=0.4, faults=known)
+    return whole.crop((0, 24), (64, 24))
+
+
+def error(transport: lm.LightTransport, capture: SimulatedCapture) -> float:
+    return lm.evaluate(transport, capture.truth).relative_error
+
+
+@pytest.fixture(scope="module")
+def intact() -> tuple[SimulatedCapture, lm.LightTransport]:
+    capture = photographed()
+    return capture, lm.estimate(capture, progress=False)
+
+
+def test_an_intact_capture_gets_no_name(
+    intact: tuple[SimulatedCapture, lm.LightTransport],
+) -> None:
+    capture, transport = intact
+    assert lm.fit_rig(capture, transport).names == ()
+    assert "rig" not in transport.provenance
+
+
+@pytest.mark.filterwarnings("ignore::lightmatrix.errors.LightMatrixWarning")
+@pytest.mark.parametrize(
+    ("fault", "amount", "name", "times"),
+    [
+        ("ambient", 0.05, "ambient", 1.25),
+        ("previous", 0.1, "previous", 1.25),
+        ("rows", 0.1, "rows", 1.5),
+        ("shake", 0.1, "shift", 2.0),
+        ("camera_curve", 1.1, "camera-curve", 1.25),
+        ("crosstalk", 0.1, "crosstalk", 1.25),
+    ],
+)
+def test_a_fault_is_named_and_taken_out(
+    intact: tuple[SimulatedCapture, lm.LightTransport],
+    fault: str,
+    amount: float,
+    name: str,
+    times: float,
+) -> None:
+    capture = photographed(**{fault: amount})
+    transport = lm.estimate(capture, progress=False)
+    assert RigModel.of(transport).names == (name,)
+    assert error(transport, capture) < times * error(intact[1], intact[0])
+
+
+def test_the_numbers_are_those_of_the_fault() -> None:
+    model = lm.fit_rig(photographed(previous=0.1))
+    assert model.names == ("previous",)
+    assert model.values["previous"][0] == pytest.approx(0.1, abs=0.005)
+    assert model.sentences[0].endswith("% of the picture before it")
+
+
+def test_the_store_keeps_what_was_corrected(tmp_path: Path) -> None:
+    capture = photographed(exposure=0.2)
+    with pytest.warns(lm.LightMatrixWarning, match="exposure changed by .* before frame 16"):
+        transport = lm.estimate(capture, output=tmp_path / "t.zarr", progress=False)
+    stored = lm.open(tmp_path / "t.zarr")
+    assert RigModel.of(stored).names == ("exposure",)
+    assert (stored.sparse != transport.sparse).nnz == 0
+    # The exposure of T is that of the first frame.
+    assert error(stored, capture) < 0.03
+
+
+@pytest.mark.filterwarnings("ignore::lightmatrix.errors.LightMatrixWarning")
+def test_only_what_is_allowed_is_corrected() -> None:
+    capture = photographed(previous=0.1)
+    plain = lm.estimate(capture, progress=False, correct="none")
+    other = lm.estimate(capture, progress=False, correct=["shift"])
+    assert "previous" not in RigModel.of(other).names
+    assert not RigModel.of(plain).names
+    with pytest.raises(lm.InputError, match="no correction is called shiver"):
+        lm.estimate(capture, correct="shiver")
+
+
+def test_the_normal_equations_are_those_of_least_squares(
+    intact: tuple[SimulatedCapture, lm.LightTransport],
+) -> None:
+    capture, transport = intact
+    seen = Prediction.of(capture, capture, transport)
+    terms = [TERMS[name]() for name in ("gain", "ambient", "previous", "crosstalk")]
+    regressors = {term.name: term.regressors(seen) for term in terms}
+    per_frame = {term.name: term.per_frame for term in terms}
+    weight = np.random.default_rng(0).uniform(0.5, 2, len(seen.left))
+    regression = Regression(seen, regressors, per_frame, weight)  # type: ignore[arg-type]
+    found, _, explained = regression.solve(["gain", "previous", "crosstalk"])
+    columns = [
+        seen.projected(np.where(np.arange(32) == k, each, 0))
+        for each in regressors["gain"]  # type: ignore[union-attr]
+        for k in range(32)
+    ]
+    for name in ("previous", "crosstalk"):
+        columns += [seen.projected(each) for each in regressors[name]]  # type: ignore[union-attr]
+    root = np.sqrt(weight)[:, None]
+    matrix = np.stack([(root * each).ravel() for each in columns], axis=1)
+    side = (root * seen.left).ravel()
+    # The penalty on the mean gain, which T holds.
+    numbers = np.concatenate([each.ravel() for each in found.values()])
+    slope = matrix.T @ (side - matrix @ numbers)
+    assert np.ptp(slope[:32]) < 1e-6 * np.linalg.norm(matrix.T @ side)
+    assert np.abs(slope[32:]).max() < 1e-6 * np.linalg.norm(matrix.T @ side)
+    best = np.linalg.norm(side) ** 2 - np.linalg.norm(side - matrix @ numbers) ** 2
+    assert explained == pytest.approx(best, rel=1e-3)
+
+
+@pytest.mark.parametrize("name", [name for name in TERMS if name not in ("dynamic-contrast",)])
+def test_what_a_term_takes_out_is_its_regressor(
+    intact: tuple[SimulatedCapture, lm.LightTransport], name: str
+) -> None:
+    """Photographs of T under a small fault are those of T once it is taken out."""
+    transport = intact[1]
+    patterns: lm.PatternSet = PATTERNS
+    if name in ("projector-curve", "sharpening"):
+        greys = np.random.default_rng(1).random((32, 64, 64)).astype(np.float32)
+        patterns = lm.ImagePatterns(greys)
+    still = transport.relight(patterns.images()).reshape(32, -1).T
+
+    def of(values: np.ndarray) -> KnownSamples:
+        level = np.full(32, 10, np.float32)
+        samples = Samples(values.astype(np.float32), np.zeros(values.shape, bool), level)
+        return KnownSamples.of(patterns, samples, (64, 24), 1.0)
+
+    seen = Prediction.of(of(still), of(still), transport)
+    term = TERMS[name]()
+    regressors = term.regressors(seen)
+    assert regressors is not None
+    generator = np.random.default_rng(2)
+    shape = (len(regressors), 32) if term.per_frame else (len(regressors),)
+    # Sharpening is not linear: the regressor is the change by half its strength.
+    numbers = 0.01 * generator.uniform(0.5, 1, shape)
+    if name == "sharpening":
+        numbers = np.array([0.5])
+    along = "pmk,pk->mk" if term.per_frame else "pmk,p->mk"
+    change = np.einsum(along, regressors, numbers)
+    inner = seen.places[:, MARGIN:-MARGIN, MARGIN:-MARGIN].reshape(-1)[seen.chosen]
+    wrong = still.astype(np.float64)
+    wrong[inner] += change
+    capture = replace(of(still), known=of(wrong).known)
+    right = RigModel({name: numbers}).corrected(capture, transport)
+    shown = transport.relight(right.patterns.images()).reshape(32, -1).T
+    samples = right.samples().values
+    left = (samples - shown)[inner]
+    # A curve is told by the decoder, which these samples do not pass.
+    if name == "camera-curve":
+        assert right.decoder.response.name == f"gamma:{1 + numbers[0]:.4f}"
+    else:
+        assert np.linalg.norm(left) < 0.1 * np.linalg.norm(change)
+
+
+def test_corrections_of_parts_are_parts_of_the_correction() -> None:
+    generator = np.random.default_rng(0)
+    shape = (6, 5)
+    samples = Samples(
+        generator.random((30, 8)).astype(np.float32),
+        np.zeros((30, 8), bool),
+        np.ones(8, np.float32),
+    )
+    whole = Correction(
+        generator.uniform(0.9, 1.1, 8),
+        generator.uniform(0, 0.1, 8),
+        generator.uniform(0.9, 1.1, (6, 8)),
+        generator.normal(0, 0.01, (30, 8)),
+    )
+    right = whole.applied(samples, 0, shape).values
+    frames = np.array([5, 1, 3])
+    few = whole.select(frames).applied(samples.frames(frames), 0, shape).values
+    assert np.array_equal(few, right[:, frames])
+    rows, cols = slice(2, 5), slice(1, 4)
+    index = np.arange(30).reshape(shape)[rows, cols].ravel()
+    part = whole.window(rows, cols, shape).applied(samples.rows(index), 0, (3, 3)).values
+    assert np.array_equal(part, right[index])
+    assert np.array_equal(whole.applied(samples.rows(slice(7, 20)), 7, shape).values, right[7:20])
+
+
+def test_slopes_of_a_plane_are_exact() -> None:
+    rows, cols = np.meshgrid(np.arange(12.0), np.arange(14.0), indexing="ij")
+    plane = (3 * rows - 2 * cols)[None, :, :, None, None]
+    first, second = slopes(plane)
+    assert first.shape == (2, 1, 12 - 2 * MARGIN, 14 - 2 * MARGIN, 1, 1)
+    assert np.allclose(first, np.array([3, -2])[:, None, None, None, None, None])
+    assert np.allclose(second, 0)
