@@ -15,9 +15,15 @@ from benchmarks.synthetic_captures import SCENES, draw
 from lightmatrix.capture.clip_level import find_pile
 from lightmatrix.check import levels
 from lightmatrix.check.all_checks import check_capture
-from lightmatrix.check.levels import check_clip_level, check_light_level, check_plain_frames
-from lightmatrix.check.survey import Survey
+from lightmatrix.check.levels import (
+    check_clip_level,
+    check_light_level,
+    check_plain_frames,
+    check_two_levels,
+)
+from lightmatrix.check.survey import Survey, high_variance_rows
 from lightmatrix.files.images import decode_image, encode_image
+from lightmatrix.judgement.judgement import Verdict
 from lightmatrix.patterns.bits import BernoulliPatterns
 from lightmatrix.patterns.pattern_set import ImagePatterns
 
@@ -95,6 +101,30 @@ def test_other_checks_judge_by_the_level_at_which_photographs_clip() -> None:
     frames = np.stack([intact.frame(k) for k in range(intact.count)])
     video = lm.Capture.from_arrays(intact.patterns, np.minimum(frames, 128), CAMERA)
     assert [each.kind for each in check_capture(video)] == ["clip"]
+
+
+@pytest.mark.parametrize("scene", sorted(SCENES))
+@pytest.mark.parametrize("damage", ["intact", "curve"])
+def test_two_levels_do_not_test_linearity(scene: str, damage: str) -> None:
+    """Where each camera pixel sees one projector pixel, T errs by 0.4 through a gamma of 2.2."""
+    capture = draw(scene, "random", damage, 16, 1).capture
+
+    def kinds(**settings: object) -> list[str]:
+        decoder = lm.Decoder(clip=255, full_scale=255, **settings)  # type: ignore[arg-type]
+        seen = Survey.take(capture.patterns, capture.frames, decoder)
+        return [each.kind for each in check_two_levels(seen, high_variance_rows(seen))]
+
+    assert kinds() == (["linearity"] if scene in ("permutation", "fibres") else [])
+    assert kinds(exposure=np.tile([1.0, 0.9], 32)) == []
+    assert kinds(response=lm.Response.parse("srgb")) == []
+
+
+def test_what_could_not_be_tested_is_not_good() -> None:
+    capture = draw("permutation", "random", "curve", 16, 1).capture
+    assert [each.kind for each in check_capture(capture)] == ["linearity"]
+    verdict = Verdict("good", 0.01)
+    assert verdict.with_findings(["linearity"]).level == "fair"
+    assert verdict.with_findings(["linearity", "order"]).level == "doubtful"
 
 
 @pytest.mark.parametrize("scene", sorted(SCENES))

@@ -23,6 +23,7 @@ KINDS = {
     "flicker": "light that changes from frame to frame",
     "motion": "a scene, camera or projector that moved",
     "response": "photographs that are not linear in light",
+    "linearity": "photographs that cannot tell whether they are linear in light",
     "projector": "patterns whose grey values are not proportional to light",
     "jpeg": "photographs that went through lossy compression",
     "unseen": "camera pixels that never see the projector",

@@ -113,6 +113,8 @@ class Verdict:
     def with_findings(self, kinds: Iterable[str], spoiling: Collection[str] = _SPOILING) -> Verdict:
         """The verdict, doubtful and without error if `check` found what spoils T unnoticed.
 
+        It is fair at best where nothing tells whether the photographs are linear in light.
+
         Parameters
         ----------
         kinds : iterable of str
@@ -120,7 +122,11 @@ class Verdict:
         spoiling : collection of str
             The kinds that no error estimate shows.
         """
-        found = sorted(set(kinds) & set(spoiling))
+        kinds = set(kinds)
+        found = sorted(kinds & set(spoiling))
+        if not found and "linearity" in kinds and spoiling == _SPOILING and self.level == "good":
+            untested = "Whether the photographs are linear in light could not be tested."
+            return replace(self, level="fair", reasons=(*self.reasons, untested))
         if not found:
             return self
         doubt = f"The check found what no error estimate shows ({', '.join(found)})."
