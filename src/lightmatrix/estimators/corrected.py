@@ -12,6 +12,7 @@ from lightmatrix.errors import InputError
 from lightmatrix.estimators.choice import choose_estimator
 from lightmatrix.rig_model.model import RIG, RigModel
 from lightmatrix.rig_model.terms import TERMS, allowed_terms
+from lightmatrix.rig_model.torn import torn_rows
 from lightmatrix.transport.matrix import LightTransport, prediction_error
 
 # Estimates after the first one. Six faults at once need two; pictures that move by a third of a
@@ -72,8 +73,11 @@ def corrected(
     # Estimates row by row hold no photographs out.
     if prediction_error(first) is None:
         return model, first
-    for _ in range(_MOST_ESTIMATES):
-        better = model.refined(now, capture, best, allowed)
+    torn = torn_rows(capture) if "torn" in allowed else None
+    for number in range(_MOST_ESTIMATES):
+        better: RigModel | None = RigModel({"torn": torn}) if torn is not None else None
+        if number or better is None:
+            better = model.refined(now, capture, best, allowed)
         if better is None:
             break
         now = better.corrected(capture, best)

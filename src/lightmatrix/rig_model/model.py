@@ -125,7 +125,7 @@ class RigModel:
         if draft.patterns:
             changed = replace(changed, patterns=_changed_patterns(capture, draft))
         added = _added(changed, transport, draft) if draft.images else None
-        correction = Correction(draft.gain, draft.ambient, draft.profile, added)
+        correction = Correction(draft.gain, draft.ambient, draft.profile, added, draft.lag)
         return replace(changed, correction=correction)
 
 

@@ -60,7 +60,7 @@ class Prediction:
         """The prediction of rows of patches that are spread over the whole camera."""
         places = _patches(capture.camera_shape, _SAMPLES // capture.count)
         inner = places[:, MARGIN:-MARGIN, MARGIN:-MARGIN].reshape(-1)
-        samples = _samples(capture, inner)
+        samples = samples_of_rows(capture, inner)
         spread = np.where(samples.counted, samples.values, 0).std(axis=1)
         usable = capture.valid[inner] & (samples.clipped.mean(axis=1) <= 0.3) & (spread > 0)
         # Rows that hardly vary hold little but noise.
@@ -188,7 +188,7 @@ def slopes(images: Array) -> tuple[Array, Array]:
     return np.stack(first), np.stack(second)
 
 
-def _samples(capture: Capture, rows: NDArray[np.int64]) -> Samples:
+def samples_of_rows(capture: Capture, rows: NDArray[np.int64]) -> Samples:
     """The samples of some rows of a capture, in their order; each tile is read once."""
     parts, order = [], []
     for start, tile in capture.tiles(1 << 16):

@@ -28,6 +28,7 @@ class Draft:
     gain: Array
     ambient: Array
     profile: Array | None = None
+    lag: NDArray[np.int64] | None = None
     patterns: list[PatternChange] = field(default_factory=list)
     images: list[ImageChange] = field(default_factory=list)
 

@@ -16,6 +16,7 @@ from lightmatrix.rig_model.rows import Rows
 from lightmatrix.rig_model.sharpening import Sharpening
 from lightmatrix.rig_model.shift import Shift
 from lightmatrix.rig_model.term import Term
+from lightmatrix.rig_model.torn import Torn
 from lightmatrix.rig_model.zoom import Zoom
 
 TERMS: dict[str, type[Term]] = {
@@ -33,6 +34,7 @@ TERMS: dict[str, type[Term]] = {
         Rows,
         Ambient,
         CameraCurve,
+        Torn,
     )
 }
 
