@@ -206,3 +206,13 @@ def test_slopes_of_a_plane_are_exact() -> None:
     assert first.shape == (2, 1, 12 - 2 * MARGIN, 14 - 2 * MARGIN, 1, 1)
     assert np.allclose(first, np.array([3, -2])[:, None, None, None, None, None])
     assert np.allclose(second, 0)
+
+
+@pytest.mark.filterwarnings("ignore::lightmatrix.errors.LightMatrixWarning")
+def test_the_report_says_what_was_corrected(tmp_path: Path) -> None:
+    capture = photographed(gain=0.05)
+    transport = lm.estimate(capture, progress=False)
+    lm.report(tmp_path / "report", transport, capture, held_out=False)
+    page = (tmp_path / "report" / "report.html").read_text()
+    assert "The light varied by" in page
+    assert "Light per frame, relative to the first" in page

@@ -29,6 +29,7 @@ from lightmatrix.report.elements import (
     Gallery,
     Image,
     Pair,
+    Points,
     Section,
     Strip,
     Table,
@@ -42,6 +43,7 @@ from lightmatrix.report.elements import (
 )
 from lightmatrix.report.facts import Facts, Validation
 from lightmatrix.reprs import labelled, shown_value
+from lightmatrix.rig_model.model import RigModel
 from lightmatrix.shape.shape import depth_map, normal_colours
 from lightmatrix.shape.triangulation import triangulate
 from lightmatrix.transport.matrix import LightTransport
@@ -368,7 +370,7 @@ def photographs(facts: Facts) -> Section:
         _bars("Clipped samples per frame", frames.clipped),
         _bars("Mean level per frame, relative to the clip level", frames.level),
     )
-    elements: list[Element] = [Columns((table, *maps), charts)]
+    elements: list[Element] = [Columns((table, *maps), charts), *_rig(facts.transport)]
     if capture.count > FIRST:
         shown = np.unique(np.linspace(FIRST, capture.count - 1, MOST - FIRST).astype(int))
         elements.append(Strip(tuple(_pair(facts, int(k)) for k in shown)))
@@ -379,6 +381,25 @@ def photographs(facts: Facts) -> Section:
     if capture.count > MOST:
         lead += f" The page shows {MOST} of them, spread over the capture."
     return Section("photographs", "Patterns and photographs", lead, tuple(elements))
+
+
+def _rig(transport: LightTransport) -> list[Element]:
+    """What the rig did and T is corrected for, with charts of what differs from frame to frame."""
+    model = RigModel.of(transport)
+    if not model.names:
+        return []
+    sentences = tuple(f"{each[0].upper()}{each[1:]}: corrected." for each in model.sentences)
+    values = model.values
+    charts = []
+    if "gain" in values:
+        charts.append(_bars("Light per frame, relative to the first", 1 + values["gain"][0]))
+    if "ambient" in values:
+        more = np.maximum(values["ambient"][0], 0)
+        charts.append(_bars("Room light per frame, relative to the clip level", more))
+    if "shift" in values:
+        far = np.hypot(*values["shift"])
+        charts.append(_bars("Displacement per frame, relative to a camera pixel", far))
+    return [Points(sentences), *charts]
 
 
 def _pair(facts: Facts, index: int) -> Pair:
