@@ -356,7 +356,8 @@ def test_each_problem_has_a_recommendation(
         return " ".join(recommendations(_facts(of, transport, **more)))
 
     rows = len(estimate.background)
-    bright = replace(estimate, sparse=estimate.sparse * 3)
+    bounded = {**estimate.diagnostics, "only_bounded": np.ones(rows)}
+    bright = replace(estimate, sparse=estimate.sparse * 3, diagnostics=bounded)
     assert "single projector pixel" in advice(bright)
     stopped = {**estimate.diagnostics, "converged": np.arange(rows) % 2 == 0}
     stopped_advice = advice(replace(estimate, diagnostics=stopped))
