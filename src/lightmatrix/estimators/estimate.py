@@ -225,7 +225,7 @@ def estimate(
         else:
             estimator, findings = check_and_choose(check_frames, capture, settings, resources)
         # What the regression may explain is told once it is done.
-        later = [each for each in findings if allowed and each.kind in OF_THE_RIG]
+        later = [each for each in findings if correct == "auto" and each.kind in OF_THE_RIG]
         warn_of(each for each in findings if each not in later)
         if resources.coherent and isinstance(estimator, PlainEstimator):
             warn(
@@ -263,7 +263,8 @@ def _without_faults(
         return None
     for sentence in model.sentences:
         warn(f"rig: {sentence}: corrected")
-    kept = [each for each in first.provenance[FINDINGS] if each["kind"] not in OF_THE_RIG]
+    explained = [each.as_dict() for each in findings]
+    kept = [each for each in first.provenance[FINDINGS] if each not in explained]
     return replace(transport, provenance={**transport.provenance, FINDINGS: kept})
 
 

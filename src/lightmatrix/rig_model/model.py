@@ -131,19 +131,26 @@ class RigModel:
 
 def _changed_patterns(capture: Capture, draft: Draft) -> ImagePatterns:
     """The patterns that the projector really showed."""
-    images = capture.patterns.images().astype(np.float64)
+    images = capture.patterns.images()
     for change in draft.patterns:
-        before = np.concatenate([images[:1], images[:-1]])
-        images = change(images, before)
-    return ImagePatterns(np.clip(images, 0, 1).astype(np.float32))
+        before = [images[max(0, k - 1)][None] for k in range(len(images))]
+        shown = [change(*each) for each in zip(images[:, None], before, strict=True)]
+        images = np.concatenate(shown, dtype=np.float32)
+    return ImagePatterns(np.clip(images, 0, 1))
 
 
 def _added(capture: Capture, transport: LightTransport, draft: Draft) -> NDArray[np.float32]:
-    """What images of the camera have more than they should, (M, K)."""
-    light = predicted_light(transport, slice(None), capture)
+    """What images of the camera have more than they should, (M, K), some frames at a time."""
     rows, cols = capture.camera_shape[:2]
-    images = light.reshape(1, rows, cols, -1, capture.count)
     around = ((0, 0), (MARGIN, MARGIN), (MARGIN, MARGIN), (0, 0), (0, 0))
-    images = np.pad(images, around, mode="edge")
-    added = sum(change(images) for change in draft.images)
-    return np.asarray(added, np.float32).reshape(capture.rows, capture.count)
+    added = np.empty((capture.rows, capture.count), np.float32)
+    # About ten arrays of 16 MiB, or of one frame.
+    step = max(1, (1 << 21) // capture.rows)
+    for start in range(0, capture.count, step):
+        frames = slice(start, min(start + step, capture.count))
+        some = capture.patterns.subset(np.arange(frames.start, frames.stop))
+        light = predicted_light(transport, slice(None), some)
+        images = np.pad(light.reshape(1, rows, cols, -1, some.count), around, mode="edge")
+        change = sum(each(images, frames) for each in draft.images)
+        added[:, frames] = np.asarray(change).reshape(capture.rows, -1)
+    return added

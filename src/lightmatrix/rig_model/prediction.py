@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from lightmatrix.capture.capture import Capture
 from lightmatrix.capture.samples import Samples
+from lightmatrix.patterns.pattern_set import PatternSet
 from lightmatrix.transport.matrix import LightTransport
 
 Array = NDArray[np.float64]
@@ -68,7 +69,7 @@ class Prediction:
             usable &= spread > 0.1 * np.quantile(spread[usable], 0.9)
         chosen = np.flatnonzero(usable)
         samples = samples.rows(chosen)
-        around = predicted_light(transport, places.reshape(-1), capture)
+        around = predicted_light(transport, places.reshape(-1), capture.patterns)
         around = around.reshape(*places.shape, capture.count)
         counted = samples.counted & ~samples.clipped
         pixels = strongest_pixels(transport, inner[chosen], capture.count)
@@ -107,7 +108,7 @@ class Prediction:
     def under(self, change: Callable[[Array, Array], Array]) -> Array:
         """T applied to a change of the patterns as they were sent, (m, K)."""
         inner = self.places[:, MARGIN:-MARGIN, MARGIN:-MARGIN].reshape(-1)[self.chosen]
-        return predicted_light(self.transport, inner, self.sent, change)
+        return predicted_light(self.transport, inner, self.sent.patterns, change)
 
     def projected(self, values: Array) -> Array:
         """What the strongest pixels and a constant cannot explain of values (m, K)."""
@@ -119,15 +120,15 @@ class Prediction:
 def predicted_light(
     transport: LightTransport,
     rows: NDArray[np.integer] | slice,
-    capture: Capture,
+    patterns: PatternSet,
     change: Callable[[Array, Array], Array] | None = None,
 ) -> Array:
-    """T p of some rows under the patterns of a capture, or a change of them, (m, K)."""
+    """T p of some rows under K patterns, or under a change of them, (m, K)."""
     sparse, background = transport.sparse[rows], transport.background[rows]
-    light = np.empty((sparse.shape[0], capture.count))
-    before = capture.patterns.images(0, 1).astype(np.float64)
-    for start, chunk in capture.patterns.chunks():
-        images = chunk.reshape(-1, *capture.projector_shape).astype(np.float64)
+    light = np.empty((sparse.shape[0], patterns.count))
+    before = patterns.images(0, 1).astype(np.float64)
+    for start, chunk in patterns.chunks():
+        images = chunk.reshape(-1, *patterns.shape).astype(np.float64)
         if change is not None:
             earlier = np.concatenate([before, images[:-1]])
             before, images = images[-1:], change(images, earlier)

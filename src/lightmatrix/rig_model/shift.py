@@ -20,10 +20,10 @@ class Shift(Term):
         return np.stack([-seen.inner(each) for each in slopes(seen.around)[0]])
 
     def take_out(self, values: Array, draft: Draft) -> None:
-        def moved(images: Array) -> Array:
+        def moved(images: Array, frames: slice) -> Array:
             first, second = slopes(images)
             change = np.zeros_like(first[0])
-            for step, slope, bend in zip(values, first, second, strict=True):
+            for step, slope, bend in zip(values[:, frames], first, second, strict=True):
                 change += step**2 / 2 * bend - step * slope
             return change
 

@@ -16,8 +16,9 @@ from lightmatrix.rig_model.prediction import Prediction
 Array = NDArray[np.float64]
 # From patterns as images (n, rows, cols), and those of the frames before, to what is shown.
 PatternChange = Callable[[Array, Array], Array]
-# From images of the camera, (..., rows, cols, channels, K) with a margin, to what is added to them.
-ImageChange = Callable[[Array], Array]
+# From images of the camera in some frames, (1, rows, cols, channels, n) with a margin, to what is
+# added to them.
+ImageChange = Callable[[Array, slice], Array]
 
 
 @dataclass

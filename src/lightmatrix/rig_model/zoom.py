@@ -35,10 +35,10 @@ class Zoom(Term):
         )
         directions = _directions(places)[..., None, None]
 
-        def moved(images: Array) -> Array:
+        def moved(images: Array, frames: slice) -> Array:
             change = 0.0
             for axis, (slope, bend) in enumerate(zip(*slopes(images), strict=True)):
-                step = (directions[:, axis] * values[:, None, None, None, :]).sum(axis=0)
+                step = (directions[:, axis] * values[:, None, None, None, frames]).sum(axis=0)
                 change = change + step**2 / 2 * bend - step * slope
             return np.asarray(change)
 
