@@ -23,6 +23,7 @@ From photographs to T:
     check               what is wrong with a capture, and what to do about it
     estimate            T, warning about each finding; EstimateSettings has every parameter
     estimate_colour     T of a colour projector: one matrix for each of its primaries
+    fit_rig             what the rig did wrong in the course of a capture: shake, light, lag, curves
     verdicts            how far an estimate may be trusted
     evaluate            the error against a known T, which `truth` has for each of `scenes`
     report              a page about an estimate, with its error on photographs that it never saw

@@ -128,7 +128,8 @@ def estimate(
         all, none, or some of "gain", "exposure", "ambient", "shift", "rows", "previous",
         "camera-curve", "projector-curve", "crosstalk", "sharpening", "camera-sharpening" and
         "dynamic-contrast". A correction stays only if photographs held out are predicted better
-        with it. The exposure of T is then that of the first frame.
+        with it; estimates row by row hold none out, and are never corrected. The exposure of T is
+        then that of the first frame.
     progress : bool or callable
         Whether to show a bar on a terminal and in notebooks; or what to call with (done, total)
         rows.

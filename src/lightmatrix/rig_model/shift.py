@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from lightmatrix.rig_model.prediction import Prediction, slopes
+from lightmatrix.rig_model.prediction import Prediction, displaced, slopes
 from lightmatrix.rig_model.term import Array, Draft, Term, deviation
 
 
@@ -21,11 +21,8 @@ class Shift(Term):
 
     def take_out(self, values: Array, draft: Draft) -> None:
         def moved(images: Array, frames: slice) -> Array:
-            first, second = slopes(images)
-            change = np.zeros_like(first[0])
-            for step, slope, bend in zip(values[:, frames], first, second, strict=True):
-                change += step**2 / 2 * bend - step * slope
-            return change
+            shift = values[:, frames]
+            return displaced(images, shift) - displaced(images, np.zeros_like(shift))
 
         draft.images.append(moved)
 
