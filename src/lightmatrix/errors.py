@@ -26,7 +26,7 @@ class LightMatrixError(Exception):
     ...     lm.BernoulliPatterns((8, 8), count=0)
     ... except lm.InputError as error:
     ...     print(error.message, "-", error.hint)
-    0 patterns - ask for at least 1
+    0 patterns - ask for at least 1, and at most 1000000
     """
 
     def __init__(self, message: str, *, hint: str | None = None) -> None:

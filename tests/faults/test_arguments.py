@@ -203,7 +203,6 @@ def _odd_but_fine() -> list[Case]:
         "export scene.zarr T.MAT": holds("T.MAT"),
         upper: _same_as_lower_case,
         # Useless, but what is asked for can be done.
-        f"{ESTIMATE} --tile-rows 99999999999999999999": None,
         f"{PATTERNS} --seed 18446744073709551615": None,
     }
     return [

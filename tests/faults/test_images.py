@@ -99,7 +99,7 @@ def _kinds() -> list[Case]:
         "with a strip too short": (both(_tiff(), _set_tag("StripByteCounts", 40)), (0, 2)),
         "whose tags are its pixels": (both(_tiff(), _set_tag("StripOffsets", 0)), 2),
         "that claims a huge size": (both(_tiff(), _set_tag("ImageLength", 10**6)), 2),
-        "of signed numbers": (_tiff(BYTES.astype(np.int16)), 2),
+        "of signed numbers below zero": (_tiff(BYTES.astype(np.int16) - 300), 2),
         "of complex numbers": (_tiff(GREY.astype(np.complex64)), 2),
         "of two pages": (_tiff(np.stack([BYTES] * 2)), 2),
         "of 5 channels": (

@@ -63,7 +63,7 @@ def test_history_is_kept() -> None:
 
 
 def test_the_default_background_column_is_the_means() -> None:
-    problem, _ = clipping_problem()
+    problem, _ = clipping_problem(seed=5)
     means = problem.patterns.means
     np.testing.assert_array_equal(problem.column, means)
     same = replace(problem, background_column=means)

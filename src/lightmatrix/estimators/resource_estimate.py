@@ -105,6 +105,10 @@ class _Size:
             + (each.sample + self.sample_bytes - 1) * self.rows * self.count
             - self.temporary
             + share * min(self.rows * self.row_bytes, self.tile_bytes)
+            # The regression of what the rig did takes up to 320,000 samples and their margins, and
+            # changes 64 MiB of patterns at a time.
+            + self.coherent
+            * (300 * min(self.rows * self.count, 640_000) + 20 * min(values, 1 << 24))
         )
         # The check of the photographs reads at most 48 M levels, and takes 12 bytes for each.
         checking = 12 * min(self.rows * self.count, 48 << 20)

@@ -236,7 +236,7 @@ def verdicts(transport: LightTransport) -> Verdicts:
     Examples
     --------
     >>> import lightmatrix as lm
-    >>> capture = lm.simulate("metal", lm.BernoulliPatterns((64, 64), 32), exposure=0.5)
+    >>> capture = lm.simulate("metal", lm.BernoulliPatterns((64, 64), 32), exposure=0.15)
     >>> lm.verdicts(lm.estimate(capture)).relighting.level
     'good'
     """

@@ -126,9 +126,9 @@ def predicted_light(
     """T p of some rows under K patterns, or under a change of them, (m, K)."""
     sparse, background = transport.sparse[rows], transport.background[rows]
     light = np.empty((sparse.shape[0], patterns.count))
-    before = patterns.images(0, 1).astype(np.float64)
+    before = patterns.images(0, 1)
     for start, chunk in patterns.chunks():
-        images = chunk.reshape(-1, *patterns.shape).astype(np.float64)
+        images = chunk.reshape(-1, *patterns.shape)
         if change is not None:
             earlier = np.concatenate([before, images[:-1]])
             before, images = images[-1:], change(images, earlier)
