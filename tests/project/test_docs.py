@@ -98,7 +98,7 @@ def test_the_commands_of_a_page_work(
     if name == "colour":
         _in_colour(capture)
     text = (ROOT / "docs" / f"{name}.md").read_text()
-    # Of smaller sizes, which take a third of the time.
+    # The commands run at smaller sizes, which take a third of the time.
     for size in ("--size 64", "(64, 64"):
         text = text.replace(size, size.replace("64", "32"))
     text = text.replace("-k 64", "-k 16").replace("l_objects", "capture/truth.npz")

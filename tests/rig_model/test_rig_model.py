@@ -162,14 +162,13 @@ def test_what_a_term_takes_out_is_its_regressor(
         numbers = np.array([0.5])
     along = "pmk,pk->mk" if term.per_frame else "pmk,p->mk"
     change = np.einsum(along, regressors, numbers)
-    inner = seen.places[:, MARGIN:-MARGIN, MARGIN:-MARGIN].reshape(-1)[seen.chosen]
     wrong = still.astype(np.float64)
-    wrong[inner] += change
+    wrong[seen.rows] += change
     capture = replace(of(still), known=of(wrong).known)
     right = RigModel({name: numbers}).corrected(capture, transport)
     shown = transport.relight(right.patterns.images()).reshape(32, -1).T
     samples = right.samples().values
-    left = (samples - shown)[inner]
+    left = (samples - shown)[seen.rows]
     # A curve is told by the decoder, which these samples do not pass.
     if name == "camera-curve":
         assert right.decoder.response.name == f"gamma:{1 + numbers[0]:.4f}"
@@ -200,6 +199,19 @@ def test_corrections_of_parts_are_parts_of_the_correction() -> None:
     part = whole.window(rows, cols, shape).applied(samples.rows(index), 0, (3, 3)).values
     assert np.array_equal(part, right[index])
     assert np.array_equal(whole.applied(samples.rows(slice(7, 20)), 7, shape).values, right[7:20])
+
+
+def test_a_part_of_a_corrected_capture_is_corrected_alike() -> None:
+    generator = np.random.default_rng(0)
+    frames = generator.integers(1, 200, (8, 6, 5)).astype(np.uint8)
+    capture = lm.Capture.from_arrays(lm.BernoulliPatterns((4, 4), 8), frames, lm.Sensor())
+    added = generator.normal(0, 0.01, (30, 8)).astype(np.float32)
+    profile = generator.uniform(0.9, 1.1, (6, 8))
+    whole = replace(capture, correction=Correction(np.ones(8), np.zeros(8), profile, added))
+    index = np.arange(30).reshape(6, 5)[2:5, 1:4].ravel()
+    wanted = whole.samples().values[index]
+    assert np.array_equal(whole.crop((2, 1), (3, 3)).samples().values, wanted)
+    assert np.array_equal(whole.window(slice(2, 5), slice(1, 4)).samples().values, wanted)
 
 
 def test_slopes_of_a_plane_are_exact() -> None:

@@ -297,7 +297,14 @@ class Capture:
             decoder = replace(decoder, black_frame=black.ravel())
         mask = None if self.mask is None else self.mask[inside]
         around = self.surroundings or Surroundings(self.decoder.black_frame, self.mask)
-        return replace(self, frames=frames, decoder=decoder, mask=mask, surroundings=around)
+        return replace(
+            self,
+            frames=frames,
+            decoder=decoder,
+            mask=mask,
+            surroundings=around,
+            correction=self.correction and self.correction.window(*inside, self.camera_shape),
+        )
 
     @property
     def whole(self) -> Capture:

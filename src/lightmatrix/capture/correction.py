@@ -27,7 +27,7 @@ class Correction:
         Light that all camera pixels of a frame see, in units of the clip level at exposure 1.
     profile : (R, K) float, optional
         The light of each camera row in each frame, as a factor. None: 1.
-    added : (M, K) float16 or float32, optional
+    added : (M, K) float32, optional
         What the frames show more than they should, such as that of a moved picture.
     lag : (R,) int, optional
         How many frames late each camera row is: the sample of frame k is read in frame k + lag.

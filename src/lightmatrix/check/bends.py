@@ -216,13 +216,15 @@ def strongest_pixels(
     """
     count = max(1, min(6, frames // 5))
     sparse = transport.sparse[index]
+    sizes = np.diff(sparse.indptr)
+    owner = np.repeat(np.arange(len(index)), sizes)
+    order = np.lexsort((-sparse.data, owner))
+    rank = np.arange(len(owner)) - np.repeat(sparse.indptr[:-1], sizes)
+    owner, rank, order = (each[rank < count] for each in (owner, rank, order))
     pixels = np.zeros((len(index), count), np.int64)
     light = np.zeros((len(index), count))
-    for row, (start, stop) in enumerate(zip(sparse.indptr[:-1], sparse.indptr[1:], strict=True)):
-        values = sparse.data[start:stop]
-        best = np.argsort(-values)[:count]
-        pixels[row, : len(best)] = sparse.indices[start:stop][best]
-        light[row, : len(best)] = values[best]
+    pixels[owner, rank] = sparse.indices[order]
+    light[owner, rank] = sparse.data[order]
     return pixels, light
 
 

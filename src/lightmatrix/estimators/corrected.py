@@ -15,9 +15,9 @@ from lightmatrix.rig_model.terms import TERMS, allowed_terms
 from lightmatrix.rig_model.torn import torn_rows
 from lightmatrix.transport.matrix import LightTransport, prediction_error
 
-# Estimates after the first one. Six faults at once need two. Pictures that move by a third of a
-# pixel need more: as long as photographs held out are predicted better by a tenth, and worse than
-# they are on an intact rig.
+# Two estimates follow the first one, which suffice for six faults at once, and up to four where
+# pictures move by a third of a pixel: as long as each predicts photographs held out better by a
+# tenth, and errs by more than 0.03 there, which estimates on intact rigs do not.
 _ESTIMATES, _MOST_ESTIMATES, _BETTER, _INTACT = 2, 4, 0.9, 0.03
 
 

@@ -40,7 +40,6 @@ from lightmatrix.files.writing import check_output
 from lightmatrix.patterns.colour import ColourPatterns
 from lightmatrix.patterns.projector_curve import ProjectorResponse
 from lightmatrix.progress_bar import progress_bar
-from lightmatrix.rig_model.model import RigModel
 from lightmatrix.solvers.loop import Progress
 from lightmatrix.transport.matrix import LightTransport
 
@@ -243,7 +242,9 @@ def estimate(
                 remarks={FINDINGS: [each.as_dict() for each in findings], **remarks},
                 progress=report,
                 pool=pool,
-                review=partial(_without_faults, capture, again, allowed, later),
+                review=partial(_without_faults, capture, again, allowed, later)
+                if allowed
+                else None,
             )
 
 
@@ -258,7 +259,7 @@ def _without_faults(
 
     What was corrected replaces the `findings` of the same causes.
     """
-    model, transport = corrected(capture, first, again, allowed) if allowed else (RigModel(), first)
+    model, transport = corrected(capture, first, again, allowed)
     if not model.names:
         warn_of(findings)
         return None

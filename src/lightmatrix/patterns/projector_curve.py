@@ -18,7 +18,7 @@ from lightmatrix.patterns.colour import ColourPatterns
 from lightmatrix.patterns.pattern_set import ImagePatterns, PatternSet
 from lightmatrix.ranges import as_float, check_number
 
-# Where the description of a capture holds the response of its projector.
+# This entry of a capture's description holds the response of its projector.
 CURVE = "projector_response"
 # The grey value of white.
 _WHITE = 255

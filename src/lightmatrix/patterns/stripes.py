@@ -329,7 +329,7 @@ def _profiles(pixel: NDArray[np.float64], periods: NDArray[np.float64]) -> NDArr
 
 def _periods(length: int, count: int, mean: float) -> NDArray[np.float64]:
     """Periods in projector pixels by which distant pixels differ most, (count,)."""
-    # Of random sets, the one in which the most similar codes of two pixels, at least half a period
+    # The random set is chosen in which the most similar codes of two pixels, at least half a period
     # apart, correlate least. 200 sets take milliseconds to compare.
     draws = np.random.default_rng(0).uniform(1 - _BAND, 1 + _BAND, (200, count))
     sets = np.sort(mean * draws, axis=1)

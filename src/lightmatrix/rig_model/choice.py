@@ -71,11 +71,7 @@ def choose_terms(
             break
         effects = [regression.effect(name, numbers) for name, numbers in found.items()]
         left = seen.left - seen.projected(sum(effects, np.zeros_like(seen.left)))
-    light = np.sqrt((weight[:, None] * seen.usable * seen.predicted**2).sum())
-    sizes = [
-        np.sqrt((weight[:, None] * seen.usable * regression.effect(*each) ** 2).sum()) / light
-        for each in found.items()
-    ]
+    sizes = [regression.size(*each) for each in found.items()]
     return found, errors, max([largest, *sizes])
 
 
@@ -83,9 +79,7 @@ def _forward(
     regression: Regression, terms: dict[str, Term], smallest: dict[str, float]
 ) -> tuple[dict[str, Array], dict[str, Array]]:
     """The terms that are there, chosen by what they explain beyond chance."""
-    seen, weight = regression.seen, regression.weight[:, None] * regression.seen.usable
-    free = float(seen.free[regression.weight > 0].sum())
-    light = (weight * seen.predicted**2).sum()
+    free = float(regression.seen.free[regression.weight > 0].sum())
     chosen: list[str] = []
     found: dict[str, Array] = {}
     errors: dict[str, Array] = {}
@@ -99,15 +93,13 @@ def _forward(
             numbers, stated, together = regression.solve([*chosen, name])
             more, rest = together - explained, regression.total - explained
             by_chance = regression.numbers[name] / free * (regression.total - together)
-            effect = regression.effect(name, numbers[name])
-            size = np.sqrt((weight * effect**2).sum() / light)
             score = more - LIMITS.chance * by_chance
             least, most = terms[name].between
             if not terms[name].per_frame and not least <= numbers[name].sum() <= most:
                 continue
             if more < max(LIMITS.explained * rest, LIMITS.beside * first):
                 continue
-            if size > smallest[name] and score > best:
+            if score > best and regression.size(name, numbers[name]) > smallest[name]:
                 best, candidate = score, (name, numbers, stated, together)
         if candidate is None:
             # Pictures that move are blurred in T, which looks as if the camera sharpened them.

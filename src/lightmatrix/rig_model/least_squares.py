@@ -132,6 +132,16 @@ class Regression:
             start = stop
         return found, stated, float((along**2 / strength).sum())
 
+    @cached_property
+    def _counted(self) -> Array:
+        """The weight of each sample, (m, K)."""
+        return self.weight[:, None] * self.seen.usable
+
+    def size(self, name: str, numbers: Array) -> float:
+        """The share by which a term changes the photographs (root mean square)."""
+        change = (self._counted * self.effect(name, numbers) ** 2).sum()
+        return float(np.sqrt(change / (self._counted * self.seen.predicted**2).sum()))
+
     def effect(self, name: str, numbers: Array) -> Array:
         """What the samples (m, K) change by with the numbers of a term."""
         each = self.regressors[name]

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from lightmatrix.capture.capture import Capture
 from lightmatrix.capture.samples import Samples
+from lightmatrix.check.bends import strongest_pixels
 from lightmatrix.patterns.pattern_set import PatternSet
 from lightmatrix.transport.matrix import LightTransport
 
@@ -72,7 +73,7 @@ class Prediction:
         around = predicted_light(transport, places.reshape(-1), capture.patterns)
         around = around.reshape(*places.shape, capture.count)
         counted = samples.counted & ~samples.clipped
-        pixels = strongest_pixels(transport, inner[chosen], capture.count)
+        pixels, _ = strongest_pixels(transport, inner[chosen], capture.count)
         lit = np.moveaxis(capture.patterns.at(pixels), 0, 1).astype(np.float64)
         columns = np.concatenate([np.ones((*lit.shape[:2], 1)), lit], axis=2) * counted[..., None]
         basis, strength, _ = np.linalg.svd(columns, full_matrices=False)
@@ -88,6 +89,16 @@ class Prediction:
         return self.capture.count
 
     @cached_property
+    def rows(self) -> NDArray[np.int64]:
+        """The row of T of each sample, (m,)."""
+        return self.places[:, MARGIN:-MARGIN, MARGIN:-MARGIN].reshape(-1)[self.chosen]
+
+    @cached_property
+    def slopes(self) -> Array:
+        """Derivatives of T p where the samples lie, down and to the right, (2, m, K)."""
+        return np.stack([self.inner(each) for each in slopes(self.around)[0]])
+
+    @cached_property
     def predicted(self) -> Array:
         """T p of the samples, (m, K)."""
         return self.inner(self.around[:, MARGIN:-MARGIN, MARGIN:-MARGIN])
@@ -97,8 +108,7 @@ class Prediction:
         """Row and column of each sample in the camera, from 0 to 1, (2, m, 1)."""
         rows, cols = self.capture.camera_shape[:2]
         channels = int(np.prod(self.capture.camera_shape[2:]))
-        inner = self.places[:, MARGIN:-MARGIN, MARGIN:-MARGIN].reshape(-1)[self.chosen]
-        row, col = np.divmod(inner // channels, cols)
+        row, col = np.divmod(self.rows // channels, cols)
         return np.stack([(row + 0.5) / rows, (col + 0.5) / cols])[:, :, None]
 
     def inner(self, images: Array) -> Array:
@@ -107,8 +117,7 @@ class Prediction:
 
     def under(self, change: Callable[[Array, Array], Array]) -> Array:
         """T applied to a change of the patterns as they were sent, (m, K)."""
-        inner = self.places[:, MARGIN:-MARGIN, MARGIN:-MARGIN].reshape(-1)[self.chosen]
-        return predicted_light(self.transport, inner, self.sent.patterns, change)
+        return predicted_light(self.transport, self.rows, self.sent.patterns, change)
 
     def projected(self, values: Array) -> Array:
         """What the strongest pixels and a constant cannot explain of values (m, K)."""
@@ -136,21 +145,6 @@ def predicted_light(
         light[:, start : start + len(chunk)] = sparse @ shown
         light[:, start : start + len(chunk)] += background @ (transport.pooling @ shown)
     return light
-
-
-def strongest_pixels(
-    transport: LightTransport, rows: NDArray[np.int64], frames: int
-) -> NDArray[np.int64]:
-    """The strongest projector pixels of some rows, (m, count): six, and one for five `frames`."""
-    count = max(1, min(6, frames // 5))
-    sparse = transport.sparse[rows].copy()
-    order = np.lexsort((-sparse.data, np.repeat(np.arange(len(rows)), np.diff(sparse.indptr))))
-    ranks = np.arange(sparse.nnz) - np.repeat(sparse.indptr[:-1], np.diff(sparse.indptr))
-    owner = np.repeat(np.arange(len(rows)), np.diff(sparse.indptr))
-    pixels = np.zeros((len(rows), count), np.int64)
-    best = ranks < count
-    pixels[owner[best], ranks[best]] = sparse.indices[order][best]
-    return pixels
 
 
 def spline_coefficients(images: Array, axis: int) -> Array:
@@ -196,7 +190,7 @@ def displaced(images: Array, shift: Array) -> Array:
     for axis, step in zip((1, 2), np.clip(shift, -1, 1), strict=True):
         coefficients = spline_coefficients(images, axis)
         length = coefficients.shape[axis] - 4
-        # Where the place lies between two pixels, and the four splines that reach it.
+        # `at` says where the place lies between two pixels; four splines reach it.
         later = step < 0
         at = np.where(later, -step, 1 - step)
         splines = (1 - at) ** 3, 3 * at**3 - 6 * at**2 + 4, 1 + 3 * at * (1 + at - at**2), at**3
@@ -210,14 +204,15 @@ def displaced(images: Array, shift: Array) -> Array:
 
 
 def samples_of_rows(capture: Capture, rows: NDArray[np.int64]) -> Samples:
-    """The samples of some rows of a capture, in their order; each tile is read once."""
-    parts, order = [], []
-    for start, tile in capture.tiles(1 << 16):
-        inside = np.flatnonzero((rows >= start) & (rows < start + tile.count))
-        if len(inside):
-            parts.append(tile.rows(rows[inside] - start))
-            order.append(inside)
-    return Samples.joined(parts).rows(np.argsort(np.concatenate(order)))
+    """The samples of some rows of a capture, in their order; rows far from all are not read."""
+    order = np.argsort(rows)
+    runs = np.split(order, np.flatnonzero(np.diff(rows[order]) > 256) + 1)
+    firsts = [int(rows[run[0]]) for run in runs]
+    parts = [
+        capture.samples(first, int(rows[run[-1]]) + 1).rows(rows[run] - first)
+        for first, run in zip(firsts, runs, strict=True)
+    ]
+    return Samples.joined(parts).rows(np.argsort(order))
 
 
 def _patches(camera: tuple[int, ...], most: int) -> NDArray[np.int64]:

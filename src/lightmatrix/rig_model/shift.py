@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from lightmatrix.rig_model.prediction import Prediction, displaced, slopes
+from lightmatrix.rig_model.prediction import Prediction, displaced
 from lightmatrix.rig_model.term import Array, Draft, Term, deviation
 
 
@@ -17,7 +17,7 @@ class Shift(Term):
     of_first_frame = False
 
     def regressors(self, seen: Prediction) -> Array:
-        return np.stack([-seen.inner(each) for each in slopes(seen.around)[0]])
+        return -seen.slopes
 
     def take_out(self, values: Array, draft: Draft) -> None:
         def moved(images: Array, frames: slice) -> Array:

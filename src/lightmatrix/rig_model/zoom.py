@@ -23,16 +23,11 @@ class Zoom(Term):
     of_first_frame = False
 
     def regressors(self, seen: Prediction) -> Array:
-        first = np.stack([seen.inner(each) for each in slopes(seen.around)[0]])
-        return -(_directions(seen.position) * first).sum(axis=1)
+        return -(_directions(seen.position) * seen.slopes).sum(axis=1)
 
     def take_out(self, values: Array, draft: Draft) -> None:
         rows, cols = draft.capture.camera_shape[:2]
-        places = np.stack(
-            np.meshgrid(
-                (np.arange(rows) + 0.5) / rows, (np.arange(cols) + 0.5) / cols, indexing="ij"
-            )
-        )
+        places = (np.indices((rows, cols)) + 0.5) / np.array([rows, cols])[:, None, None]
         directions = _directions(places)[..., None, None]
 
         def moved(images: Array, frames: slice) -> Array:
