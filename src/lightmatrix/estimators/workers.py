@@ -39,8 +39,9 @@ import scipy
 from lightmatrix._version import __version__
 from lightmatrix.capture.capture import Capture
 from lightmatrix.capture.frames import PixelFrames
-from lightmatrix.errors import ClusterError, InputError, LightMatrixError, MissingExtraError
+from lightmatrix.errors import ClusterError, InputError, LightMatrixError
 from lightmatrix.estimators.work import SolveTile, Work
+from lightmatrix.files.extras import load_extra
 from lightmatrix.resources.memory import available_bytes
 from lightmatrix.resources.threads import core_threads
 from lightmatrix.transport.checkpoint import (
@@ -267,13 +268,7 @@ def dask_pool(
         If workers cannot be started, the scheduler does not answer or has none, or one of them has
         other versions or too little memory.
     """
-    try:
-        import distributed  # noqa: F401
-    except ImportError as error:
-        raise MissingExtraError(
-            "estimates by several processes need Dask",
-            hint="install it: pip install 'lightmatrix[cluster]'",
-        ) from error
+    load_extra("distributed", "estimates by several processes need Dask", "cluster")
     with ExitStack() as stack:
         # Dask is silent here, as whatever matters becomes an error of ours.
         logger = logging.getLogger("distributed")
