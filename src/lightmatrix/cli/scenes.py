@@ -23,7 +23,7 @@ def scenes(
 ) -> None:
     """List the scenes that can be simulated.
 
-    Four scenes come with the package at 64x64. Other sizes, and the scenes translucent and wall,
+    Four scenes come with the package at 64x64. Other sizes, and translucent, wall and vase,
     are rendered on first use and kept, which needs the extra `render`.
     """
     if thumbnails is not None:
