@@ -351,8 +351,8 @@ def find_white_and_black(photographer: Photographer) -> WhiteAndBlack:
     raise UnfitRigError(
         "the camera does not see the projector: a white picture looks like a black one",
         hint="is the projector on, its lens uncovered, the picture on the right monitor, and the "
-        f"camera pointed at it? One that comes more than {photographer.settle:g} s late is not seen "
-        "either: state how long to wait, settle=1",
+        f"camera pointed at it? One that comes {photographer.settle:g} s late is not seen either: "
+        "state how long to wait, settle=1",
     )
 
 
