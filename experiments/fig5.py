@@ -45,8 +45,8 @@ class Case:
 
 def cases(quick: bool) -> Iterator[Case]:
     """All bundled scenes."""
-    for scene in library.BUNDLED:
-        yield Case(scene, 128 if quick else 512)
+    for name in library.BUNDLED:
+        yield Case(name, 128 if quick else 512)
 
 
 def parameters(quick: bool) -> dict[str, Any]:
