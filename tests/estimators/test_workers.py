@@ -68,7 +68,7 @@ def capture(tmp_path_factory: pytest.TempPathFactory) -> lm.Capture:
     """Photographs in files, 24 x 22 of them."""
     folder = tmp_path_factory.mktemp("capture") / "capture.zarr"
     scene = lm.ProceduralScene((24, 22), (24, 24))
-    lm.simulate_procedural(folder, scene, lm.BernoulliPatterns((24, 24), 24))
+    lm.simulate(scene.truth(), lm.BernoulliPatterns((24, 24), 24)).save(folder)
     return lm.Capture.open(folder)
 
 
@@ -419,7 +419,7 @@ def test_a_packed_estimate_leaves_cached_values_behind(
     monkeypatch.chdir(tmp_path)
     folder = Path("c")
     patterns = lm.BernoulliPatterns((24, 24), 24)
-    lm.simulate_procedural(folder / "c.zarr", lm.ProceduralScene((8, 8), (24, 24)), patterns)
+    lm.simulate(lm.ProceduralScene((8, 8), (24, 24)).truth(), patterns).save(folder / "c.zarr")
     near = lm.Capture.open(folder / "c.zarr")
     plan = ESTIMATORS["plain"].plan(near)
     assert near.digest

@@ -41,6 +41,20 @@ def test_occasional_late_images_do_not_lengthen_the_settle_time() -> None:
     assert 2 / 60 <= settle.seconds <= 3 / 60
 
 
+def test_a_rig_slower_than_the_usual_wait_is_measured_with_the_stated_one(tmp_path: Path) -> None:
+    slow, file = ",fps=0,delay=40", tmp_path / "rig.json"
+    settings = lm.CaptureSettings(settle=0.8, check=False)
+    for _ in range(2):
+        # The second capture looks whether the measurements still hold, with the stated wait too.
+        made = lm.take_capture(
+            tmp_path / "c", _rig(slow), count=4, settings=settings, keep=file, overwrite=True
+        )
+        assert made.count == 4
+    assert outdated_parts(_rig(slow), lm.RigMeasurements.load(file)) == []
+    # Later commands use the stated time of rig.json.
+    assert lm.measure_rig(_rig(slow), ["response"], keep=file).response is not None
+
+
 def test_a_picture_that_never_settles() -> None:
     with pytest.raises(lm.DeviceError, match="does not see the projector"):
         _measured(_rig(",fps=0,delay=40"), "settle")
@@ -135,6 +149,8 @@ def test_measurements_are_kept_and_used(tmp_path: Path) -> None:
     assert other.response is None
     with pytest.raises(lm.InputError, match="measuring 'gamma'"):
         lm.measure_rig(_rig(), ["gamma"])
+    with pytest.raises(lm.InputError, match="settle time of -1"):
+        lm.measure_rig(_rig(), settle=-1)
 
 
 def test_outdated_parts_are_noticed() -> None:

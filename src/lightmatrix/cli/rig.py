@@ -10,7 +10,15 @@ from typing import Any
 import typer
 
 import lightmatrix as lm
-from lightmatrix.cli.options import CameraName, Json, Patience, ProjectorName, RigFile, RigName
+from lightmatrix.cli.options import (
+    CameraName,
+    Json,
+    Patience,
+    ProjectorName,
+    RigFile,
+    RigName,
+    Settle,
+)
 from lightmatrix.cli.terminal import say, show_json, stages
 from lightmatrix.defaults import RIG_FILE, USUAL_PATIENCE
 
@@ -90,13 +98,16 @@ def _add_command(part: str) -> None:
         rig: RigName = None,
         projector: ProjectorName = None,
         camera: CameraName = None,
+        settle: Settle = None,
         patience: Patience = USUAL_PATIENCE,
         rig_file: RigFile = Path(RIG_FILE),
         as_json: Json = False,
     ) -> None:
         opened = lm.open_rig(rig, projector=projector, camera=camera, patience=patience)
         with opened, stages() as shown:
-            known = lm.measure_rig(opened, [part], keep=rig_file, progress=shown.measured)
+            known = lm.measure_rig(
+                opened, [part], keep=rig_file, settle=settle, progress=shown.measured
+            )
         measured: dict[str, Any] = known.as_dict()[part]
         if as_json:
             show_json({"rig_file": rig_file, part: measured})

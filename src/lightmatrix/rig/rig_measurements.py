@@ -32,6 +32,7 @@ from lightmatrix.planning.exposure_advice import (
     advise_exposures,
     clipped_share,
 )
+from lightmatrix.ranges import check_number
 from lightmatrix.rig.devices.base import exposure_limits, same_exposure, set_exposure
 from lightmatrix.rig.photograph import (
     FIRST_SETTLE,
@@ -93,7 +94,8 @@ def measure_settle(rig: Rig, whites: WhiteAndBlack, report: _Report) -> SettleTi
             f"after {total - len(looks)} of {total} changes between black and white the picture "
             f"had not settled within {duration:.2f} s",
             hint="is the exposure fixed (no automatic exposure or gain), and the room's light "
-            "steady? `lightmatrix rig flicker` measures that",
+            "steady? `lightmatrix rig flicker` measures that. If the picture comes late, state how "
+            "long to wait in seconds, settle=1",
         )
     times = np.array(looks)
     last, starts = np.sort(times[:, 0]), times[:, 1]
@@ -105,7 +107,7 @@ def measure_settle(rig: Rig, whites: WhiteAndBlack, report: _Report) -> SettleTi
         raise UnfitRigError(
             f"the picture still changes {unsettled:.2f} s after it is shown",
             hint="switch off what delays the picture (compositor, variable refresh, picture "
-            "improvement of the projector), or state the settle time in seconds",
+            "improvement of the projector), or state how long to wait in seconds, settle=1",
         )
     # A frame that saw a little of the change may have counted as settled, and clocks are inaccurate
     # by 2 ms.
@@ -574,7 +576,7 @@ def measure_rig(
         File, such as rig.json, of earlier measurements of this rig, which is written anew. One of
         another rig is replaced.
     settle : float, optional
-        Seconds to wait, instead of measuring them.
+        Seconds to wait after a picture is shown, instead of measuring them.
     progress : callable, optional
         Called with (part, done, total).
 
@@ -604,6 +606,8 @@ def measure_rig(
         raise InputError(
             f"nothing is known of measuring {unknown[0]!r}", hint=f"use {', '.join(PARTS)}"
         )
+    if settle is not None:
+        check_number("a settle time", settle, most=60, hint="give seconds, such as 0.1")
     before = RigMeasurements(_jsonable(rig.projector.info()), _jsonable(rig.camera.info()))
     if keep is not None and Path(keep).exists():
         kept = RigMeasurements.load(keep)
@@ -624,7 +628,11 @@ def _measured(
     def report(part: str) -> _Report:
         return lambda done, total: None if progress is None else progress(part, done, total)
 
-    whites = find_white_and_black(Photographer(rig, FIRST_SETTLE))
+    if settle is None:
+        first = FIRST_SETTLE if known.settle is None else known.settle.seconds
+    else:
+        first = settle
+    whites = find_white_and_black(Photographer(rig, max(FIRST_SETTLE, first)))
     if settle is not None:
         known = replace(known, settle=SettleTime(settle, 0.0, 0, 0))
     elif "settle" in parts or known.settle is None:
@@ -674,7 +682,8 @@ def _changed_levels(rig: Rig, known: RigMeasurements) -> tuple[WhiteAndBlack, li
     assert known.settle is not None
     assert known.exposure is not None
     exposure = known.exposure.seconds[-1]
-    whites = take_white_and_black(Photographer(rig, FIRST_SETTLE), exposure)
+    waiting = Photographer(rig, max(FIRST_SETTLE, known.settle.seconds))
+    whites = take_white_and_black(waiting, exposure)
     parts = []
     photographer = Photographer(rig, known.settle.seconds)
     late = 0
