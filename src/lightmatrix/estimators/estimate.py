@@ -205,9 +205,8 @@ def estimate(
     elif not resources.fits:
         warn(f"this takes {resources}\n  {resources.advice}")
     several = settings.workers is not None or settings.cluster is not None
-    each = resources.memory // resources.workers
     # Workers are checked before the frames are read, which takes longer.
-    with dask_pool(workers, cluster, each) if several else nullcontext() as pool:
+    with dask_pool(workers, cluster) if several else nullcontext() as pool:
         refuse_unusable(capture)
         check_frames = partial(refuse_unordered, capture) if check else list
         remarks: dict[str, Any] = {}
