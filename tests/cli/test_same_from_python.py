@@ -159,7 +159,6 @@ def test_the_frames_show_the_truth_beside_them(work: Path) -> None:
         ("--solver admm --iterations 30", {"solver": "admm", "iterations": 30}),
         ("--multi-scale --no-background", {"multi_scale": True, "background": False}),
         ("--regularization 0.07 --coherent", {"regularization": 0.07, "coherent": True}),
-        ("--regularization path", {"regularization": "path"}),
     ],
 )  # fmt: skip
 def test_estimate(

@@ -62,8 +62,7 @@ Regularization = Annotated[
     str,
     typer.Option(
         rich_help_panel=_SOLVER,
-        help="The paper's lambda, in units of camera sample; auto (from patterns and samples); "
-        "or path (row by row, the value that best predicts held-out photographs).",
+        help="The paper's lambda, in units of camera sample; or auto (from patterns and samples).",
     ),
 ]
 Coherent = Annotated[

@@ -204,7 +204,7 @@ class _Strips(OneStep):
     estimator: MultiScaleEstimator
     regularization: float
 
-    def tiles(self, step: str, parts: int = 1, *, shrinking: bool = False) -> Iterator[Span]:
+    def tiles(self, step: str, parts: int = 1) -> Iterator[Span]:
         # The pixels of a block share their candidates, so that no strip cuts a block.
         rows = self.capture.camera_shape[0]
         width = self.capture.rows // rows

@@ -91,18 +91,12 @@ class ActiveSet:
             )
         check_at_least_one(max_passes=self.max_passes, threads=self.threads)
 
-    def solve(
-        self, problem: Problem, progress: Progress | None = None, *, start: SparseRows | None = None
-    ) -> Result:
-        """Solve all rows.
+    def solve(self, problem: Problem, progress: Progress | None = None) -> Result:
+        """Solve all rows; `progress` is called with (finished, all) rows.
 
-        `start` may hold the solution at another regularization; None starts from zero. `progress`
-        is called with (finished, all) rows. The coefficients are float64.
+        The coefficients are float64.
         """
-        check_start(problem, start)
-        solved = prepared(problem).solve(
-            problem.samples, self.settings(problem), start=start, progress=progress
-        )
+        solved = prepared(problem).solve(problem.samples, self.settings(problem), progress=progress)
         return as_result(solved, problem)
 
     def settings(self, problem: Problem) -> _core.Settings:
@@ -127,15 +121,6 @@ def prepared(problem: Problem) -> _core.PreparedPatterns:
     if problem.background_column is None:
         return problem.patterns.prepared
     return problem.patterns.prepare(problem.background_column)
-
-
-def check_start(problem: Problem, start: SparseRows | None) -> None:
-    """Refuse a start whose shape differs from the problem's."""
-    shape = (problem.rows, problem.patterns.pixels)
-    if start is not None and start.coefficients.shape != shape:
-        raise InputError(
-            f"the start has shape {start.coefficients.shape}, but the problem has {shape}"
-        )
 
 
 def as_result(
@@ -232,7 +217,11 @@ def solve_weighted(
         raise InputError(
             f"there are candidates for {len(candidates.indptr) - 1} rows, not {problem.rows}"
         )
-    check_start(problem, start)
+    shape = (problem.rows, problem.patterns.pixels)
+    if start is not None and start.coefficients.shape != shape:
+        raise InputError(
+            f"the start has shape {start.coefficients.shape}, but the problem has {shape}"
+        )
     pseudo = None
     if pseudo_samples is not None:
         pseudo = (pseudo_samples.unseen.prepared, pseudo_samples)

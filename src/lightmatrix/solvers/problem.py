@@ -119,16 +119,6 @@ class Problem:
         """The problem of some of the rows."""
         return replace(self, samples=self.samples.rows(rows))
 
-    def frames(self, index: NDArray[np.integer]) -> Problem:
-        """The problem with some of its patterns."""
-        column = self.background_column
-        return replace(
-            self,
-            patterns=self.patterns.subset(index),
-            samples=self.samples.frames(index),
-            background_column=None if column is None else column[index],
-        )
-
     @cached_property
     def observed(self) -> Observed:
         """The samples for the fidelities, in their own precision."""
