@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from enum import StrEnum
 from typing import Any, ClassVar, NoReturn
 
@@ -31,6 +31,10 @@ class Observed:
         values, clip_level, weights = (part.astype(dtype) for part in numbers)
         return Observed(values, self.clipped, clip_level, weights)
 
+    def at(self, index: Any) -> Observed:
+        """Some of the samples."""
+        return Observed(*(getattr(self, field.name)[index] for field in fields(self)))
+
 
 class DataTerm(ABC):
     """A function f of the prediction u of a sample y, and its relatives, element by element.
@@ -42,6 +46,8 @@ class DataTerm(ABC):
     name: ClassVar[str]
     # Whether f is convex in u.
     convex: ClassVar[bool] = True
+    # Whether f treats clipped samples differently from others.
+    clip_aware: ClassVar[bool] = True
     # Whether f is least squares in the samples that it uses.
     least_squares: ClassVar[bool] = False
 
@@ -76,6 +82,7 @@ class Linear(DataTerm):
     """f(u) = (y - u)^2 / 2, also for clipped samples (the paper's Eq. 2)."""
 
     name = "linear"
+    clip_aware = False
     least_squares = True
 
     def value(self, u: NDArray[Any], observed: Observed) -> NDArray[Any]:
@@ -92,6 +99,7 @@ class OneSided(Linear):
     """f(u) = (y - u)^2 / 2, and max(0, y - u)^2 / 2 for clipped samples (Rencker et al. 2018)."""
 
     name = "one-sided"
+    clip_aware = True
     least_squares = False
 
     def residual(self, u: NDArray[Any], observed: Observed) -> NDArray[Any]:
@@ -110,6 +118,7 @@ class Rejection(Linear):
     """f(u) = (y - u)^2 / 2, and 0 for clipped samples (Laska et al. 2009)."""
 
     name = "rejection"
+    clip_aware = True
 
     def residual(self, u: NDArray[Any], observed: Observed) -> NDArray[Any]:
         return np.where(observed.clipped, 0, observed.values - u)
