@@ -6,7 +6,7 @@ Objectives and duality gaps are computed in float64 from their definitions.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from enum import StrEnum
 from functools import cached_property
 from typing import Any
@@ -141,8 +141,6 @@ class Result:
         The rows, with iterations, convergence, gap and objective as diagnostics.
     status : Status
         The worst status of all rows.
-    history : dict of str to list of float
-        Residuals or counts per iteration, for plots; empty if the solver keeps none.
 
     Examples
     --------
@@ -158,7 +156,6 @@ class Result:
 
     rows: SparseRows
     status: Status
-    history: dict[str, list[float]] = field(default_factory=dict)
 
     __repr__ = short_repr
 
