@@ -55,13 +55,6 @@ def test_progress_counts_finished_rows() -> None:
     assert [done for done, _ in seen] == sorted(done for done, _ in seen)
 
 
-def test_history_is_kept() -> None:
-    problem, _ = clipping_problem()
-    result = solve(problem, SaturationADMM())
-    assert len(result.history["primal"]) == result.iterations.max()
-    assert result.history["rows"][0] == problem.rows
-
-
 def test_the_default_background_column_is_the_means() -> None:
     problem, _ = clipping_problem(seed=5)
     means = problem.patterns.means

@@ -84,10 +84,9 @@ def estimate(
         `find_projector_response`. None: the patterns are light, or black and white.
     solver : {"active-set", "saturation-admm", "admm", "romp"}
         active-set certifies a duality gap of each row.
-    fidelity : {"one-sided", "clipped", "likelihood", "rejection", "linear"}, optional
-        How clipped samples count: as a lower bound (convex), as in the paper's Eq. 6, as a lower
-        bound with a soft edge, not at all, at their value. None: one-sided; linear for admm,
-        rejection for romp.
+    fidelity : {"one-sided", "clipped", "rejection", "linear"}, optional
+        How clipped samples count: as a lower bound (convex), as in the paper's Eq. 6, not at all,
+        at their value. None: one-sided; linear for admm, rejection for romp.
     regularization : "auto" or float
         The paper's lambda in units of camera sample at exposure 1; auto derives it from patterns
         and samples.

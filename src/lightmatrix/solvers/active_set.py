@@ -41,8 +41,7 @@ class ActiveSet:
     Parameters
     ----------
     fidelity : Fidelity
-        one-sided, rejection or linear. `clipped` is not convex and has no gap; `likelihood` is not
-        quadratic.
+        one-sided, rejection or linear. `clipped` is not convex and has no gap.
     tolerance : float
         Relative duality gap, in (0, 1).
     max_passes : int
@@ -53,7 +52,7 @@ class ActiveSet:
     Raises
     ------
     SolverError
-        For the fidelities `clipped` and `likelihood`.
+        For the fidelity `clipped`.
     InputError
         If a parameter is out of range.
 
@@ -76,13 +75,10 @@ class ActiveSet:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "fidelity", Fidelity(self.fidelity))
-        term = Fidelity(self.fidelity).term
-        if not (term.convex and term.quadratic):
-            reason = "it is not convex, so no row could be certified"
-            if term.convex:
-                reason = "its steps are exact for quadratic terms only"
+        if not Fidelity(self.fidelity).convex:
             raise SolverError(
-                f"the active-set solver cannot use the fidelity {self.fidelity}: {reason}",
+                f"the active-set solver cannot use the fidelity {self.fidelity}: it is not convex, "
+                "so no row could be certified",
                 hint="use one-sided, or the solver saturation-admm",
             )
         if not 0 < as_float(self.tolerance) < 1:

@@ -82,7 +82,10 @@ def export(
     check_type("a light transport matrix", transport, LightTransport, hint=HOW_TO_GIVE)
     kind = kinds.export_kind(path)
     check_output(path, kind, overwrite=overwrite)
-    matrix, background = _parts(transport, dense_background)
+    matrix, background = transport.sparse, transport.background
+    if dense_background and background.any():
+        matrix = transport.to_matrix(dense_background=True)
+        background = np.zeros_like(background)
     shapes: dict[str, Any] = {
         "camera_shape": np.array(transport.camera_shape),
         "projector_shape": np.array(transport.projector_shape),
@@ -126,34 +129,6 @@ def export(
                 metadata=np.array(json.dumps(dict(transport.provenance), default=str)),
                 **shapes,
             )
-
-
-def _parts(
-    transport: LightTransport, dense_background: bool
-) -> tuple[csr_array, NDArray[np.float32]]:
-    """The matrix to write and the background that it leaves out."""
-    if not dense_background or not transport.background.any():
-        return transport.sparse, transport.background
-    rows, pixels = transport.shape
-    dense = transport.background.any(axis=1)
-    # Arrays of the greatest possible size, so that entries are stored once, not joined at the end.
-    bound = int(dense.sum()) * pixels + int(np.diff(transport.sparse.indptr)[~dense].sum())
-    data = np.empty(bound, np.float32)
-    # Both index arrays have one type: SciPy would copy them to the wider one.
-    indptr = np.zeros(rows + 1, np.int32 if bound < 2**31 else np.int64)
-    indices = np.empty(bound, indptr.dtype)
-    # 64 MiB of dense rows are made at once.
-    step = max(1, (1 << 24) // pixels)
-    for start in range(0, rows, step):
-        chunk = np.arange(start, min(start + step, rows))
-        tile = csr_array(transport.dense_rows(chunk))
-        at = indptr[start]
-        data[at : at + tile.nnz] = tile.data
-        indices[at : at + tile.nnz] = tile.indices
-        indptr[start + 1 : start + len(chunk) + 1] = at + tile.indptr[1:]
-    end = int(indptr[-1])
-    matrix = csr_array((data[:end], indices[:end], indptr), shape=(rows, pixels))
-    return matrix, np.zeros_like(transport.background)
 
 
 @dataclass(frozen=True, eq=False)
