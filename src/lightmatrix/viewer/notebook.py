@@ -112,10 +112,9 @@ class Views:
 @cache
 def _widget_class() -> Any:
     """The class of the widgets. It is made here because its base belongs to an extra."""
-    anywidget, traitlets = (
-        load_extra(name, "the viewer in a notebook needs anywidget", "notebook")
-        for name in ("anywidget", "traitlets")
-    )
+    load_extra("anywidget", "the viewer in a notebook needs anywidget", "notebook")
+    import anywidget
+    import traitlets
 
     class ViewerWidget(anywidget.AnyWidget):
         """The viewer of one matrix; made by `lm.view`."""
