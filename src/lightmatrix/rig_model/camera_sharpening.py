@@ -20,7 +20,7 @@ class CameraSharpening(Term):
         return seen.inner(_ring(seen.around))[None]
 
     def take_out(self, values: Array, draft: Draft) -> None:
-        draft.images.append(lambda images, frames: float(values[0]) * _ring(images))
+        draft.images.append(lambda images, places: float(values[0]) * _ring(images))
 
     def sentence(self, values: Array) -> str:
         return f"the camera sharpens its photographs by {100 * values[0]:.0f} %"
