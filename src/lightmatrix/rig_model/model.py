@@ -163,7 +163,8 @@ def _added(capture: Capture, transport: LightTransport, draft: Draft) -> NDArray
         first, last = max(0, top - wide), min(rows, stop + wide)
         down = np.arange(top - wide, stop + wide)
         # Beyond the camera, pictures go on as they are at its border.
-        around = np.ix_(np.zeros(1, int), np.clip(down, first, last - 1) - first, np.clip(right, 0, cols - 1))
+        inside = np.clip(down, first, last - 1) - first, np.clip(right, 0, cols - 1)
+        around = np.ix_(np.zeros(1, int), *inside)
         shape = (1, last - first, cols, channels, capture.count)
         near = slice(first * width, last * width)
         samples = capture.samples(near.start, near.stop)
