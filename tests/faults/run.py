@@ -149,12 +149,13 @@ def _child(argv: list[str], folder: str, out: Connection, err: Connection, limit
         # A shell's background ignores Ctrl-C, and what it starts inherits that. Writing beyond the
         # limit of a file must fail, as on a full disk, and not kill.
         signal.signal(signal.SIGINT, signal.default_int_handler)
-        stop_when_terminated()
         signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
         tempfile.tempdir = None
         os.environ.update(limits.environment, TMPDIR=str(Path(folder).parents[1] / "tmp"))
         _limit(limits, Path(folder))
         from lightmatrix.cli import main, stop_when_terminated
+
+        stop_when_terminated()
 
         code = main(argv)
     except SystemExit as left:

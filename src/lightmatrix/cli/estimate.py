@@ -38,13 +38,13 @@ _OUTPUT = Path("scene.zarr")
 _SOLVER, _RESOLUTION, _RESOURCES = "How to solve", "Resolution", "Memory and processes"
 
 SolverName = Literal["active-set", "saturation-admm", "admm", "romp"]
-FidelityName = Literal["linear", "one-sided", "clipped", "rejection", "likelihood"]
+FidelityName = Literal["linear", "one-sided", "clipped", "rejection"]
 Solver = Annotated[
     SolverName,
     typer.Option(
         rich_help_panel=_SOLVER,
         help="active-set (one-sided, rejection, linear; certifies a duality gap), "
-        "saturation-admm (clipped, one-sided, likelihood, rejection, linear), admm (linear), "
+        "saturation-admm (clipped, one-sided, rejection, linear), admm (linear), "
         "romp (linear, rejection).",
     ),
 ]
@@ -53,8 +53,7 @@ FidelityOption = Annotated[
     typer.Option(
         rich_help_panel=_SOLVER,
         help="How clipped samples count: one-sided (a lower bound, convex), clipped (the paper's "
-        "Eq. 6), likelihood (a lower bound with a soft edge), rejection (left out), linear (at "
-        "their value).",
+        "Eq. 6), rejection (left out), linear (at their value).",
         show_default="one-sided; linear for admm, rejection for romp",
     ),
 ]
@@ -62,8 +61,7 @@ Regularization = Annotated[
     str,
     typer.Option(
         rich_help_panel=_SOLVER,
-        help="The paper's lambda, in units of camera sample; auto (from patterns and samples); "
-        "or path (row by row, the value that best predicts held-out photographs).",
+        help="The paper's lambda, in units of camera sample; or auto (from patterns and samples).",
     ),
 ]
 Coherent = Annotated[

@@ -8,14 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lightmatrix.capture.capture import Capture
-from lightmatrix.capture.samples import Samples
 from lightmatrix.defaults import USUAL_NOISE
-from lightmatrix.solvers.problem import Problem
-from lightmatrix.solvers.regularization import (
-    RegularizationPath,
-    default_regularization,
-    regularization_path,
-)
+from lightmatrix.solvers.regularization import default_regularization
 
 # The regularization is chosen from 32 stretches of 64 rows, spread evenly over the capture. The
 # values are chosen by hand: 2,048 rows suffice for a 0.99 quantile and are read in an instant.
@@ -28,7 +22,7 @@ def reached_level(capture: Capture) -> float:
     It is a quantile over camera samples of the largest value under any pattern. Estimates scale
     with their samples only if the regularization does.
     """
-    values, _, weights = _spread(capture)
+    values, weights = _spread(capture)
     largest = np.where(weights > 0, values, 0).max(axis=1, initial=0)
     if not len(largest):
         return capture.reference_level
@@ -43,20 +37,8 @@ def automatic_regularization(capture: Capture) -> float:
     return default_regularization(capture.patterns, level, noise)
 
 
-def held_out_path(capture: Capture) -> RegularizationPath:
-    """Try regularizations from twice to a quarter of the automatic one on patterns held out."""
-    values, clipped, weights = _spread(capture)
-    level = np.broadcast_to(np.float32(capture.reference_level), values.shape)
-    problem = Problem(
-        capture.patterns,
-        Samples(values, clipped, level, weights),
-        automatic_regularization(capture),
-    )
-    return regularization_path(problem, factors=(2, 1, 0.7, 0.5, 0.35, 0.25))
-
-
-def _spread(capture: Capture) -> tuple[NDArray[Any], NDArray[np.bool_], NDArray[Any]]:
-    """Values, clip states and weights of some rows, (m, K) each."""
+def _spread(capture: Capture) -> tuple[NDArray[Any], NDArray[Any]]:
+    """Values and weights of some rows, (m, K) each."""
     count = capture.rows
     if count <= _STRETCHES * _STRETCH:
         starts = np.arange(0, count, _STRETCH)
@@ -68,8 +50,4 @@ def _spread(capture: Capture) -> tuple[NDArray[Any], NDArray[np.bool_], NDArray[
         np.broadcast_to(ones if part.weights is None else part.weights, part.values.shape)
         for part in parts
     ]
-    return (
-        np.concatenate([part.values for part in parts]),
-        np.concatenate([part.clipped for part in parts]),
-        np.concatenate(weights),
-    )
+    return np.concatenate([part.values for part in parts]), np.concatenate(weights)

@@ -44,7 +44,7 @@ class SaturationADMM:
     Parameters
     ----------
     fidelity : Fidelity
-        clipped (the paper), one-sided, likelihood, rejection or linear.
+        clipped (the paper), one-sided, rejection or linear.
     penalty_x : float or None
         The paper's mu, > 0, in 1 / (units of T). None: computed by `automatic_penalty_x`; for 0/1
         patterns of density 0.5 it is sqrt(K N) / (24 lambda).
