@@ -552,9 +552,9 @@ def test_separate(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     }
     for name, part in written.items():
         _same_transport(lm.open(tmp_path / "shown" / f"{name}.zarr"), part)
-        for kind in ("png", "npy"):
-            one, other = (tmp_path / folder / f"{name}.{kind}" for folder in ("shown", "made"))
-            assert one.read_bytes() == other.read_bytes()
+    for name in ("separation.png", *(f"{name}.npy" for name in written)):
+        one, other = (tmp_path / folder / name for folder in ("shown", "made"))
+        assert one.read_bytes() == other.read_bytes()
 
 
 def test_decode(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -125,7 +125,7 @@ def test_the_page_has_its_sections_and_numbers(written: Path, estimate: lm.Light
     assert numbers["sentence"] in words
     for phrase in (
         "First patterns and photographs", "0: ", "Clipped samples per frame",
-        "Relative duality gap", "Estimated error per camera pixel", "Prediction minus photograph",
+        "Duality gap: median", "Estimated error per camera pixel", "Prediction minus photograph",
         "Projector row", "Projector column", "Confidence", "Footprint size", "Background",
         "Dual image", "Row of camera pixel", "Column of projector pixel", "The truth",
         "Error against the truth", "Direct light", "Global light", "Without compensation",

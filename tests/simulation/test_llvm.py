@@ -92,5 +92,5 @@ def test_without_the_extra_its_name_is_given(monkeypatch: pytest.MonkeyPatch) ->
     monkeypatch.setattr(
         importlib.util, "find_spec", lambda name: None if name == "mitsuba" else find(name)
     )
-    with pytest.raises(MissingExtraError, match=r"pip install -e '.\[render\]'"):
+    with pytest.raises(MissingExtraError, match=r"lightmatrix\[render\]"):
         llvm.load_mitsuba()

@@ -10,7 +10,7 @@ from lightmatrix.cli.terminal import say, show_json
 def scenes(as_json: Json = False) -> None:
     """List the scenes that can be simulated.
 
-    Four scenes come with the package at 64x64. Other sizes, and the scenes translucent and wall,
+    Four scenes come with the package at 64x64. Other sizes, and translucent, wall and vase,
     are rendered on first use and kept, which needs the extra `render`.
     """
     listed = lm.scenes()

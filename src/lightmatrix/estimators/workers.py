@@ -36,8 +36,9 @@ import numpy as np
 import scipy
 
 from lightmatrix._version import __version__
-from lightmatrix.errors import ClusterError, InputError, LightMatrixError, MissingExtraError
+from lightmatrix.errors import ClusterError, InputError, LightMatrixError
 from lightmatrix.estimators.work import SolveTile, Work
+from lightmatrix.files.extras import load_extra
 from lightmatrix.resources.threads import core_threads
 from lightmatrix.transport.checkpoint import (
     Checkpoint,
@@ -251,13 +252,7 @@ def dask_pool(workers: int | None = None, cluster: str | None = None) -> Iterato
         If workers cannot be started, the scheduler does not answer or has none, or one of them has
         other versions.
     """
-    try:
-        import distributed  # noqa: F401
-    except ImportError as error:
-        raise MissingExtraError(
-            "estimates by several processes need Dask",
-            hint="install it: pip install 'lightmatrix[cluster]'",
-        ) from error
+    load_extra("distributed", "estimates by several processes need Dask", "cluster")
     with ExitStack() as stack:
         # Dask is silent here, as whatever matters becomes an error of ours.
         logger = logging.getLogger("distributed")

@@ -503,14 +503,12 @@ def _rows_and_columns(facts: Facts) -> tuple[Image, ...]:
     rows, columns = [], []
     for why, (row, col) in _example_pixels(facts).items():
         light = transport.row(row, col, *[0] * (len(transport.camera_shape) - 2))
-        alternative = f"Row of T on the projector: camera pixel {row}, {col}"
-        rows.append(faint_image(light, alternative, f"Row of camera pixel {row}, {col}", why))
+        rows.append(faint_image(light, f"Row of camera pixel {row}, {col}", why))
         v, u = (int(k) for k in facts.correspondence.pixel[row, col])
         image = transport.column(v, u)
         columns.append(
             faint_image(
                 image if image.ndim == 2 else image.mean(axis=2),
-                f"Column of T over the camera: projector pixel {v}, {u} alone",
                 f"Column of projector pixel {v}, {u}",
                 f"The projector pixel that {why[0].lower()}{why[1:]} sees most.",
             )

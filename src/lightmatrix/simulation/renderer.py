@@ -72,7 +72,7 @@ def load_mitsuba() -> ModuleType:
     if importlib.util.find_spec("mitsuba") is None:
         raise MissingExtraError(
             "rendering needs Mitsuba 3, which is not installed",
-            hint="from the source folder: .venv/bin/pip install -e '.[render]'",
+            hint='install the extra: pip install "lightmatrix[render]"',
         )
     llvm = usable_llvm()
     if llvm is None:

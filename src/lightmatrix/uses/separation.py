@@ -19,7 +19,7 @@ from scipy.sparse import csr_array
 from scipy.spatial import cKDTree
 
 from lightmatrix.errors import InputError
-from lightmatrix.files.images import given_image, read_grey, write_image
+from lightmatrix.files.images import given_image, read_grey
 from lightmatrix.files.kinds import SEPARATION
 from lightmatrix.files.writing import atomic_folder, check_output
 from lightmatrix.geometry.matches import (
@@ -28,6 +28,7 @@ from lightmatrix.geometry.matches import (
     fit_parallel_lines,
     spread_of_spots,
 )
+from lightmatrix.pictures.transport import draw_parts
 from lightmatrix.reprs import short_repr
 from lightmatrix.transport import store
 from lightmatrix.transport.correspondence import pixel_rows
@@ -675,9 +676,9 @@ def separate(
         Whether the folder also holds the part of T along the epipolar lines, or the part off them.
         `Separation` has both in any case.
     output : str or Path, optional
-        Folder to make: direct.zarr and global.zarr; the images direct and global under the pattern,
-        as .png for a look (gamma 2.2, one scale for all) and .npy for use; confidence.npy and
-        parallax.npy. Where asked for, epipolar and non-epipolar likewise.
+        Folder to make: direct.zarr and global.zarr; their images under the pattern, direct.npy and
+        global.npy, and both in separation.png for a look; confidence.npy and parallax.npy. Where
+        asked for, epipolar and non-epipolar likewise.
     overwrite : bool
         Whether an existing separation may be replaced.
 
@@ -768,13 +769,12 @@ def separate(
     if non_epipolar:
         chosen["non-epipolar"] = separation.non_epipolar
     images = {name: part.relight(lit) for name, part in chosen.items()}
-    white = max(float((images["direct"] + images["global"]).max()), 1e-9)
     with atomic_folder(output, SEPARATION, overwrite=overwrite) as folder:
         for name, part in chosen.items():
             store.save(folder / f"{name}.zarr", part)
         for name, image in images.items():
             np.save(folder / f"{name}.npy", image)
-            write_image(folder / f"{name}.png", (image / white) ** (1 / 2.2))
+        draw_parts(images).draw_file(folder / "separation.png")
         np.save(folder / "confidence.npy", separation.confidence)
         np.save(folder / "parallax.npy", separation.parallax)
     return separation
