@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -344,9 +345,9 @@ def test_levels_of_float_images_are_stated_in_their_own_unit(tmp_path: Path) -> 
         lm.estimate(Capture.from_folders(patterns, photos), check=False)
     assert "clip=4095" in str(caught.value.hint)
     # The level that the message proposes is accepted, and is where a curve ends.
-    given = {"clip": 4095, "response": "gamma:2"}
-    alone = Capture.from_folders(patterns, photos, ReadSettings(**given))
-    both = Capture.from_folders(patterns, photos, ReadSettings(**given, full_scale=4095))
+    stated = ReadSettings(clip=4095, response="gamma:2")
+    alone = Capture.from_folders(patterns, photos, stated)
+    both = Capture.from_folders(patterns, photos, replace(stated, full_scale=4095))
     assert alone.digest == both.digest
     assert alone.decoder.full_scale == 4095
 

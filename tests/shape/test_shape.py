@@ -228,8 +228,8 @@ def test_rows_that_state_an_error_of_all_their_light_give_no_depth() -> None:
 
 def test_files_take_their_places_together(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     known = truth("corner")
-    outputs = {"output": tmp_path / "a.ply", "depth": tmp_path / "a.tif"}
-    outputs["picture"] = tmp_path / "a.png"
+    scene = (known.transport(), known.geometry)
+    cloud, depth, picture = (tmp_path / f"a.{ending}" for ending in ("ply", "tif", "png"))
 
     def stopped(shape: Shape) -> None:
         raise KeyboardInterrupt
@@ -237,7 +237,7 @@ def test_files_take_their_places_together(tmp_path: Path, monkeypatch: pytest.Mo
     with monkeypatch.context() as patch:
         patch.setattr(Shape, "show", stopped)
         with pytest.raises(KeyboardInterrupt):
-            lm.triangulate(known.transport(), known.geometry, **outputs)
+            lm.triangulate(*scene, output=cloud, depth=depth, picture=picture)
     assert not list(tmp_path.iterdir())
-    lm.triangulate(known.transport(), known.geometry, **outputs)
-    assert sorted(tmp_path.iterdir()) == sorted(outputs.values())
+    lm.triangulate(*scene, output=cloud, depth=depth, picture=picture)
+    assert set(tmp_path.iterdir()) == {cloud, depth, picture}
