@@ -316,9 +316,7 @@ def make_decoder(stack: ImageStack, settings: ReadSettings) -> Decoder:
             f"a response of levels up to {measured:g} for images of {stack.dtype}",
             hint="measure it with images of that kind",
         )
-    if full_scale is None:
-        full_scale = measured or top
-    elif stack.dtype.kind == "u" and full_scale > top:
+    if full_scale is not None and stack.dtype.kind == "u" and full_scale > top:
         raise InputError(
             f"a full scale of {full_scale:g} for images of {stack.dtype}",
             hint=f"use a raw level of at most {top:g}",
@@ -329,6 +327,7 @@ def make_decoder(stack: ImageStack, settings: ReadSettings) -> Decoder:
         if pile is not None:
             warn(f"clip: {pile}, where the camera seems to clip")
         clip, assumed = None if pile is None else float(pile.shown), pile is None
+    full_scale = full_scale or measured or range_end(stack.dtype, clip)
     clip = full_scale if clip is None else clip
     return Decoder(
         clip,

@@ -379,7 +379,7 @@ def camera_response(
             f"{steps[-1]:g}",
             hint="take 3 exposures at least, better 7, each twice the one before",
         )
-    end = range_end(frames.dtype)
+    end = range_end(frames.dtype, clip)
     top = end if clip is None else as_float(clip)
     dark = (
         float(np.median(read_image(black)))
@@ -497,7 +497,7 @@ def projector_response(
             hint="give whole numbers that increase from 0 to 255, the photographs likewise",
         )
     camera = response if isinstance(response, Response) else Response.parse(response or "linear")
-    scale = camera.full_scale or range_end(frames.dtype)
+    scale = camera.full_scale or range_end(frames.dtype, clip)
     ceiling = float(camera.linearise(np.array((clip or scale) / scale)))
 
     def light(index: int) -> NDArray[np.float64]:

@@ -300,7 +300,7 @@ def take_capture(
                 outcome = photograph_until(session, parse_until(settings.until), estimate_so_far)
             _write(target, session, known, settings, outcome, overwrite=overwrite)
             record.discard()
-    _warn(record, known, settings.response)
+    _warn(record, known)
     return Capture.open(output)
 
 
@@ -447,7 +447,7 @@ def _write(
     )
 
 
-def _warn(record: CaptureRecord, known: RigMeasurements, response: str) -> None:
+def _warn(record: CaptureRecord, known: RigMeasurements) -> None:
     """Warn of patterns that are left out, drift, and weaknesses of the rig."""
     state = record.state
     concerns = []
@@ -466,12 +466,6 @@ def _warn(record: CaptureRecord, known: RigMeasurements, response: str) -> None:
         concerns.append(
             f"the room's light varies by {100 * known.flicker.room:.0f} % of white from frame to "
             "frame: darken the room, or expose for longer"
-        )
-    linearity = known.linearity
-    if linearity is not None and not linearity.linear and response == "linear":
-        concerns.append(
-            f"the camera is off a straight line by {100 * linearity.deviation:.0f} %: switch off "
-            "its gamma, or say its response"
         )
     for text in concerns:
         warn(text)
