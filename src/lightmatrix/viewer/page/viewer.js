@@ -91,7 +91,7 @@ export class Viewer {
   #listen() {
     const { field, form, root } = this, file = form.querySelector("[type=file]");
     const buttons = {
-      undo: () => this.pattern.undo() && this.change(), redo: () => this.pattern.redo() && this.change(),
+      undo: () => this.undo(), redo: () => this.redo(),
       clear: () => this.fill(() => 0), invert: () => this.invert(), picture: () => file.click(),
       auto: () => this.autoExposure(), out: () => this.zoom(1 / ZOOM), in: () => this.zoom(ZOOM), fit: () => this.fit(),
       snapshot: () => download(this.snapshot(), "photograph"), save: () => download(this.patternImage(), "pattern"),
@@ -164,6 +164,8 @@ export class Viewer {
   // --- the pattern and the photograph ---
 
   fill(level) { this.#own(); this.pattern.fill(level); this.change(); }
+  undo() { if (this.pattern.undo()) { this.#own(); this.change(); } }
+  redo() { if (this.pattern.redo()) { this.#own(); this.change(); } }
   invert() { this.#own(); this.pattern.invert(); this.change(); }
   /** The pattern is neither a picture of the user nor one of the capture any more. */
   #own() { this.#file = null; this.#framed = false; }
