@@ -100,6 +100,7 @@ WORDS = {
     "--bin-camera": "size|bin|block",
     "--bin-projector": "size|bin|block|1 x 1",
     "--tile-rows": "tile",
+    "--black-level": "black|raw level",
     "-k": "-k|count|pattern|frames",
     "--iterations": "iteration|rounds|passes",
     "--size": "size|pixels|projector",
