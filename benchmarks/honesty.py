@@ -3,10 +3,11 @@
     python -m benchmarks.honesty [--quick] [--cases 320] [--seed 0] [--processes 2] [-o honesty-out]
 
 Cases are drawn at random from scenes, patterns, damages and sizes (`synthetic_captures`): half of
-them intact, the others with one damage. Each is checked and estimated as `lightmatrix estimate`
-does it. With --hidden they are of the kinds in `HIDDEN`. Results go to OUT/cases.jsonl, one line a
-case, and a later run goes on after the last. Then come a table, OUT/summary.json and OUT/honesty.png. Thresholds of the package were chosen on
-cases with odd numbers, so that only those with even numbers test them.
+them intact, the others with one damage. With --hidden they are of the kinds in `HIDDEN`. Each is
+checked and estimated as `lightmatrix estimate` does it. Results go to OUT/cases.jsonl, one line a
+case, and a later run goes on after the last. Then come a table, OUT/summary.json and
+OUT/honesty.png. Thresholds of the package were chosen on cases with odd numbers, so that only those
+with even numbers test them.
 """
 
 from __future__ import annotations
