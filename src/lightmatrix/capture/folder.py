@@ -426,9 +426,7 @@ def check_depth(frames: Frames, decoder: Decoder) -> None:
 
 def neighbours_alike(image: NDArray[Any]) -> float:
     """Correlation of the levels of pixels side by side; 0 where nothing varies."""
-    left, right = (
-        np.asarray(part, np.float64).ravel() for part in (image[:, :-1], image[:, 1:])
-    )
+    left, right = (np.asarray(part, np.float64).ravel() for part in (image[:, :-1], image[:, 1:]))
     left, right = left - left.mean(), right - right.mean()
     power = float(np.sqrt((left @ left) * (right @ right)))
     return float(left @ right) / power if power else 0.0
