@@ -17,7 +17,8 @@ from PIL import Image
 import lightmatrix as lm
 from lightmatrix.capture.capture import Capture
 from lightmatrix.capture.decoder import Decoder
-from lightmatrix.capture.folder import write_capture
+from lightmatrix.capture.folder import check_depth, write_capture
+from lightmatrix.capture.frames import in_memory
 from lightmatrix.capture.samples import Samples
 from lightmatrix.capture.sensor import Sensor
 from lightmatrix.capture.settings import KEYS, ReadSettings
@@ -334,6 +335,19 @@ def test_files_with_unused_bits_are_refused(tmp_path: Path, bits: int) -> None:
             judge(ReadSettings(), block)
     judge(ReadSettings(clip=2**bits - 1))
     judge(ReadSettings(clip=65535))
+
+
+def test_swapped_bytes_are_named() -> None:
+    generator = np.random.default_rng(0)
+    smooth = np.add.outer(np.linspace(0, 2000, 24), np.linspace(0, 2000, 32))
+    raw = (smooth + generator.normal(0, 20, (5, 24, 32)) + 60).astype(np.uint16)
+    decoder = Decoder(4095, 65535)
+    # Levels of 12 bits, shifted to 16, without low bytes, and without high ones.
+    for frames in (raw, raw * 16, (raw // 16) * 256, raw // 16):
+        check_depth(in_memory(frames, None)[0], decoder)
+    for frames in (raw, raw * 16):
+        with pytest.raises(InputError, match="bytes of each level are swapped"):
+            check_depth(in_memory(frames.byteswap(), None)[0], decoder)
 
 
 def test_levels_of_float_images_are_stated_in_their_own_unit(tmp_path: Path) -> None:

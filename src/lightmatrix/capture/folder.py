@@ -380,11 +380,21 @@ def _read_black(
 
 
 def check_depth(frames: Frames, decoder: Decoder) -> None:
-    """Refuse 16-bit files that hold fewer bits if no clip level is stated.
+    """Refuse swapped bytes, and 16-bit files that hold fewer bits if no clip level is stated.
 
     A camera of 12 bits clips at 4095. With 65535 in its place no sample would count as clipped: the
     estimate would be wrong without any sign of it.
     """
+    if frames.dtype == np.uint16:
+        middle = frames.read(frames.count // 2)
+        alike, turned = neighbours_alike(middle), neighbours_alike(middle.byteswap())
+        # Of intact photographs, the high bytes are the smooth ones.
+        if turned > 0.5 and 1 - alike > 4 * (1 - turned):
+            raise InputError(
+                "the two bytes of each level are swapped: neighbouring pixels correlate by "
+                f"{alike:.2f}, and with the bytes exchanged by {turned:.2f}",
+                hint="write the images in the byte order that their format or header states",
+            )
     if not decoder.clip_assumed:
         return
     if frames.dtype.kind == "f":
@@ -412,6 +422,14 @@ def check_depth(frames: Frames, decoder: Decoder) -> None:
         f"the images have 16 bits, but no level above {top}: a camera {which}",
         hint=f'{hint}, or "clip" in capture.json; clip=65535 if they are just dark',
     )
+
+
+def neighbours_alike(image: NDArray[Any]) -> float:
+    """Correlation of the levels of pixels side by side; 0 where nothing varies."""
+    left, right = (np.asarray(part, np.float64).ravel() for part in (image[:, :-1], image[:, 1:]))
+    left, right = left - left.mean(), right - right.mean()
+    power = float(np.sqrt((left @ left) * (right @ right)))
+    return float(left @ right) / power if power else 0.0
 
 
 def read_mask(mask: str | Path | None, shape: tuple[int, ...]) -> NDArray[np.bool_] | None:
