@@ -28,7 +28,7 @@ from lightmatrix.geometry.matches import (
     fit_parallel_lines,
     spread_of_spots,
 )
-from lightmatrix.pictures.transport import draw_parts
+from lightmatrix.pictures.transport import Picture, draw_parts
 from lightmatrix.reprs import short_repr
 from lightmatrix.transport import store
 from lightmatrix.transport.correspondence import pixel_rows
@@ -613,6 +613,16 @@ class Separation:
     spot: float
 
     __repr__ = short_repr
+
+    def show(self) -> Picture:
+        """A Matplotlib figure of direct and global light under white; notebooks show it."""
+        white = np.ones(self.direct.projector_shape, np.float32)
+        return draw_parts(
+            {"direct": self.direct.relight(white), "global": self.global_.relight(white)}
+        )
+
+    def _repr_png_(self) -> bytes:
+        return self.show()._repr_png_()
 
     def relight(self, patterns: NDArray[Any], *, global_scale: float = 1.0) -> NDArray[np.float32]:
         """Camera images with the global light scaled: c = (direct + scale * global) p."""
