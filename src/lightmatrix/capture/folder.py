@@ -393,15 +393,13 @@ def check_depth(frames: Frames, decoder: Decoder) -> None:
             f"half of the levels of a photograph are below {dark:g}",
             hint="scale the images so that 0 is no light",
         )
-    if frames.dtype == np.uint16:
-        alike, turned = neighbours_alike(middle), neighbours_alike(middle.byteswap())
-        # Of intact photographs, the high bytes are the smooth ones.
-        if turned > 0.5 and 1 - alike > 4 * (1 - turned):
-            raise InputError(
-                "the two bytes of each level are swapped: neighbouring pixels correlate by "
-                f"{alike:.2f}, and with the bytes exchanged by {turned:.2f}",
-                hint="write the images in the byte order that their format or header states",
-            )
+    # One frame may lack some bits by chance.
+    swapped = frames.dtype == np.uint16 and have_swapped_bytes([middle])
+    if swapped and have_swapped_bytes(level_blocks(frames)):
+        raise InputError(
+            "the two bytes of each level are swapped: the bits that all levels use have a gap",
+            hint="write the images in the byte order that their format or header states",
+        )
     if not decoder.clip_assumed:
         return
     if frames.dtype.kind == "f":
@@ -431,12 +429,20 @@ def check_depth(frames: Frames, decoder: Decoder) -> None:
     )
 
 
-def neighbours_alike(image: NDArray[Any]) -> float:
-    """Correlation of the levels of pixels side by side; 0 where nothing varies."""
-    left, right = (np.asarray(part, np.float64).ravel() for part in (image[:, :-1], image[:, 1:]))
-    left, right = left - left.mean(), right - right.mean()
-    power = float(np.sqrt((left @ left) * (right @ right)))
-    return float(left @ right) / power if power else 0.0
+def have_swapped_bytes(levels: Iterable[NDArray[np.uint16]]) -> bool:
+    """Whether the bits that levels use have a gap, and none once their bytes are exchanged.
+
+    The bits of a camera are neighbours, wherever they stand in the 16 bits of a file: those of
+    12 bits are 0x0fff or 0xfff0, with swapped bytes 0xff0f or 0xf0ff.
+    """
+    used = 0
+    for block in levels:
+        used |= int(np.bitwise_or.reduce(block, axis=None))
+
+    def gap(bits: int) -> bool:
+        return "0" in f"{bits:b}".strip("0")
+
+    return gap(used) and not gap((used >> 8) | (used & 255) << 8)
 
 
 def read_mask(mask: str | Path | None, shape: tuple[int, ...]) -> NDArray[np.bool_] | None:
