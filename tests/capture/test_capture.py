@@ -345,6 +345,8 @@ def test_swapped_bytes_are_named() -> None:
     # Levels of 12 bits, shifted to 16, without low bytes, and without high ones.
     for frames in (raw, raw * 16, (raw // 16) * 256, raw // 16):
         check_depth(in_memory(frames, None)[0], decoder)
+    with pytest.raises(InputError, match="half of the levels of a photograph are below -0"):
+        check_depth(in_memory((raw / 2048 - 1.5).astype(np.float32), None)[0], Decoder(1, 1))
     for frames in (raw, raw * 16):
         with pytest.raises(InputError, match="bytes of each level are swapped"):
             check_depth(in_memory(frames.byteswap(), None)[0], decoder)

@@ -436,3 +436,9 @@ def test_a_capture_goes_on_when_a_full_disk_has_room_again(
         assert main(words) == 0
         assert lm.Capture.open(tmp_path / "capture").count == 24
         assert not list(tmp_path.glob("*partial*"))
+
+
+@pytest.mark.parametrize("values", [{"exposure": "fast"}, {"cell": 1.5}, {"reference_every": None}])
+def test_settings_of_another_type_are_refused(values: Any) -> None:
+    with pytest.raises(lm.InputError, match=r"fast|1\.5|None"):
+        lm.CaptureSettings(**values)

@@ -380,13 +380,20 @@ def _read_black(
 
 
 def check_depth(frames: Frames, decoder: Decoder) -> None:
-    """Refuse swapped bytes, and 16-bit files that hold fewer bits if no clip level is stated.
+    """Refuse swapped bytes, negative levels, and 16-bit files of fewer bits without a clip level.
 
     A camera of 12 bits clips at 4095. With 65535 in its place no sample would count as clipped: the
     estimate would be wrong without any sign of it.
     """
+    middle = frames.read(frames.count // 2)
+    dark = float(np.median(middle))
+    # Noise around a dark frame that was subtracted is far smaller.
+    if dark < -0.05 * np.min(decoder.clip):
+        raise InputError(
+            f"half of the levels of a photograph are below {dark:g}",
+            hint="scale the images so that 0 is no light",
+        )
     if frames.dtype == np.uint16:
-        middle = frames.read(frames.count // 2)
         alike, turned = neighbours_alike(middle), neighbours_alike(middle.byteswap())
         # Of intact photographs, the high bytes are the smooth ones.
         if turned > 0.5 and 1 - alike > 4 * (1 - turned):
