@@ -54,7 +54,13 @@ from lightmatrix.uses.separation import separate
 
 def parameters(facts: Facts) -> Section:
     """The provenance of the estimate, enough to repeat it."""
-    rows = tuple(_flat(facts.transport.provenance))
+    # How a bundled scene was rendered is not how it was photographed.
+    rendering = ("renderer", "seconds", "samples", "keep", "max depth", "noise entries")
+    rows = tuple(
+        (name, value)
+        for name, value in _flat(facts.transport.provenance)
+        if name.removeprefix("capture description: ") not in (*rendering, "noise white")
+    )
     lead = "The parameters as the store of the estimate holds them."
     tables = (Table("Parameters", ("parameter", "value"), rows),) if rows else ()
     return Section("parameters", "All parameters", lead, tables)
