@@ -222,7 +222,7 @@ def _single_core() -> Any:
     try:
         from threadpoolctl import threadpool_limits
     except ImportError as error:
-        raise SystemExit("install the extra: pip install 'lightmatrix[bench]'") from error
+        raise SystemExit('install the extra: pip install "lightmatrix[bench]"') from error
     return threadpool_limits(1)
 
 

@@ -23,6 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import lightmatrix as lm
+from benchmarks.procedural_captures import photograph
 from experiments.harness import options as options_of
 
 Shape = tuple[int, int]
@@ -62,7 +63,7 @@ def estimated(camera: Shape, projector: Shape, count: int) -> dict[str, float]:
     with tempfile.TemporaryDirectory() as folder:
         capture, matrix = Path(folder) / "capture.zarr", Path(folder) / "scene.zarr"
         scene = lm.ProceduralScene(camera, projector)
-        lm.simulate_procedural(capture, scene, lm.BernoulliPatterns(projector, count))
+        photograph(capture, scene, lm.BernoulliPatterns(projector, count))
         return command_cost("estimate", capture, "-o", matrix)
 
 

@@ -22,6 +22,7 @@ import numpy as np
 import psutil
 
 import lightmatrix as lm
+from benchmarks.procedural_captures import photograph
 from experiments.harness import options as options_of
 from lightmatrix.estimators.choice import choose_estimator
 from lightmatrix.estimators.workers import DaskPool, dask_pool
@@ -39,7 +40,7 @@ def main(arguments: list[str] | None = None) -> None:
         place = Path(folder) / "capture.zarr"
         projector = (options.projector, options.projector)
         scene = lm.ProceduralScene((options.camera, options.camera), projector)
-        lm.simulate_procedural(place, scene, lm.BernoulliPatterns(projector, options.count))
+        photograph(place, scene, lm.BernoulliPatterns(projector, options.count))
         for coherent in (False, True):
             figures = measured(place, coherent, options.repeats)
             print(json.dumps({"coherent": coherent, **vars(options), **figures}), flush=True)

@@ -1,6 +1,6 @@
 #!/usr/bin/env bash
 # Installs optional system packages, which pip cannot install:
-# - the LLVM library, version 17 or newer: without it the renderer is about a hundred times slower;
+# - the LLVM library, version 17 or newer: the renderer compiles its light paths with it;
 # - Aravis, which drives GigE and USB3 Vision cameras, and what its Python bindings need to build;
 # - X servers without screens, on which the tests of the live rig show their patterns;
 # - a Chromium, in which the tests open the report.
@@ -42,7 +42,7 @@ if ! command -v apt-get >/dev/null; then
         echo "system-deps: the renderer can use $found"
     else
         echo "system-deps: no LLVM 17 or newer; install it with your package manager, or set" >&2
-        echo "system-deps: DRJIT_LIBLLVM_PATH to its library. Without it rendering is slow." >&2
+        echo "system-deps: DRJIT_LIBLLVM_PATH to its library. Without it nothing can be rendered." >&2
     fi
     echo "system-deps: no apt-get; docs/devices.md says what cameras and their tests need" >&2
     usable_llvm >/dev/null

@@ -39,7 +39,6 @@ from .files.images import (
     read_image as read_image,
     write_image as write_image,
 )
-from .simulation.procedural import simulate_procedural as simulate_procedural
 from .simulation.library import (
     scenes as scenes,
     truth as truth,
@@ -47,7 +46,6 @@ from .simulation.library import (
 from .simulation.simulate import simulate as simulate
 from .simulation.procedural import ProceduralScene as ProceduralScene
 from .simulation.renderer import render as render
-from .simulation.library import write_thumbnails as write_thumbnails
 from .simulation.truth import Truth as Truth
 
 # Rigs that photograph, real and virtual.

@@ -71,7 +71,6 @@ def test_values_of_another_kind_or_out_of_range(tmp_path: Path, key: str) -> Non
         ("[" * 100_000, "nested too deeply"),
         ('{"a": 1, "a": 2}', "twice"),
         ('{"exposure": NaN}', "NaN is not a number in JSON"),
-        ('{"exposure": 1e999}', "a number is too large"),
         ("", "cannot be read"),
         ('"text"', "is not a lightmatrix-capture file"),
         ('{"format": "lightmatrix-capture", "version": true}', "format version True"),

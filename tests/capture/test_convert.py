@@ -59,11 +59,6 @@ def test_slstudio_orders_by_number(tmp_path: Path) -> None:
         ("exposures.json", "[0.25, 1]"),
         ("exposures.csv", "file,exposure\na.png,0.25\nb.png,1\n"),
         ("exposures.csv", "0.25\n1\n"),
-        # As spreadsheets write it where a half is 0,5, and with line ends of old ones.
-        ("exposures.csv", "Datei;Belichtung (exposure)\ra.png;0,25\rb.png;1,0\r"),
-        ("exposures.csv", 'a.png,"0,25"\nb.png,"1"\n'),
-        ("exposures.csv", "a.png\t0,25\nb.png\t1\n"),
-        ("exposures.csv", "file,exposure time,ISO\na.png,0.25,100\nb.png,1,400\n"),
     ],
 )
 def test_brackets_repeat_their_pattern_at_every_exposure(
@@ -88,10 +83,8 @@ def test_brackets_repeat_their_pattern_at_every_exposure(
     ("text", "words"),
     [("[1, 0]", "not above 0"), ('{"a.png": 1}', "has no exposure"), ("{", "cannot be read"),
      ('{"a.png": "fast"}', "no list"), ("3", "no list"), ("[" * 100_000, "nested too deeply"),
-     ("[1" + "0" * 400 + ", 1]", "too large"),
-     ("a.png,0,5\nb.png,0,25\n", "3 columns"), ("a.png,0.5,100\nb.png,1,400\n", "3 columns"),
-     ("0,5\n0,25\n", "whole numbers in both"), ("a.png,1\na.png,2\n", "twice"),
-     ("a.png,1\nb.png\n", "different numbers"), ("b.png,1\na.png,fast\n", "no list"),
+     ("a.png,0,5\nb.png,0,25\n", "one column, or two"), ("a.png,1\na.png,2\n", "twice"),
+     ("a.png,1\nb.png\n", "one column, or two"), ("b.png,1\na.png,fast\n", "no list"),
      ("a.png," + "1" * 200_000, "field larger"), ("", "not above 0")],
 )  # fmt: skip
 def test_bad_exposures_are_named(tmp_path: Path, text: str, words: str) -> None:

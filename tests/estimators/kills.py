@@ -38,7 +38,8 @@ from lightmatrix.estimators.coherent import schedule
 from lightmatrix.estimators.coherent.estimator import WINDOWS, CoherentEstimator
 from lightmatrix.estimators.workers import dask_pool
 from lightmatrix.patterns.bits import BernoulliPatterns
-from lightmatrix.simulation.procedural import ProceduralScene, simulate_procedural
+from lightmatrix.simulation.procedural import ProceduralScene
+from lightmatrix.simulation.simulate import simulate
 from lightmatrix.transport import store
 
 # Half widths of the windows, sides of camera and projector, patterns.
@@ -208,7 +209,7 @@ def _do(work: Callable[[], None]) -> NoReturn:
 
 
 def _simulated(capture: Path, scene: ProceduralScene, patterns: BernoulliPatterns) -> None:
-    simulate_procedural(capture, scene, patterns)
+    simulate(scene.truth(), patterns).save(capture)
 
 
 if __name__ == "__main__":

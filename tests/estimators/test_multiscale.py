@@ -66,7 +66,7 @@ def capture(truth: Truth) -> Capture:
 @pytest.mark.parametrize("solver", SOLVERS, ids=lambda solver: type(solver).__name__)
 def test_keeping_everything_gives_the_plain_estimate(capture: Capture, solver: Solver) -> None:
     plain = PlainEstimator(solver, 0.05).estimate(capture)
-    whole = MultiScaleEstimator(solver, 0.05, active=0, coarse_solver=ADMM(max_iterations=2))
+    whole = MultiScaleEstimator(solver, 0.05, active=0)
     estimate = whole.estimate(capture)
     assert (estimate.diagnostics["candidates"] == 1024).all()
     difference = np.linalg.norm((estimate.sparse - plain.sparse).data)

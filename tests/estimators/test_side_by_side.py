@@ -29,7 +29,7 @@ def solve_tiles(
     work: Any = SimpleNamespace(
         capture=SimpleNamespace(rows=20),
         steps={ROWS: ()},
-        tiles=lambda step, parts, shrinking: iter(spans),
+        tiles=lambda step, parts: iter(spans),
         prepare=lambda step, read: solve_tile,
         together=together,
         solved=lambda step, done: done,

@@ -34,7 +34,6 @@ WRITERS = {
     "export mat": ("export scene.zarr", ".mat"),
     "render": ("render wall --size 8x8 --spp 1 -o", ".npz"),
     "demo": ("demo -o", ""),
-    "scenes": ("scenes --thumbnails", ""),
 }
 
 

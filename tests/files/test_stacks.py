@@ -162,7 +162,7 @@ def broken(how: str, folder: Path) -> tuple[str, str]:
         save(folder / "wrong.npy", images)
         data = (folder / "wrong.npy").read_bytes()
         (folder / "wrong.npy").write_bytes(data[:-100])
-        return "wrong.npy", "its size does not fit its header"
+        return "wrong.npy", "greater than file size"
     if how == "cut shaped":
         save(file, images, "shaped")
         file.write_bytes(file.read_bytes()[:-100])
@@ -172,7 +172,7 @@ def broken(how: str, folder: Path) -> tuple[str, str]:
         return "wrong.npy", "no stack of images"
     if how == "objects":
         np.save(folder / "wrong.npy", np.array([None, "x"], object))
-        return "wrong.npy", "it holds Python objects"
+        return "wrong.npy", "Python objects in dtype"
     if how == "long":
         np.save(folder / "wrong.npy", images.astype(np.int64))
         return "wrong.npy", "image 0: holds int64 values"

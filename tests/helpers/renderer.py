@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import importlib.util
-import warnings
 
 import pytest
 
-from lightmatrix.errors import LightMatrixWarning
+from lightmatrix.errors import MissingExtraError
 from lightmatrix.simulation.renderer import load_mitsuba
 
 needs_renderer = pytest.mark.skipif(
@@ -17,11 +16,11 @@ needs_renderer = pytest.mark.skipif(
 
 def fast_renderer() -> bool:
     """Whether there is an LLVM to render with; larger tests need it."""
-    if importlib.util.find_spec("mitsuba") is None:
+    try:
+        load_mitsuba()
+    except MissingExtraError:
         return False
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", LightMatrixWarning)
-        return load_mitsuba()[1]
+    return True
 
 
 needs_llvm = pytest.mark.skipif(not fast_renderer(), reason="needs LLVM (make system-deps)")

@@ -170,7 +170,6 @@ def test_raw_levels_are_no_pattern() -> None:
         {"iterations": 2**32},
         {"tile_rows": 0},
         {"multi_scale": True, "coherent": True},
-        {"regularization": "path", "coherent": True},
         {"signed": True, "coherent": True},
         {"solver": "active-set", "fidelity": "clipped"},
     ],

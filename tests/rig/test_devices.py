@@ -67,11 +67,11 @@ def test_a_rig_of_two_devices_is_opened_and_closed(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("address", "package", "hint"),
     [
-        ("aravis", "gi", r"gir1\.2-aravis.*\.\[aravis\]"),
-        ("gentl", "harvesters.core", r"\.\[gentl\]"),
-        ("video:/dev/video0,exposure=1", "av", r"\.\[video\]"),
-        ("dslr", "gphoto2", r"\.\[dslr\]"),
-        ("window", "moderngl", r"\.\[window\]"),
+        ("aravis", "gi", r"gir1\.2-aravis.*lightmatrix\[aravis\]"),
+        ("gentl", "harvesters.core", r"lightmatrix\[gentl\]"),
+        ("video:/dev/video0,exposure=1", "av", r"lightmatrix\[video\]"),
+        ("dslr", "gphoto2", r"lightmatrix\[dslr\]"),
+        ("window", "moderngl", r"lightmatrix\[window\]"),
     ],
 )
 def test_a_missing_package(
@@ -92,7 +92,7 @@ def test_what_is_there_is_listed(
     output = capsys.readouterr().out
     assert "window:1  DUMMY1, 800 x 600 at 85 Hz" in output
     assert "aravis cannot be used" in output.replace("Aravis", "aravis")
-    assert ".[aravis]" in output
+    assert "lightmatrix[aravis]" in output
     assert main(["rig", "list", "--json"]) == 0
     listed = json.loads(capsys.readouterr().out)["back_ends"]
     assert {(back["role"], back["kind"]) for back in listed} == {

@@ -110,7 +110,7 @@ def test_time_passes_as_it_does_unless_it_is_simulated() -> None:
     [
         ("l_objects", "write virtual:SCENE"),
         ("virtual:", "write virtual:SCENE"),
-        ("virtual:metal,speed=3", "it has size, delay"),
+        ("virtual:metal,speed=3", "its options are size, delay"),
         ("virtual:metal,fps=often", "fps=1"),
         ("virtual:metal,size=1", "from 2 on"),
         ("virtual:metal,room=nan", "from 0 on"),

@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import importlib.util
 import subprocess
-import warnings
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-from lightmatrix.errors import LightMatrixWarning, MissingExtraError
+from lightmatrix.errors import MissingExtraError
 from lightmatrix.simulation import renderer as llvm
 
 needs_renderer = pytest.mark.skipif(
@@ -22,12 +21,10 @@ needs_renderer = pytest.mark.skipif(
 @pytest.fixture(autouse=True)
 def fresh(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     monkeypatch.delenv("DRJIT_LIBLLVM_PATH", raising=False)
-    cached = llvm.usable_llvm, llvm._warn_once_of_slowness
-    for function in cached:
-        function.cache_clear()
+    find = llvm.usable_llvm
+    find.cache_clear()
     yield
-    for function in cached:
-        function.cache_clear()
+    find.cache_clear()
 
 
 class Children:
@@ -83,15 +80,11 @@ def test_a_hanging_child_counts_as_unusable(monkeypatch: pytest.MonkeyPatch) -> 
 
 
 @needs_renderer
-def test_without_llvm_the_scalar_renderer_warns_once(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_llvm_its_package_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(llvm, "usable_llvm", lambda: None)
-    with pytest.warns(LightMatrixWarning, match="apt-get install libllvm19"):
-        mi, fast = llvm.load_mitsuba()
-    assert not fast
-    assert mi.variant() == "scalar_rgb"
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
+    with pytest.raises(MissingExtraError, match="needs LLVM") as caught:
         llvm.load_mitsuba()
+    assert "apt-get install libllvm19" in str(caught.value.hint)
 
 
 def test_without_the_extra_its_name_is_given(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -99,5 +92,5 @@ def test_without_the_extra_its_name_is_given(monkeypatch: pytest.MonkeyPatch) ->
     monkeypatch.setattr(
         importlib.util, "find_spec", lambda name: None if name == "mitsuba" else find(name)
     )
-    with pytest.raises(MissingExtraError, match=r"pip install -e '.\[render\]'"):
+    with pytest.raises(MissingExtraError, match=r"lightmatrix\[render\]"):
         llvm.load_mitsuba()

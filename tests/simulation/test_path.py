@@ -2,28 +2,22 @@
 
 from __future__ import annotations
 
-import importlib.util
-import warnings
 from typing import Any
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from lightmatrix.errors import LightMatrixWarning
 from lightmatrix.simulation.renderer import load_mitsuba, mitsuba_scene, render
 from lightmatrix.simulation.scenes import scene
+from tests.helpers.renderer import needs_llvm
 
-pytestmark = pytest.mark.skipif(
-    importlib.util.find_spec("mitsuba") is None, reason="needs the extra `render`"
-)
+pytestmark = needs_llvm
 
 
 @pytest.fixture(scope="module")
-def mitsuba() -> tuple[Any, bool]:
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", LightMatrixWarning)
-        return load_mitsuba()
+def mitsuba() -> Any:
+    return load_mitsuba()
 
 
 def test_patterns(side: int) -> NDArray[np.float32]:
@@ -53,11 +47,6 @@ def reference(
     return mean, float(noise / np.linalg.norm(mean)), float(noise / mean.sum())
 
 
-def tolerance(fast: bool) -> float:
-    """In units of the reference's noise, which 36 pixels of scalar mode know only roughly."""
-    return 1.5 if fast else 2.5
-
-
 @pytest.mark.parametrize(
     "name",
     [
@@ -65,31 +54,26 @@ def tolerance(fast: bool) -> float:
         *(pytest.param(name, marks=pytest.mark.slow) for name in ("l_objects", "gripper", "metal")),
     ],
 )
-def test_relighting_agrees_with_the_path_integrator(mitsuba: tuple[Any, bool], name: str) -> None:
-    mi, fast = mitsuba
-    side, samples = (20, 2048) if fast else (6, 128)
+def test_relighting_agrees_with_the_path_integrator(mitsuba: Any, name: str) -> None:
+    side, samples = 20, 2048
     # Four times as many paths as both halves of the reference have: measured, 1.24 of its noise.
-    truth = render(name, (side, side), samples=8 * samples, keep=1.0, scalar=not fast)
+    truth = render(name, (side, side), samples=8 * samples, keep=1.0)
     for pattern in test_patterns(side):
         expected, noise, sum_noise = reference(
-            mi, name, pattern, samples, truth.metadata["max_depth"] + 1
+            mitsuba, name, pattern, samples, truth.metadata["max_depth"] + 1
         )
         image = truth.matrix @ pattern.ravel() / truth.metadata["scale"]
-        assert np.linalg.norm(image - expected) <= tolerance(fast) * noise * np.linalg.norm(
-            expected
-        )
+        assert np.linalg.norm(image - expected) <= 1.5 * noise * np.linalg.norm(expected)
         # 0.1 %, which so few pixels know only up to their noise.
         assert image.sum() == pytest.approx(expected.sum(), rel=max(1e-3, 4 * sum_noise))
-        if fast:
-            assert sum_noise < 3e-3
+        assert sum_noise < 3e-3
 
 
-def test_the_direct_part_agrees_with_paths_of_one_bounce(mitsuba: tuple[Any, bool]) -> None:
-    mi, fast = mitsuba
-    side, samples = (16, 1024) if fast else (6, 128)
-    truth = render("corner", (side, side), samples=4 * samples, keep=1.0, scalar=not fast)
+def test_the_direct_part_agrees_with_paths_of_one_bounce(mitsuba: Any) -> None:
+    side, samples = 16, 1024
+    truth = render("corner", (side, side), samples=4 * samples, keep=1.0)
     pattern = test_patterns(side)[3]
-    expected, noise, sum_noise = reference(mi, "corner", pattern, samples, 2)
+    expected, noise, sum_noise = reference(mitsuba, "corner", pattern, samples, 2)
     image = truth.direct @ pattern.ravel() / truth.metadata["scale"]
-    assert np.linalg.norm(image - expected) <= tolerance(fast) * noise * np.linalg.norm(expected)
+    assert np.linalg.norm(image - expected) <= 1.5 * noise * np.linalg.norm(expected)
     assert image.sum() == pytest.approx(expected.sum(), rel=max(1e-3, 4 * sum_noise))

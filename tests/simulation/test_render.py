@@ -2,20 +2,16 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from lightmatrix.errors import InputError, LightMatrixWarning, MissingExtraError
-from lightmatrix.files.images import read_image
+from lightmatrix.errors import InputError, LightMatrixWarning
 from lightmatrix.simulation import library, renderer
-from lightmatrix.simulation.library import white_image, write_thumbnails
 from lightmatrix.simulation.renderer import needed_bytes, render
-from lightmatrix.simulation.scenes import names
 from lightmatrix.simulation.truth import Truth
-from tests.helpers.renderer import needs_llvm, needs_renderer
+from tests.helpers.renderer import needs_llvm
 
 
 @needs_llvm
@@ -38,23 +34,9 @@ def test_bundled_scenes_agree_with_a_rendering(name: str) -> None:
 
 
 @needs_llvm
-def test_llvm_and_scalar_modes_agree() -> None:
-    fast = render("l_objects", (6, 6), projector_size=(4, 4), samples=4096, keep=1)
-    scalar = render("l_objects", (6, 6), projector_size=(4, 4), samples=256, keep=1, scalar=True)
-    assert scalar.metadata["renderer"].endswith("scalar_rgb")
-    a = fast.matrix.toarray() / fast.metadata["scale"]
-    b = scalar.matrix.toarray() / scalar.metadata["scale"]
-    noise = np.hypot(fast.metadata["noise_entries"], scalar.metadata["noise_entries"])
-    assert np.linalg.norm(a - b) < 1.5 * noise * np.linalg.norm(a)
-    again = render("l_objects", (6, 6), projector_size=(4, 4), samples=16, keep=1)
-    assert again.metadata["renderer"].endswith("llvm_ad_rgb")
-
-
-@needs_renderer
-def test_scalar_mode_obeys_energy_and_seed() -> None:
+def test_rendering_obeys_energy_and_seed() -> None:
     first, same, other = (
-        render("metal", (4, 5), projector_size=(3, 2), samples=40, seed=seed, scalar=True)
-        for seed in (1, 1, 2)
+        render("metal", (4, 5), projector_size=(3, 2), samples=40, seed=seed) for seed in (1, 1, 2)
     )
     assert first.camera_shape == (4, 5)
     assert first.projector_shape == (3, 2)
@@ -226,30 +208,3 @@ def test_a_damaged_cache_is_rendered_again(tmp_path: Path, monkeypatch: pytest.M
 def test_the_bundled_truth_needs_no_renderer(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(library, "render", None)
     assert library.truth("l_objects").camera_shape == (64, 64)
-
-
-@needs_llvm
-def test_thumbnails_show_every_scene(tmp_path: Path) -> None:
-    image = white_image("l_objects", (24, 24), samples=64)
-    assert image.shape == (24, 24)
-    assert image.std() > 0.2 * image.mean()
-    paths = write_thumbnails(tmp_path / "pictures", size=(24, 24))
-    assert [path.stem for path in paths] == list(names())
-    for path in paths:
-        assert read_image(path).shape == (24, 24)
-    write_thumbnails(str(tmp_path / "pictures"), size=(8, 8), overwrite=True)
-    assert read_image(paths[0]).shape == (8, 8)
-    listed = json.loads((tmp_path / "pictures" / "scenes.json").read_text())
-    assert list(listed) == list(names())
-
-
-def test_thumbnails_without_the_renderer_show_the_bundled_scenes(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def missing(*_: object, **__: object) -> None:
-        raise MissingExtraError("no renderer")
-
-    monkeypatch.setattr(library, "white_image", missing)
-    paths = write_thumbnails(tmp_path / "pictures")
-    assert [path.stem for path in paths] == list(library.BUNDLED)
-    assert all(read_image(path).shape == (64, 64) for path in paths)

@@ -14,6 +14,7 @@ from lightmatrix.simulation.renderer import load_mitsuba, mitsuba_scene
 from lightmatrix.simulation.scenes import Part, Scene, View, matt, names, scene
 from lightmatrix.simulation.shapes import Mesh, ball, sheet
 from lightmatrix.simulation.truth import binned, trace_surface, view_geometry
+from tests.helpers.renderer import needs_llvm
 
 
 def pixels(shape: tuple[int, ...]) -> np.ndarray:
@@ -54,12 +55,10 @@ def test_pixels_that_see_nothing_are_nan() -> None:
     assert (np.isfinite(surface.normals).all(axis=2) == seen).all()
 
 
+@needs_llvm
 @pytest.mark.parametrize("name", ["corner", "vase"])
 def test_views_and_surfaces_are_those_that_mitsuba_renders(name: str) -> None:
-    pytest.importorskip("mitsuba")
-    mi, fast = load_mitsuba()
-    if not fast:
-        pytest.skip("needs LLVM")
+    mi = load_mitsuba()
     built, camera, projector = scene(name), (24, 36), (20, 30)
     loaded = mitsuba_scene(mi, built, camera, projector)
     geometry = view_geometry(built, camera, projector)

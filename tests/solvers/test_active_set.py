@@ -17,7 +17,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy.optimize import minimize
-from scipy.sparse import csr_array
 
 from lightmatrix.capture.samples import Samples
 from lightmatrix.errors import InputError, SolverError
@@ -345,29 +344,6 @@ def test_hadamard_by_transform_agrees_with_the_same_patterns_as_images() -> None
     a = solve(problem, ActiveSet(tolerance=1e-7))
     b = solve(replace(problem, patterns=plain), ActiveSet(tolerance=1e-7))
     np.testing.assert_allclose(a.objective, b.objective, rtol=2e-7)
-
-
-def test_a_start_saves_passes_only() -> None:
-    problem = draw(BernoulliPatterns((20, 20), 90), 30, regularization=0.02)
-    cold = solve(problem, ActiveSet(tolerance=1e-6))
-    again = ActiveSet(tolerance=1e-6).solve(problem, start=cold.rows)
-    assert again.iterations.max() <= 1
-    np.testing.assert_allclose(again.objective, cold.objective, rtol=2e-6)
-    path = replace(problem, regularization=0.01)
-    warm = ActiveSet().solve(path, start=cold.rows)
-    assert warm.converged.all()
-    assert dense_gap(path, warm, Fidelity.ONE_SIDED).max() <= 1.01e-4
-
-
-def test_a_start_of_another_shape_or_with_invalid_values() -> None:
-    problem = draw(BernoulliPatterns((6, 6), 20), 3)
-    result = solve(problem, ActiveSet())
-    with pytest.raises(InputError, match="the start has shape"):
-        ActiveSet().solve(problem.take(np.arange(2)), start=result.rows)
-    negative = csr_array(np.full((3, 36), -1.0))
-    restarted = ActiveSet().solve(problem, start=replace(result.rows, coefficients=negative))
-    assert restarted.converged.all()
-    assert restarted.coefficients.data.min() >= 0
 
 
 def test_rows_stop_at_the_limit_of_passes() -> None:

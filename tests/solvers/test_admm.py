@@ -12,12 +12,12 @@ from scipy.sparse import csr_array
 
 from lightmatrix.errors import InputError, SolverError
 from lightmatrix.patterns.bits import BernoulliPatterns
-from lightmatrix.solvers import ADMM, ROMP, ActiveSet, Fidelity, Problem, SaturationADMM, solve
+from lightmatrix.solvers import ADMM, Fidelity, Problem, SaturationADMM, solve
 from lightmatrix.solvers.admm import System
-from lightmatrix.solvers.problem import objective, predictions, relative_gap
+from lightmatrix.solvers.problem import objective, relative_gap
 from tests.helpers.problems import clipping_problem, with_samples
 
-CONVEX = [Fidelity.LINEAR, Fidelity.ONE_SIDED, Fidelity.REJECTION, Fidelity.LIKELIHOOD]
+CONVEX = [Fidelity.LINEAR, Fidelity.ONE_SIDED, Fidelity.REJECTION]
 # Projector size for rows that are solved to the last digit. That takes 1,800 iterations here, but
 # up to 13,000 at 9 x 11.
 QUICK: dict[str, Any] = {"rows": 4, "shape": (6, 7), "count": 24}
@@ -160,36 +160,6 @@ def test_optimum_is_certified_by_its_duality_gap(
     assert result.gap.max() < 1e-5
 
 
-def test_likelihood_with_a_narrow_edge_is_one_sided() -> None:
-    problem, _ = clipping_problem()
-    hard, soft = Fidelity.ONE_SIDED, Fidelity.LIKELIHOOD
-    x = csr_array(np.random.default_rng(2).random((problem.rows, problem.patterns.pixels)) / 40)
-    b = np.zeros(problem.rows)
-    assert (predictions(problem, x, b) < problem.samples.values)[problem.samples.clipped].any()
-    previous = np.inf
-    for edge in (0.1, 0.01, 1e-3, 1e-4):
-        narrow = replace(problem, edge_noise=edge)
-        distance = np.abs(objective(narrow, x, b, soft) - objective(problem, x, b, hard)).max()
-        assert distance < previous
-        previous = distance
-    assert distance < 1e-4
-
-
-@pytest.mark.parametrize("edge", [0.0, -0.1, 2.0, np.nan])
-def test_edges_out_of_range_are_refused(edge: float) -> None:
-    problem, _ = clipping_problem()
-    with pytest.raises(InputError, match="edge_noise"):
-        replace(problem, edge_noise=edge)
-
-
-@pytest.mark.parametrize("solver", [ActiveSet, ROMP])
-def test_solvers_without_the_likelihood_say_so(solver: Any) -> None:
-    with pytest.raises(SolverError, match="likelihood") as caught:
-        solver(fidelity=Fidelity.LIKELIHOOD)
-    assert caught.value.hint is not None
-    assert "saturation-admm" in caught.value.hint
-
-
 @pytest.mark.parametrize("fidelity", CONVEX)
 @pytest.mark.parametrize("nonnegative", [False, True])
 def test_no_dual_value_is_above_any_primal_one(fidelity: Fidelity, nonnegative: bool) -> None:
@@ -226,7 +196,7 @@ def test_no_dual_value_is_above_any_primal_one(fidelity: Fidelity, nonnegative: 
     np.testing.assert_allclose(highest, optimum, rtol=1e-4)
 
 
-@pytest.mark.parametrize("fidelity", [Fidelity.CLIPPED, Fidelity.ONE_SIDED, Fidelity.LIKELIHOOD])
+@pytest.mark.parametrize("fidelity", [Fidelity.CLIPPED, Fidelity.ONE_SIDED])
 def test_clip_aware_estimates_are_far_better(fidelity: Fidelity) -> None:
     problem, x = clipping_problem(
         rows=20, shape=(16, 16), count=120, clip_level=1.5, regularization=0.02

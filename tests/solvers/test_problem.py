@@ -55,13 +55,6 @@ def test_progress_counts_finished_rows() -> None:
     assert [done for done, _ in seen] == sorted(done for done, _ in seen)
 
 
-def test_history_is_kept() -> None:
-    problem, _ = clipping_problem()
-    result = solve(problem, SaturationADMM())
-    assert len(result.history["primal"]) == result.iterations.max()
-    assert result.history["rows"][0] == problem.rows
-
-
 def test_the_default_background_column_is_the_means() -> None:
     problem, _ = clipping_problem(seed=5)
     means = problem.patterns.means
@@ -74,16 +67,6 @@ def test_the_default_background_column_is_the_means() -> None:
         # Twice the column has half the coefficient.
         double = solve(replace(problem, background_column=2 * means), solver)
         np.testing.assert_allclose(2 * double.background, one.background, rtol=0.05, atol=5e-3)
-
-
-def test_some_patterns_keep_their_part_of_the_column() -> None:
-    problem, _ = clipping_problem()
-    column = np.linspace(0, 1, 40)
-    some = replace(problem, background_column=column).frames(np.array([3, 17, 5]))
-    np.testing.assert_array_equal(some.column, column[[3, 17, 5]])
-    np.testing.assert_array_equal(some.samples.values, problem.samples.values[:, [3, 17, 5]])
-    own = problem.frames(np.array([3, 17, 5]))
-    np.testing.assert_array_equal(own.column, problem.patterns.means[[3, 17, 5]])
 
 
 @pytest.mark.parametrize("column", [np.zeros(3), np.zeros((40, 1)), np.full(40, np.nan)])

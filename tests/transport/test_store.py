@@ -174,9 +174,11 @@ def test_npz_of_others(tmp_path: Path) -> None:
     export(tmp_path / "half.npz", transport())
     whole = (tmp_path / "half.npz").read_bytes()
     (tmp_path / "half.npz").write_bytes(whole[: len(whole) // 2])
-    for name in ("other.npz", "text.npz", "half.npz"):
+    for name in ("text.npz", "half.npz"):
         with pytest.raises(InputError, match="cannot be read as npz"):
             import_npz(tmp_path / name)
+    with pytest.raises(InputError, match="no sparse matrix: format, shape, data"):
+        import_npz(tmp_path / "other.npz")
     with pytest.raises(InputError, match="no such file"):
         import_npz(tmp_path / "none.npz")
 

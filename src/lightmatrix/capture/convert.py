@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import csv
 import math
-import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -153,36 +152,19 @@ def _exposures(place: Path) -> dict[str, float]:
 
 def _columns(text: str) -> dict[str, str] | list[str]:
     """Names and exposures, or exposures alone, of a table; a ValueError says why it is none."""
-    lines = [line for line in text.splitlines() if line.strip()]
-    # Spreadsheets that write 0,5 for a half separate columns by semicolons, or quote the number.
-    mark = next((mark for mark in ";\t" if mark in text), ",")
-    rows = [[field.strip() for field in row] for row in csv.reader(lines, delimiter=mark)]
-    width = max(map(len, rows), default=0)
-    if any(len(row) != width for row in rows):
-        raise ValueError("its lines have different numbers of columns")
-    column, called = width - 1, list[int]()
-    if rows and not any(_number(field) for field in rows[0]):
-        words = re.compile("expos|time|second", re.IGNORECASE)
-        called = [k for k, name in enumerate(rows.pop(0)) if words.search(name)]
-        column = called[0] if len(called) == 1 else column
-    if width > 2 and len(called) != 1:
-        raise ValueError(
-            f"it has {width} columns, and no first line that calls one of them exposure; "
-            "write 0.5 with a point"
-        )
-    if width == 2 and all(field.isdecimal() for row in rows for field in row):
-        raise ValueError("it has whole numbers in both columns; write 0.5 with a point")
-    values = [row[column].replace(",", ".") for row in rows]
-    if width < 2:
-        return values
-    names = [row[0] for row in rows]
+    rows = [row for row in csv.reader(text.splitlines()) if row]
+    # A first line without a number names the columns.
+    if rows and math.isnan(as_float(rows[0][-1])):
+        del rows[0]
+    widths = {len(row) for row in rows}
+    if not widths <= {1} and not widths <= {2}:
+        raise ValueError("its lines do not all have one column, or two; write 0.5 with a point")
+    if widths != {2}:
+        return [row[0] for row in rows]
+    names, values = zip(*rows, strict=True)
     if len(set(names)) < len(names):
         raise ValueError("it names a photograph twice")
     return dict(zip(names, values, strict=True))
-
-
-def _number(text: str) -> bool:
-    return not math.isnan(as_float(text.replace(",", ".")))
 
 
 def convert(

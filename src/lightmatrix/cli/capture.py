@@ -54,10 +54,7 @@ def capture(
             help="Exposure of all frames, in seconds.", show_default="as measured, possibly several"
         ),
     ] = None,
-    settle: Annotated[
-        float | None,
-        Option(help="Seconds to wait after showing a pattern.", show_default="as measured"),
-    ] = None,
+    settle: options.Settle = None,
     response: Annotated[
         str, Option(help="Response of the camera: linear, gamma:2.2, srgb, FILE.")
     ] = "linear",
@@ -88,7 +85,7 @@ def capture(
 ) -> None:
     """Photograph patterns with a rig; interrupted runs go on.
 
-    The rig is measured first: settle time, exposures, flicker, response and linearity. Later
+    The rig is measured first: settle time, exposures, flicker and response. Later
     captures only check these by a short look. Frames that are late, torn, lost or copied are taken
     again.
     """

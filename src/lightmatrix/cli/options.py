@@ -49,7 +49,14 @@ RigName = Annotated[
 ]
 ProjectorName = Annotated[str | None, Option("--projector", help="A projector, such as window:1.")]
 CameraName = Annotated[str | None, Option("--camera", help="A camera, such as aravis:ID.")]
-Patience = Annotated[float, Option(help="Seconds to wait for a frame after its exposure.")]
+Settle = Annotated[
+    float | None,
+    Option(help="Seconds to wait after showing a picture.", show_default="as measured"),
+]
+# Only slow cameras need it, so the help does not show it.
+Patience = Annotated[
+    float, Option(hidden=True, help="Seconds to wait for a frame after its exposure.")
+]
 RigFile = Annotated[
     Path, Option("--rig-file", help="The file that keeps the measurements of the rig.")
 ]

@@ -32,7 +32,6 @@ def render(
     samples: Annotated[int, Option("--spp", help="Light paths per camera pixel.")] = USUAL_SAMPLES,
     keep: Annotated[float, Option(help="Share of each row's energy to keep.")] = 0.999,
     colour: Annotated[bool, Option(help="Render three camera samples per pixel.")] = False,
-    scalar: Annotated[bool, Option(help="Use the slow renderer without LLVM.")] = False,
     seed: Seed = 0,
     overwrite: Overwrite = False,
     as_json: Json = False,
@@ -51,7 +50,6 @@ def render(
             seed=seed,
             keep=keep,
             colour=colour,
-            scalar=scalar,
             progress=report,
         )
     truth.save(output, overwrite=overwrite)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated
 
 from typer import Argument, Option
 
@@ -12,8 +12,6 @@ from lightmatrix.cli.options import Json, Overwrite, ResponseCurve, output_optio
 from lightmatrix.cli.source import level_or_file, numbers
 from lightmatrix.cli.terminal import say, show_json
 from lightmatrix.errors import InputError
-
-Method = Literal["debevec", "robertson"]
 
 
 def response(
@@ -33,9 +31,6 @@ def response(
             show_default="as the camera wrote it into JPEG and TIFF files",
         ),
     ] = None,
-    method: Annotated[
-        Method, Option(help="Debevec's curve is smooth; Robertson's is rough and follows bends.")
-    ] = "debevec",
     black: Annotated[
         str | None,
         Option(
@@ -95,7 +90,6 @@ def response(
     measured = lm.camera_response(
         photographs,
         None if exposure is None else numbers(exposure, "--exposure"),
-        method=method,
         black=None if black is None else level_or_file(black),
         clip=clip,
         output=output,

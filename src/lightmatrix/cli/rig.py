@@ -10,7 +10,15 @@ from typing import Any
 import typer
 
 import lightmatrix as lm
-from lightmatrix.cli.options import CameraName, Json, Patience, ProjectorName, RigFile, RigName
+from lightmatrix.cli.options import (
+    CameraName,
+    Json,
+    Patience,
+    ProjectorName,
+    RigFile,
+    RigName,
+    Settle,
+)
 from lightmatrix.cli.terminal import say, show_json, stages
 from lightmatrix.defaults import RIG_FILE, USUAL_PATIENCE
 
@@ -47,7 +55,6 @@ _PARTS = {
     "settle": "Measure the shortest safe delay between showing and exposing.",
     "exposure": "Choose exposures from a white picture.",
     "response": "Measure the projector's light for each grey value.",
-    "linearity": "Test whether twice the exposure gives twice the level.",
     "flicker": "Test whether the projector or the room flickers.",
 }
 
@@ -68,11 +75,6 @@ def _lines(name: str, part: Mapping[str, Any]) -> Iterator[str]:
         )
     elif name == "response":
         yield f"the projector's gamma is {part['gamma']:.2f}; grey patterns are corrected by it"
-    elif name == "linearity":
-        yield (
-            f"off a straight line by {100 * part['deviation']:.1f} % at most; level goes with the "
-            f"exposure to the power of {part['exponent']:.3f}"
-        )
     else:
         if part["frequency"]:
             yield (
@@ -90,13 +92,16 @@ def _add_command(part: str) -> None:
         rig: RigName = None,
         projector: ProjectorName = None,
         camera: CameraName = None,
+        settle: Settle = None,
         patience: Patience = USUAL_PATIENCE,
         rig_file: RigFile = Path(RIG_FILE),
         as_json: Json = False,
     ) -> None:
         opened = lm.open_rig(rig, projector=projector, camera=camera, patience=patience)
         with opened, stages() as shown:
-            known = lm.measure_rig(opened, [part], keep=rig_file, progress=shown.measured)
+            known = lm.measure_rig(
+                opened, [part], keep=rig_file, settle=settle, progress=shown.measured
+            )
         measured: dict[str, Any] = known.as_dict()[part]
         if as_json:
             show_json({"rig_file": rig_file, part: measured})

@@ -32,7 +32,8 @@ def separate(
     """Split T into direct and global light.
 
     Direct light met one surface, global light several. Writes direct.zarr and global.zarr, whose
-    sum is T; the images direct and global as .png and .npy; confidence.npy and parallax.npy.
+    sum is T; direct.npy and global.npy, their images; separation.png, a picture of both;
+    confidence.npy and parallax.npy.
     """
     claim(output, SEPARATION, overwrite=overwrite)
     parts = lm.separate(

@@ -18,7 +18,7 @@ from lightmatrix.errors import InputError
 from lightmatrix.files.kinds import CAPTURE, PACKED_CAPTURE
 
 if TYPE_CHECKING:
-    from lightmatrix import Capture, PatternSet
+    from lightmatrix import PatternSet
 
 
 def simulate(
@@ -38,7 +38,8 @@ def simulate(
         Path | None, typer.Option("--patterns", help="Folder made by `lightmatrix patterns`.")
     ] = None,
     camera: Annotated[
-        str | None, typer.Option(help="procedural: camera pixels, such as 1024x1024.")
+        str | None,
+        typer.Option("--camera-size", help="procedural: camera pixels, such as 1024x1024."),
     ] = None,
     projector: Annotated[
         str | None,
@@ -46,12 +47,10 @@ def simulate(
     ] = None,
     count: Annotated[
         int | None,
-        typer.Option("-k", help="procedural: number of random patterns, in place of --patterns."),
+        typer.Option(
+            "-k", "--count", help="procedural: number of random patterns, in place of --patterns."
+        ),
     ] = None,
-    keep_truth: Annotated[
-        bool,
-        typer.Option("--truth", help="procedural: write truth.npz too, about 1.2 kB per pixel."),
-    ] = False,
     exposure: Annotated[
         str,
         typer.Option(
@@ -67,7 +66,7 @@ def simulate(
         float,
         typer.Option(help="Shot noise at the clip level, standard deviation as a share of it."),
     ] = 0.0,
-    black: Annotated[float, typer.Option(help="Black level in raw levels.")] = 0.0,
+    black: Annotated[float, typer.Option("--black-level", help="Raw level without light.")] = 0.0,
     blur: Annotated[
         float, typer.Option(help="Defocus of the projector, standard deviation in pixels.")
     ] = 0.0,
@@ -83,6 +82,7 @@ def simulate(
     primary: Annotated[
         Literal["red", "green", "blue"] | None,
         typer.Option(
+            "--colour",
             help="Primary of a colour projector that shows the patterns; the camera then has "
             "three channels.",
             show_default="white",
@@ -103,8 +103,7 @@ def simulate(
     """Photograph a scene under patterns.
 
     The command writes a capture folder, with the true T beside the frames as truth.npz. The scene
-    `procedural` has any --camera and --size, and is photographed block by block; `evaluate --truth
-    CAPTURE` computes its T again.
+    `procedural` has any --camera-size and --size.
     """
     packed = output.suffix.lower() == ".zarr"
     claim(output, PACKED_CAPTURE if packed else CAPTURE, overwrite=overwrite)
@@ -118,35 +117,19 @@ def simulate(
     }
     rig: dict[str, Any] = {"blur": blur, "leak": leak, "ambient": ambient, "vignetting": vignetting}
     rig |= {"primary": primary, "faults": _amounts(fault or [])}
-    only_procedural: dict[str, object] = {
-        "--camera": camera,
-        "--size": projector,
-        "-k": count,
-        "--truth": keep_truth or None,
-    }
-    capture: Capture
     with progress("simulating", "rows") as report:
         if scene == PROCEDURAL:
-            options = {f"--{name}": value or None for name, value in rig.items()}
-            _refuse({**options, "--fault": options.pop("--faults")}, PROCEDURAL)
             patterns = _patterns(pattern_folder, projector, count, seed)
-            capture = lm.simulate_procedural(
-                output,
-                lm.ProceduralScene(size(camera or projector or USUAL_SIZE), patterns.shape, seed),
-                patterns,
-                truth=keep_truth,
-                overwrite=overwrite,
-                progress=report,
-                **common,
-            )
-            clipped = capture.clipped_share
+            camera_shape = size(camera or projector or USUAL_SIZE)
+            truth = lm.ProceduralScene(camera_shape, patterns.shape, seed).truth()
+            capture = lm.simulate(truth, patterns, progress=report, **common, **rig)
         else:
-            _refuse(only_procedural, scene)
+            _refuse({"--camera-size": camera, "--size": projector, "-k": count}, scene)
             if pattern_folder is None:
                 raise InputError("--patterns is missing", hint="make some: lightmatrix patterns")
-            simulated = lm.simulate(scene, pattern_folder, progress=report, **common, **rig)
-            simulated.save(output, overwrite=overwrite)
-            capture, clipped = simulated, simulated.raw_clipped_share
+            capture = lm.simulate(scene, pattern_folder, progress=report, **common, **rig)
+        capture.save(output, overwrite=overwrite)
+    clipped = capture.raw_clipped_share
     if as_json:
         show_json(
             {

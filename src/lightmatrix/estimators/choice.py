@@ -17,7 +17,6 @@ import numpy as np
 
 from lightmatrix.capture.capture import Capture
 from lightmatrix.check.finding import Finding
-from lightmatrix.estimators.automatic_regularization import held_out_path
 from lightmatrix.estimators.base import Estimator
 from lightmatrix.estimators.camera_window import window_of_light
 from lightmatrix.estimators.coherent.estimator import CoherentEstimator
@@ -42,23 +41,16 @@ def choose_estimator(
 ) -> Estimator:
     """Choose the estimator that suits a capture.
 
-    The regularization "path" solves some rows for it. Where the settings leave open whether camera
-    pixels learn from their neighbours, a part of the camera is estimated both ways without some
-    frames. If the estimate row by row predicts these clearly better, it is chosen. `resources` is
-    the result of `estimate_resources`, if it is known already.
-
-    Raises
-    ------
-    InputError
-        If there are too few patterns or rows for a path of regularizations.
+    Where the settings leave open whether camera pixels learn from their neighbours, a part of the
+    camera is estimated both ways without some frames. If the estimate row by row predicts these
+    clearly better, it is chosen. `resources` is the result of `estimate_resources`, if it is known
+    already.
     """
     settings = settings or EstimateSettings()
     resources = resources or estimate_resources(capture, settings)
     solver, nonnegative = settings.row_solver, not settings.signed
     regularization = None
-    if settings.regularization == "path":
-        regularization = held_out_path(capture).best
-    elif not isinstance(settings.regularization, str):
+    if not isinstance(settings.regularization, str):
         regularization = float(settings.regularization)
     if settings.multi_scale:
         return MultiScaleEstimator(solver, regularization, nonnegative, settings.background)

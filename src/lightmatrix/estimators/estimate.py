@@ -84,13 +84,12 @@ def estimate(
         `find_projector_response`. None: the patterns are light, or black and white.
     solver : {"active-set", "saturation-admm", "admm", "romp"}
         active-set certifies a duality gap of each row.
-    fidelity : {"one-sided", "clipped", "likelihood", "rejection", "linear"}, optional
-        How clipped samples count: as a lower bound (convex), as in the paper's Eq. 6, as a lower
-        bound with a soft edge, not at all, at their value. None: one-sided; linear for admm,
-        rejection for romp.
-    regularization : "auto", "path" or float
+    fidelity : {"one-sided", "clipped", "rejection", "linear"}, optional
+        How clipped samples count: as a lower bound (convex), as in the paper's Eq. 6, not at all,
+        at their value. None: one-sided; linear for admm, rejection for romp.
+    regularization : "auto" or float
         The paper's lambda in units of camera sample at exposure 1; auto derives it from patterns
-        and samples; path takes, row by row, the value that best predicts patterns held out.
+        and samples.
     coherent : bool, optional
         Whether to learn from neighbouring camera pixels. None: with the active-set solver and up
         to 256 patterns, unless photographs held out are predicted better without.
@@ -205,9 +204,8 @@ def estimate(
     elif not resources.fits:
         warn(f"this takes {resources}\n  {resources.advice}")
     several = settings.workers is not None or settings.cluster is not None
-    each = resources.memory // resources.workers
     # Workers are checked before the frames are read, which takes longer.
-    with dask_pool(workers, cluster, each) if several else nullcontext() as pool:
+    with dask_pool(workers, cluster) if several else nullcontext() as pool:
         refuse_unusable(capture)
         check_frames = partial(refuse_unordered, capture) if check else list
         remarks: dict[str, Any] = {}

@@ -14,7 +14,7 @@ from scipy.sparse import csr_array
 from lightmatrix.capture.capture import Capture
 from lightmatrix.capture.samples import Samples
 from lightmatrix.errors import InputError
-from lightmatrix.estimators.automatic_regularization import automatic_regularization
+from lightmatrix.estimators.automatic_regularization import automatic_regularization, column_length
 from lightmatrix.estimators.base import (
     Estimator,
     Plan,
@@ -28,7 +28,6 @@ from lightmatrix.patterns.pattern_set import ImagePatterns, PatternSet
 from lightmatrix.solvers import Solver, solve
 from lightmatrix.solvers.loop import Progress
 from lightmatrix.solvers.problem import Problem, Result
-from lightmatrix.solvers.regularization import column_length
 from lightmatrix.transport.checkpoint import Span
 from lightmatrix.transport.sparse_rows import SparseRows
 
@@ -119,8 +118,7 @@ class MultiScaleEstimator(Estimator):
     Parameters
     ----------
     solver : Solver
-        ADMM, SaturationADMM, ROMP or ActiveSet, for the last scale; for all unless there is a
-        `coarse_solver`.
+        ADMM, SaturationADMM, ROMP or ActiveSet.
     regularization : float or None
         The paper's lambda at single pixels, as for `PlainEstimator`. At coarser scales it falls
         with the length of the patterns' columns.
@@ -134,8 +132,6 @@ class MultiScaleEstimator(Estimator):
     active : float
         A projector block is active if it has at least this share of the highest score, in [0, 1);
         0 keeps everything.
-    coarse_solver : Solver or None
-        Solver of all scales but the last, such as the same with fewer iterations.
 
     Raises
     ------
@@ -158,7 +154,6 @@ class MultiScaleEstimator(Estimator):
     coarsest: int = 8
     camera_block: int = 8
     active: float = 0.1
-    coarse_solver: Solver | None = None
 
     def __post_init__(self) -> None:
         if self.coarsest < 1 or self.coarsest & (self.coarsest - 1):
@@ -180,12 +175,9 @@ class MultiScaleEstimator(Estimator):
         regularization = self.regularization
         if regularization is None:
             regularization = automatic_regularization(capture)
-        coarse = solver_provenance(self.coarse_solver or self.solver)
         provenance = {
             "estimator": "multi-scale",
             **solver_provenance(self.solver),
-            "coarse_solver": coarse["solver"],
-            "coarse_solver_parameters": coarse["solver_parameters"],
             "regularization": regularization,
             "nonnegative": self.nonnegative,
             "background": self.background,
@@ -204,7 +196,7 @@ class _Strips(OneStep):
     estimator: MultiScaleEstimator
     regularization: float
 
-    def tiles(self, step: str, parts: int = 1, *, shrinking: bool = False) -> Iterator[Span]:
+    def tiles(self, step: str, parts: int = 1) -> Iterator[Span]:
         # The pixels of a block share their candidates, so that no strip cuts a block.
         rows = self.capture.camera_shape[0]
         width = self.capture.rows // rows
@@ -266,9 +258,7 @@ class _Strips(OneStep):
             background_column=problem.column,
             regularization=scale.regularization,
         )
-        last = scale.block == 1
-        solver = self.estimator.solver if last else self.estimator.coarse_solver
-        return solve(restricted, solver or self.estimator.solver)
+        return solve(restricted, self.estimator.solver)
 
     @cached_property
     def _scales(self) -> list[Scale]:

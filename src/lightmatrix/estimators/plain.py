@@ -88,11 +88,11 @@ class _Rows(OneStep):
     estimator: PlainEstimator
     regularization: float
 
-    def tiles(self, step: str, parts: int = 1, *, shrinking: bool = False) -> Iterator[Span]:
+    def tiles(self, step: str, parts: int = 1) -> Iterator[Span]:
         patterns, solver = self.capture.patterns, self.estimator.solver
         row_bytes = solver.row_bytes(patterns.count, patterns.pixels)
         most = self.estimator.tile_rows or max(1, TILE_BYTES // row_bytes)
-        return cut_rows(self.capture.rows, most, parts, shrinking)
+        return cut_rows(self.capture.rows, most, parts)
 
     def solve(self, start: int, stop: int, progress: Progress) -> SparseRows:
         samples = self.capture.samples(start, stop)

@@ -22,26 +22,6 @@ from lightmatrix.resources.threads import core_threads
 
 
 @dataclass(frozen=True)
-class _Bytes:
-    """Bytes of the arrays that a kind of estimate holds at its peak.
-
-    `python -m benchmarks.resource_estimate` measures that no estimate takes more.
-    """
-
-    # Each projector pixel takes this for halos and for the notes of threads.
-    pixel: float
-    # Each value of a pattern takes this for the pixels and spots under it. A coherent estimate
-    # has 64 more patterns, which were never shown.
-    value: float
-    # Patterns with grey values take this much more for each value.
-    grey_value: float
-    # Each row takes this for its entries before and after a round.
-    row: float
-    # Each camera sample takes this for its level, its value and its clip state.
-    sample: float
-
-
-@dataclass(frozen=True)
 class _Size:
     """How large an estimate is."""
 
@@ -83,26 +63,32 @@ class _Size:
     @property
     def memory(self) -> int:
         """Bytes of memory at its peak."""
-        each, values = _Bytes(100, 19, 28, 400, 9), self.pixels * self.count
+        # Bytes of each projector pixel (halos, notes of threads), of each value of a pattern, the
+        # pixels and spots under it included, and of grey values besides; of each row (entries
+        # before and after a round), and of each camera sample (its level, value and clip state).
+        # `python -m benchmarks.resource_estimate` measures that no estimate takes more.
+        pixel, value, grey, row, sample = 100, 19, 28, 400, 9
+        values = self.pixels * self.count
         if self.coherent:
-            each = _Bytes(2700, 35, 26, 1500, 6)
+            pixel, value, grey, row, sample = 2700, 35, 26, 1500, 6
             if self.seed_spacing > GROWTH.near_seeds:
                 # Where light grows from few seeds, spots are kept in half precision.
-                each = _Bytes(1700, 13, 12, 100, 12)
+                pixel, value, grey, row, sample = 1700, 13, 12, 100, 12
+            # 64 more patterns were never shown.
             values = self.pixels * (self.count + 64)
         elif self.active_set:
             # The active set keeps this many values of patterns and no more.
             values = min(values, 1 << 25)
         # Stripes tell places less apart, so that coherent rows have more entries.
-        row = each.row + 1400 * (self.coherent and self.striped)
+        row += 1400 * (self.coherent and self.striped)
         # The active set takes less than half of the bytes that it may take of each row.
         share = 0.5 if self.active_set else 1.0
         solving = (
-            each.pixel * self.pixels
-            + each.value * values
-            + each.grey_value * self.pixels * self.count * self.grey
+            pixel * self.pixels
+            + value * values
+            + grey * self.pixels * self.count * self.grey
             + row * self.rows
-            + (each.sample + self.sample_bytes - 1) * self.rows * self.count
+            + (sample + self.sample_bytes - 1) * self.rows * self.count
             - self.temporary
             + share * min(self.rows * self.row_bytes, self.tile_bytes)
             # The regression of what the rig did takes up to 320,000 samples and their margins, and
@@ -282,20 +268,21 @@ def estimate_resources(
 
 def _advice(capture: Capture, size: _Size, available: int) -> str:
     """The smallest bins of the camera, or of the projector, with which the estimate fits."""
+
+    def coarse(side: str, block: int) -> _Size:
+        if side == "camera":
+            rows, cols, *channels = size.camera
+            camera = (-(-rows // block), -(-cols // block), *channels)
+            return replace(size, camera=camera, sample_bytes=5)
+        pixels = math.prod(-(-length // block) for length in capture.projector_shape)
+        return replace(size, pixels=pixels, grey=True)
+
     fitting = []
-    for block in range(2, 33):
-        rows, cols, *channels = size.camera
-        camera = (-(-rows // block), -(-cols // block), *channels)
-        if replace(size, camera=camera, sample_bytes=5).memory <= available:
-            down, right = (block * side for side in capture.bin_camera)
-            fitting.append(f"bin_camera=({down}, {right})")
-            break
-    for block in range(2, 33):
-        pixels = math.prod(-(-side // block) for side in capture.projector_shape)
-        if replace(size, pixels=pixels, grey=True).memory <= available:
-            down, right = (block * side for side in capture.bin_projector)
-            fitting.append(f"bin_projector=({down}, {right})")
-            break
+    for side in ("camera", "projector"):
+        blocks = (block for block in range(2, 33) if coarse(side, block).memory <= available)
+        if block := next(blocks, None):
+            down, right = (block * length for length in getattr(capture, f"bin_{side}"))
+            fitting.append(f"bin_{side}=({down}, {right})")
     if not fitting:
         return "use a machine with more memory, or bin camera and projector"
     return f"{' or '.join(fitting)} fits; or cut the camera's images to the part that matters"

@@ -109,8 +109,7 @@ class EstimateSettings:
         """Whether the camera pixels of a capture learn from their neighbours."""
         if self.coherent is not None:
             return self.coherent
-        suits = self._reason_against_coherent is None and self.regularization != "path"
-        return suits and capture.count <= COHERENT_UP_TO
+        return self._reason_against_coherent is None and capture.count <= COHERENT_UP_TO
 
     def check_cluster_output(self, output: str | Path | None) -> None:
         """Refuse a cluster without an output, beside which its workers write their tiles."""
@@ -137,22 +136,17 @@ class EstimateSettings:
 
     def _check_regularization(self) -> None:
         value = self.regularization
-        if isinstance(value, str) and value == "path" and self.coherent:
-            raise InputError(
-                "the regularization path is for rows by themselves, not for the coherent estimate",
-                hint="leave out one of the two",
-            )
         if not isinstance(value, str):
             check_number(
                 "a regularization",
                 value,
                 least=LEAST_REGULARIZATION,
                 most=MOST_REGULARIZATION,
-                hint="use auto, path or a positive number in units of camera sample, such as 0.3",
+                hint="use auto or a positive number in units of camera sample, such as 0.3",
             )
-        elif value not in ("auto", "path"):
+        elif value != "auto":
             raise InputError(
-                f"a regularization of {value!r}", hint="use auto, path or a number such as 0.3"
+                f"a regularization of {value!r}", hint="use auto or a number such as 0.3"
             )
 
     @property

@@ -48,11 +48,11 @@ class Work(Protocol):
         lower case letters, digits and hyphens.
         """
 
-    def tiles(self, step: str, parts: int = 1, *, shrinking: bool = False) -> Iterator[Span]:
+    def tiles(self, step: str, parts: int = 1) -> Iterator[Span]:
         """The rows start..stop of the tiles of a step, in order.
 
-        There are at least `parts` tiles where the step can be cut so. With `shrinking` they get
-        smaller towards the end, so that all workers finish at about the same time.
+        There are at least `parts` tiles where the step can be cut so. They get smaller towards the
+        end, so that all workers finish at about the same time.
         """
 
     def prepare(self, step: str, read: ReadStep) -> SolveTile:
@@ -82,7 +82,7 @@ class OneStep(ABC):
         return {ROWS: ()}
 
     @abstractmethod
-    def tiles(self, step: str, parts: int = 1, *, shrinking: bool = False) -> Iterator[Span]:
+    def tiles(self, step: str, parts: int = 1) -> Iterator[Span]:
         """The rows start..stop of the tiles, in order; see `Work`."""
 
     @abstractmethod
@@ -107,8 +107,7 @@ class WorkerPool(Protocol):
     """Other processes that solve tiles, and write them where the checkpoint keeps them."""
 
     @property
-    def parts(self) -> int:
-        """Into how many tiles a step is cut at least, so that every worker has some."""
+    def parts(self) -> int: ...
 
     def solve(
         self,
@@ -117,8 +116,7 @@ class WorkerPool(Protocol):
         spans: list[Span],
         checkpoint: Checkpoint,
         report: Callable[[int], None],
-    ) -> None:
-        """Solve tiles of a step, and count them as finished; `report` the rows that are done."""
+    ) -> None: ...
 
 
 @dataclass(frozen=True, eq=False)
@@ -160,7 +158,7 @@ def complete(
     # From the result backwards: a step is needed if a step with missing tiles follows from it.
     for step in reversed(list(work.steps)):
         if step == ROWS or any(step in work.steps[later] for later in missing):
-            tiles = work.tiles(step, parts, shrinking=True)
+            tiles = work.tiles(step, parts)
             if spans := unfinished_spans(tiles, finished.spans(step)):
                 missing[step] = spans
     for step in reversed(list(missing)):
@@ -236,12 +234,12 @@ def _solve_side_by_side(
             stopped.set()
 
 
-def cut_rows(rows: int, most: int, parts: int = 1, shrinking: bool = False) -> Iterator[Span]:
+def cut_rows(rows: int, most: int, parts: int = 1) -> Iterator[Span]:
     """Cut rows into tiles of at most `most`, in `parts` or more; see `Work.tiles`."""
     start, even = 0, -(-rows // parts)
     while start < rows:
         size = even
-        if shrinking and parts > 1:
+        if parts > 1:
             # A share of the rows that remain, but at least half of an equal part.
             size = max(-(-even // 2), -(-2 * (rows - start) // max(4, parts)))
         stop = min(rows, start + max(1, min(most, max(LEAST_TILE, size))))

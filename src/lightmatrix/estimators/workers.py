@@ -21,7 +21,6 @@ import platform
 import threading
 import time
 import warnings
-from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import CancelledError
 from contextlib import ExitStack, contextmanager
@@ -37,16 +36,13 @@ import numpy as np
 import scipy
 
 from lightmatrix._version import __version__
-from lightmatrix.capture.capture import Capture
-from lightmatrix.capture.frames import PixelFrames
-from lightmatrix.errors import ClusterError, InputError, LightMatrixError, MissingExtraError
+from lightmatrix.errors import ClusterError, InputError, LightMatrixError
 from lightmatrix.estimators.work import SolveTile, Work
-from lightmatrix.resources.memory import available_bytes
+from lightmatrix.files.extras import load_extra
 from lightmatrix.resources.threads import core_threads
 from lightmatrix.transport.checkpoint import (
     Checkpoint,
     Span,
-    fingerprint_token,
     read_tile,
     tile_name,
     write_tile,
@@ -75,7 +71,6 @@ _NO_SCHEDULER = "the connection to the scheduler was lost"
 _CONTINUE = "finished tiles are kept: run the same estimate again, with workers or without"
 _SAME_VERSIONS = "install the same version of lightmatrix, NumPy, SciPy and Python for all workers"
 _SHARE_OUTPUT = "write the output to a file system that all workers share, by the same path"
-_SHARE_CAPTURE = "put the capture on a file system that all workers share, by the same path"
 
 
 @dataclass(frozen=True)
@@ -106,12 +101,9 @@ class Job:
     """An estimate in a folder of running results that all workers share."""
 
     folder: str
-    # Hash of the packed estimate; `token` is the fingerprint of the running results, and `frame`
-    # the hash of a frame, by which a worker notices another capture.
+    # Hash of the packed estimate; `token` is the fingerprint of the running results.
     digest: str
     token: str
-    frame: str
-    version: str = __version__
 
 
 # ---- in the process that hands out tiles
@@ -149,7 +141,7 @@ class DaskPool:
         Raises
         ------
         ClusterError
-            If a worker does not see the capture or the output, all are gone, or a tile has killed
+            If a worker does not see the output, all are gone, or a tile has killed
             several of them.
         LightMatrixError
             As an estimate in one process.
@@ -204,17 +196,12 @@ class DaskPool:
                 self.client.cancel(list(running), force=True)
 
     def _job(self, work: Work, checkpoint: Checkpoint) -> Job:
-        """The job of an estimate; as it is new, every worker checks its access to the files."""
+        """The job of an estimate, packed into the folder of its running results."""
         if checkpoint not in self._jobs:
             data = pack_work(work)
             checkpoint.keep(_JOB_FILE, data)
             digest = hashlib.sha256(data).hexdigest()
-            frame = frame_digest(work.capture)
-            job = Job(str(checkpoint.folder), digest, checkpoint.token, frame)
-            for address, answer in self.client.run(check_access, job, on_error="return").items():
-                if isinstance(answer, BaseException):
-                    raise _worker_error(address, answer)
-            self._jobs[checkpoint] = job
+            self._jobs[checkpoint] = Job(str(checkpoint.folder), digest, checkpoint.token)
         return self._jobs[checkpoint]
 
 
@@ -254,10 +241,8 @@ def _words(error: BaseException) -> str:
 
 
 @contextmanager
-def dask_pool(
-    workers: int | None = None, cluster: str | None = None, memory: int = 0
-) -> Iterator[DaskPool]:
-    """A pool of new processes or of the workers at `cluster`, which take `memory` bytes each.
+def dask_pool(workers: int | None = None, cluster: str | None = None) -> Iterator[DaskPool]:
+    """A pool of new processes or of the workers at `cluster`.
 
     Raises
     ------
@@ -265,15 +250,9 @@ def dask_pool(
         If Dask is missing.
     ClusterError
         If workers cannot be started, the scheduler does not answer or has none, or one of them has
-        other versions or too little memory.
+        other versions.
     """
-    try:
-        import distributed  # noqa: F401
-    except ImportError as error:
-        raise MissingExtraError(
-            "estimates by several processes need Dask",
-            hint="install it: pip install 'lightmatrix[cluster]'",
-        ) from error
+    load_extra("distributed", "estimates by several processes need Dask", "cluster")
     with ExitStack() as stack:
         # Dask is silent here, as whatever matters becomes an error of ours.
         logger = logging.getLogger("distributed")
@@ -287,29 +266,17 @@ def dask_pool(
             client = stack.enter_context(_started(workers or 1))
         else:
             client = stack.enter_context(_connected(cluster))
-        answers = client.run(describe_worker, on_error="return")
-        for address, answer in answers.items():
+        for address, answer in client.run(describe_worker, on_error="return").items():
             if isinstance(answer, BaseException):
                 # Dask may wrap the ImportError of a worker into another exception.
                 raise _worker_error(address, ImportError(_words(answer)))
-            theirs = answer["versions"]
             differing = [
-                f"{name} {theirs.get(name)}, not {own}"
+                f"{name} {answer.get(name)}, not {own}"
                 for name, own in versions().items()
-                if theirs.get(name) != own
+                if answer.get(name) != own
             ]
             if differing:
                 raise ClusterError(f"{address}: has {', '.join(differing)}", hint=_SAME_VERSIONS)
-        hosts = Counter(answer["host"] for answer in answers.values())
-        for host, count in hosts.items():
-            free = min(each["available"] for each in answers.values() if each["host"] == host)
-            # `estimate_resources` compares workers of this machine with its free memory.
-            if cluster is not None and count * memory > free:
-                raise ClusterError(
-                    f"{host}: {count} workers take about {count * memory / 2**30:.2g} GiB of "
-                    f"memory, {free / 2**30:.2g} GiB are free",
-                    hint="use fewer workers with more threads each, or give memory for each",
-                )
         stack.callback(client.run, close_job, on_error="ignore")
         yield DaskPool(client)
 
@@ -458,16 +425,6 @@ def _rebuild(kind: type, values: dict[str, Any]) -> Any:
     return instance
 
 
-def frame_digest(capture: Capture) -> str:
-    """A hash of the first frame, or of some pixels where frames are stored by pixel."""
-    frames = capture.frames
-    if isinstance(frames, PixelFrames):
-        levels = frames.levels(0, min(64, int(np.prod(frames.shape))))
-    else:
-        levels = frames.read(0)
-    return hashlib.sha256(levels.tobytes()).hexdigest()
-
-
 def versions() -> dict[str, str]:
     """The versions that results depend on."""
     return {
@@ -496,46 +453,17 @@ _open_job = _OpenJob()
 _lock = threading.Lock()
 
 
-def describe_worker(dask_worker: Any) -> dict[str, Any]:
-    """The versions, host and free memory of a worker, JSON-ready."""
+def describe_worker(dask_worker: Any) -> dict[str, str]:
+    """The versions of a worker."""
     # Workers that we start have the variable already; others use the threads that Dask gives them.
     os.environ.setdefault(_CORE_THREADS, str(dask_worker.state.nthreads))
-    return {
-        "versions": versions(),
-        "host": platform.node(),
-        "available": available_bytes(),
-    }
-
-
-def check_access(job: Job) -> None:
-    """Check that this worker sees the capture and may write the output, or raise a ClusterError."""
-    folder = Path(job.folder)
-    if _wait_for(lambda: fingerprint_token(folder)) != job.token:
-        raise ClusterError(f"does not see the running results in {folder}", hint=_SHARE_OUTPUT)
-    if not os.access(folder, os.W_OK | os.X_OK):
-        raise ClusterError(
-            f"may not write in {folder}", hint="let workers run as a user who may write there"
-        )
-    with _lock:
-        work = _work(job)
-        try:
-            same = frame_digest(work.capture) == job.frame
-        except LightMatrixError as error:
-            raise ClusterError(
-                f"cannot read the capture: {error.message}", hint=_SHARE_CAPTURE
-            ) from error
-    if not same:
-        raise ClusterError("sees another capture by the path of this one", hint=_SHARE_CAPTURE)
+    return versions()
 
 
 def solve_tile(
     job: Job, step: str, span: Span, before: Mapping[str, list[Span]], threads: int
 ) -> None:
     """Solve the rows `span` of a step, given finished tiles `before`, and write them."""
-    if job.version != __version__:
-        raise ClusterError(
-            f"a worker has lightmatrix {__version__}, this is {job.version}", hint=_SAME_VERSIONS
-        )
     with _lock:
         os.environ.setdefault(_CORE_THREADS, str(threads))
         work = _work(job)

@@ -27,7 +27,7 @@ from lightmatrix.files.colours import COLOURS
 from lightmatrix.files.extras import RAW, read_exr, read_raw, write_exr
 from lightmatrix.files.kinds import IMAGE
 from lightmatrix.files.numpy_files import as_float32, read_npy
-from lightmatrix.files.reading import check_image_size, regular_file
+from lightmatrix.files.reading import MOST_VALUES, check_image_size, read_bytes, regular_file
 from lightmatrix.files.writing import atomic_file
 from lightmatrix.ranges import real_array
 
@@ -44,15 +44,14 @@ _PNG = b"\x89PNG\r\n\x1a\n"
 # two with an alpha channel.
 _PNG_CHANNELS = {0: 1, 2: 3, 3: 3, 4: 2, 6: 4}
 # Compressions of TIFF, by their number in its specification. All are decoded into as many bytes as
-# the image needs, while images within an image may announce any size; only JPEG is told its size.
-_JPEG = 7
+# the image needs, while an image within an image, such as a JPEG, may announce any size.
 _COMPRESSIONS = {
-    1: "none", 2: "CCITT", 3: "CCITT", 4: "CCITT", 5: "LZW", _JPEG: "JPEG", 8: "deflate",
+    1: "none", 2: "CCITT", 3: "CCITT", 4: "CCITT", 5: "LZW", 8: "deflate",
     32773: "PackBits", 32946: "deflate", 34925: "LZMA", 50000: "Zstandard",
 }  # fmt: skip
 # Photometric interpretations of TIFF: white is 0, black is 0, RGB, and the mosaics of raw files, in
-# which each pixel is one sample; a palette; and YCbCr, which the decoder of JPEG turns into RGB.
-_INVERTED, _PALETTE, _YCBCR = 0, 3, 6
+# which each pixel is one sample; and a palette.
+_INVERTED, _PALETTE = 0, 3
 _PHOTOMETRIC = (_INVERTED, 1, 2, 32803, 34892)
 _BITS = (1, 8, 10, 12, 14, 16, 32, 64)
 _ONE_IMAGE = "save one image a file, or give this file in place of the folder, as a stack"
@@ -284,8 +283,13 @@ def _check_file(file: Path) -> None:
         raise InputError(f"{file}: is empty (0 bytes)", hint="copy or export the file again")
 
 
+def _content(file: Path) -> bytes:
+    """All bytes of a file of values of 8 or 16 bits, which no image makes so large."""
+    return read_bytes(file, 4 * MOST_VALUES)
+
+
 def _read_png(file: Path) -> NDArray[Any]:
-    data = file.read_bytes()
+    data = _content(file)
     if not data.startswith(_PNG) or data[12:16] != b"IHDR":
         raise ValueError("not a PNG file")
     cols, rows, _, colour = struct.unpack_from(">IIBB", data, 16)
@@ -311,7 +315,7 @@ def _by_pillow(signature: bytes, kind: str) -> Callable[[Path], NDArray[Any]]:
     """The reader of a format that Pillow decodes, if the file begins like that format."""
 
     def read(file: Path) -> NDArray[Any]:
-        data = file.read_bytes()
+        data = _content(file)
         if not data.startswith(signature):
             raise ValueError(f"not a {kind} file")
         with Image.open(io.BytesIO(data)) as opened:
@@ -391,7 +395,7 @@ def check_page(file: Path, page: tifffile.TiffPage) -> None:
             hint=f"use one of {', '.join(dict.fromkeys(_COMPRESSIONS.values()))}, or PNG",
         )
     colours = int(page.photometric)
-    if colours not in _PHOTOMETRIC and (colours, page.compression) != (_YCBCR, _JPEG):
+    if colours not in _PHOTOMETRIC:
         words = "a palette" if colours == _PALETTE else f"colours of kind {colours}"
         raise InputError(f"{file}: has {words}", hint="save it in grey or RGB")
     if page.axes not in ("YX", "YXS", "SYX"):
@@ -408,18 +412,6 @@ def check_page(file: Path, page: tifffile.TiffPage) -> None:
     size = file.stat().st_size
     if min(offsets) < 8 or any(o + n > size for o, n in zip(offsets, counts, strict=True)):
         raise ValueError("the file ends early")
-    if page.compression == _JPEG:
-        # Its decoder takes the size from the strip, and fills up what is missing with grey.
-        cols = page.tilewidth if page.is_tiled else page.imagewidth
-        most = page.tilelength if page.is_tiled else min(page.rowsperstrip, page.imagelength)
-        with file.open("rb") as stream:
-            for offset, count in zip(offsets, counts, strict=True):
-                stream.seek(offset)
-                strip = stream.read(count)
-                with Image.open(io.BytesIO(strip)) as opened:
-                    fits = opened.width == cols and opened.height <= most
-                if not fits or b"\xff\xd9" not in strip[-3:]:
-                    raise ValueError("a strip of JPEG that is not whole, or of another size")
 
 
 def _read_pgm(file: Path) -> NDArray[Any]:
@@ -428,7 +420,7 @@ def _read_pgm(file: Path) -> NDArray[Any]:
     A file of 12 bits says so by its largest level, 4095, and its levels stay as they are; other
     readers, Pillow among them, stretch them to 65535.
     """
-    data = file.read_bytes()
+    data = _content(file)
     if not data.startswith(b"P5"):
         raise ValueError("not a binary PGM file")
     numbers, place = [], 2

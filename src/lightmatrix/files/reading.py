@@ -51,13 +51,14 @@ def read_bytes(path: str | Path, most: int = MOST_TEXT) -> bytes:
     """The content of a regular file of at most `most` bytes."""
     file = regular_file(path)
     try:
+        large = file.stat().st_size > most
         with file.open("rb") as stream:
-            content = stream.read(most + 1)
+            content = b"" if large else stream.read(most + 1)
     except OSError as error:
         raise InputError(
             f"{file}: cannot be read ({error.strerror or error})", hint="check its permissions"
         ) from error
-    if len(content) > most:
+    if large or len(content) > most:
         raise InputError(
             f"{file}: is larger than {most / 2**20:g} MiB", hint="check that it is the right file"
         )
@@ -121,12 +122,11 @@ def check_version(file: str | Path, stored: Any, version: int) -> None:
 
 
 def parse_json(text: str, name: str, *, finite: bool = True) -> Any:
-    """Parse JSON strictly: no key twice, no endless nesting, only finite numbers if `finite`."""
+    """Parse JSON; no key twice and, if `finite`, no NaN and Infinity."""
     try:
         return json.loads(
             text,
             parse_constant=_refuse_constant if finite else None,
-            parse_float=_finite if finite else None,
             object_pairs_hook=_distinct,
         )
     except RecursionError as error:
@@ -152,13 +152,6 @@ def errors_naming(file: Path) -> Iterator[None]:
 
 def _refuse_constant(word: str) -> float:
     raise ValueError(f"{word} is not a number in JSON")
-
-
-def _finite(digits: str) -> float:
-    value = float(digits)
-    if not math.isfinite(value):
-        raise ValueError("a number is too large")
-    return value
 
 
 def _distinct(pairs: list[tuple[str, Any]]) -> dict[str, Any]:

@@ -34,7 +34,7 @@ from lightmatrix.files.images import (
     read_page,
     turned_back,
 )
-from lightmatrix.files.numpy_files import read_npy_header, read_npz
+from lightmatrix.files.numpy_files import map_npy, read_npz
 from lightmatrix.files.reading import check_image_size, regular_file
 from lightmatrix.reprs import short_repr
 
@@ -81,8 +81,7 @@ def holds_several(file: Path) -> bool:
     """Whether an image file holds several; False also of damaged ones, which say so when read."""
     try:
         if file.suffix.lower() == ".npy":
-            with regular_file(file).open("rb") as stream:
-                shape = read_npy_header(stream).shape
+            shape = map_npy(file).shape
             return len(shape) == 4 or (len(shape) == 3 and shape[-1] > 4)
         with tifffile.TiffFile(file) as tiff:
             return len(tiff.pages) > 1 or _contiguous(file) is not None
@@ -102,7 +101,9 @@ def pages(path: str | Path) -> list[Page]:
         if suffix == ".npz":
             array = _single_array(file)
             count, reader = len(array), partial(np.take, array, axis=0)
-        elif mapped := _npy(file) if suffix == ".npy" else _contiguous(file):
+        elif suffix == ".npy":
+            count, reader = len(_checked(file, map_npy(file))), partial(_npy_page, file)
+        elif mapped := _contiguous(file):
             count, reader = mapped.shape[0], mapped.read
         else:
             with tifffile.TiffFile(file) as tiff:
@@ -118,12 +119,10 @@ class _Mapped:
     shape: tuple[int, ...]
     dtype: np.dtype[Any]
     offset: int
-    fortran: bool = False
     inverted: bool = False
 
     def read(self, index: int) -> NDArray[Any]:
-        order = "F" if self.fortran else "C"
-        mapped = np.memmap(self.file, self.dtype, "r", self.offset, self.shape, order)  # type: ignore[call-overload]
+        mapped = np.memmap(self.file, self.dtype, "r", self.offset, self.shape)
         # A copy: the file must not stay open, and the image must not change with it.
         image = np.array(mapped[index])
         return turned_back(image, 8 * image.itemsize) if self.inverted else image
@@ -134,14 +133,8 @@ def _tiff_page(file: Path, index: int) -> NDArray[Any]:
         return read_page(file, tiff.pages[index].aspage())
 
 
-def _npy(file: Path) -> _Mapped:
-    with file.open("rb") as stream:
-        header = read_npy_header(stream)
-        offset = stream.tell()
-    if header.bytes != file.stat().st_size - offset:
-        raise ValueError("its size does not fit its header")
-    _check_shape(file, header.shape)
-    return _Mapped(file, header.shape, header.dtype, offset, header.fortran)
+def _npy_page(file: Path, index: int) -> NDArray[Any]:
+    return np.array(map_npy(file)[index])
 
 
 def _contiguous(file: Path) -> _Mapped | None:
@@ -177,6 +170,11 @@ def _single_array(file: Path) -> NDArray[Any]:
             hint="save one array of (K, rows, cols) in it, or give an npy file",
         )
     (array,) = arrays.values()
+    return _checked(file, array)
+
+
+def _checked(file: Path, array: NDArray[Any]) -> NDArray[Any]:
+    """The array of a file, if it is a stack of images."""
     _check_shape(file, array.shape)
     return array
 

@@ -130,9 +130,8 @@ def read_patterns(source: str | Path) -> PatternSet:
     description = _read_description(place / DESCRIPTION) if paths else None
     difference = None
     if description is not None:
-        difference = _differing_size(description, paths)
         with errors_naming(place / DESCRIPTION):
-            operator = None if difference else remake_patterns(description)
+            operator = remake_patterns(description)
         if operator is not None:
             difference = _first_difference(operator, paths)
             if difference is None:
@@ -235,19 +234,6 @@ def _read_description(file: Path) -> dict[str, Any] | None:
             hint="remove it to read the patterns from their images",
         )
     return dict(content["description"])
-
-
-def _differing_size(description: dict[str, Any], paths: list[Path]) -> str | None:
-    """How a description differs from the images in count or size, before memory is spent."""
-    if description.get("kind") == "images":
-        return None
-    count, shape = description.get("count"), description.get("shape")
-    if count is not None and count != len(paths):
-        return f"its {len(paths)} images are not"
-    rows, cols = read_image(paths[0]).shape[:2]
-    if shape is not None and shape != [rows, cols]:
-        return f"{paths[0].name} is not among"
-    return None
 
 
 def _first_difference(operator: PatternSet, paths: list[Path]) -> str | None:

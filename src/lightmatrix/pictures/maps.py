@@ -32,7 +32,7 @@ class Map:
     # The quantity and unit of the colour scale.
     label: str
     # (rows, cols); NaN where a pixel has no value.
-    values: NDArray[np.float64]
+    values: NDArray[np.floating]
     # The values at the ends of the colour scale.
     low: float
     high: float
@@ -61,6 +61,13 @@ class Map:
         return np.asarray(self.colour_map(self.norm(self.shown), bytes=True))[..., :3]
 
 
+def light_map(light: NDArray[np.floating], title: str) -> Map:
+    """A row or column of T as an image, whose light fades over four decades around its peak."""
+    peak = max(float(light.max()), 1e-12)
+    label = "camera full scale per projector pixel"
+    return Map("light", title, label, light, peak / 1e4, peak, "inferno", logarithmic=True)
+
+
 def clipping_map(transport: LightTransport) -> Map:
     """Share of each camera pixel's samples that clipped, in per cent, in the worst channel."""
     shares = 100 * _diagnostic(transport, "clipped_share")
@@ -75,16 +82,11 @@ def gap_map(transport: LightTransport) -> Map:
     known = gaps[np.isfinite(gaps)]
     if not known.size:
         raise InputError("no row has a duality gap", hint="estimate with the solver active-set")
-    # A non-breaking hyphen keeps 7e-06 on one line.
-    middle, largest = (
-        f"{gap:.1g}".replace("-", "\u2011") for gap in (np.median(known), known.max())
-    )
-    title = f"Relative duality gap: median {middle}, largest {largest}"
+    middle, largest = 100 * np.median(known), 100 * known.max()
+    title = f"Duality gap: median {middle:.1g} %, largest {largest:.1g} %"
     label = "(P - D) / P of a camera pixel's row"
-    # The scale begins far below any tolerance of a solver, so that smaller gaps and those of dark
-    # rows (0) look alike.
-    high = max(1e-3, float(known.max()))
-    return Map("gap", title, label, gaps, 1e-7, high, logarithmic=True)
+    # Gaps below the usual tolerance look alike: bright pixels are rows that did not converge.
+    return Map("gap", title, label, gaps, 1e-3, 1, logarithmic=True)
 
 
 def footprint_map(transport: LightTransport) -> Map:

@@ -3,29 +3,35 @@
 from __future__ import annotations
 
 import io
+from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.colors import PowerNorm
 from matplotlib.figure import Figure
+from matplotlib.patches import Rectangle
 from numpy.typing import NDArray
 
 from lightmatrix.files.kinds import PICTURE
 from lightmatrix.files.writing import atomic_file
 from lightmatrix.patterns.pattern_set import to_grey
-from lightmatrix.pictures.maps import Map, correspondence_maps
-from lightmatrix.pictures.style import CLIPPED_COLOUR, COLOURS, STYLE, display, panel, white_level
+from lightmatrix.pictures.maps import Map, correspondence_maps, light_map
+from lightmatrix.pictures.style import (
+    CLIPPED_COLOUR,
+    COLOURS,
+    STYLE,
+    display,
+    fix_ticks,
+    panel,
+    white_level,
+)
 from lightmatrix.ranges import check_number, check_type
 from lightmatrix.transport.correspondence import correspondence
 from lightmatrix.transport.matrix import LightTransport
 from lightmatrix.transport.operator import HOW_TO_GIVE, TransportOperator, singular_values
-
-# The colours of a row or column follow this power of the values, which makes faint light beside a
-# bright spot visible. Chosen by eye.
-FAINT = 0.35
 
 
 class Picture(Figure):
@@ -102,35 +108,49 @@ def show_relit(
 
 
 def draw_row(transport: LightTransport, *camera_index: int) -> Picture:
-    """How much light each projector pixel sends to one camera sample."""
+    """How much light each projector pixel sends to one camera sample, beside the scene."""
     transport.row_number(camera_index)  # Refuses a pixel that the camera does not have.
     place = ", ".join(map(str, camera_index))
     if (region := transport.region) is not None:
         down, right = transport.provenance["capture_description"].get("bin_camera", (1, 1))
         row, col = np.add(region.corner, np.multiply(camera_index[:2], (down, right))).tolist()
         place += f"\n(pixel {row}, {col} of the photographs)"
-    return _faint(transport.row(*camera_index), f"Row of T: the light of camera pixel {place}")
+    scene = transport.relight(np.ones(transport.projector_shape, np.float32))
+    titles = f"Camera pixel {place}", "Its row of T: the projector"
+    return _spot(scene, camera_index, transport.row(*camera_index), titles)
 
 
 def draw_column(transport: LightTransport, row: int, col: int) -> Picture:
     """What the camera sees when one projector pixel is lit: the mean of its channels."""
-    image = transport.column(row, col)
-    grey = image if image.ndim == 2 else image.mean(axis=2)
-    return _faint(grey, f"Column of T: projector pixel {row}, {col} alone")
+    titles = f"Projector pixel {row}, {col}, in the dual image", "Its column of T: the camera"
+    return _spot(transport.dual_image(), (row, col), _grey(transport.column(row, col)), titles)
 
 
-def _faint(image: NDArray[Any], title: str) -> Picture:
-    """Draw one bright spot and the faint light around it, with a colour scale."""
-    # Negative light, which some estimates allow, is drawn black.
-    brightest = max(float(image.max()), 1e-12)
-    norm = PowerNorm(FAINT, 0, brightest, clip=True)
+def _grey(image: NDArray[Any]) -> NDArray[Any]:
+    return image if image.ndim == 2 else image.mean(axis=2)
+
+
+def _spot(
+    scene: NDArray[Any], index: tuple[int, ...], light: NDArray[Any], titles: tuple[str, str]
+) -> Picture:
+    """A pixel in its scene, its light on the other side, and that light around its peak."""
+    shown = light_map(light, titles[1])
+    peak = np.unravel_index(light.argmax(), light.shape)
+    # A usual footprint has a few pixels, and light around it that fades over some more.
+    first = [max(int(place) - 10, 0) for place in peak]
+    last = [min(int(p) + 10, n - 1) for p, n in zip(peak, light.shape, strict=True)]
+    top, left, bottom, right = first[0] - 0.5, first[1] - 0.5, last[0] + 0.5, last[1] + 0.5
     with mpl.rc_context(STYLE):
-        drawing = Picture(figsize=(4.6, 3.6), layout="constrained")
-        axes = drawing.subplots()
-        drawn = panel(axes, image, title, cmap="inferno", norm=norm, vmin=None, vmax=None)
-        ticks = [share * brightest for share in (0, 0.01, 0.05, 0.2, 0.5, 1)]
-        label = "camera full scale per projector pixel"
-        drawing.colorbar(drawn, ax=axes, label=label, ticks=ticks, format="%.2g")
+        drawing = Picture(figsize=(10.2, 3.4), layout="constrained")
+        around, whole, near = drawing.subplots(1, 3)
+        panel(around, display(_grey(scene), white_level(scene)), titles[0])
+        around.plot(index[1], index[0], "o", mfc="none", mec=COLOURS[1], ms=10, mew=2)
+        draw_into(drawing, whole, shown, bar=False)
+        corner, size = (left, top), (right - left, bottom - top)
+        whole.add_patch(Rectangle(corner, *size, fill=False, edgecolor="white", linewidth=0.8))
+        draw_into(drawing, near, replace(shown, title="Enlarged around its peak"))
+        near.set(xlim=(left, right), ylim=(bottom, top), xticks=(first[1], peak[1], last[1]))
+        near.set_yticks((first[0], peak[0], last[0]))
     return drawing
 
 
@@ -141,6 +161,22 @@ def draw_dual(transport: LightTransport) -> Picture:
         drawing = Picture(figsize=(3.6, 3.6), layout="constrained")
         title = "Dual image: seen from the projector"
         panel(drawing.subplots(), display(image, white_level(image)), title)
+    return drawing
+
+
+def draw_parts(images: Mapping[str, NDArray[Any]]) -> Picture:
+    """Parts of one photograph by name, faint ones brightened by a power of two."""
+    whole = max(map(white_level, images.values()))
+    with mpl.rc_context(STYLE):
+        drawing = Picture(figsize=(3.4 * len(images), 3.6), layout="constrained")
+        for axes, (name, image) in zip(
+            drawing.subplots(1, len(images)), images.items(), strict=True
+        ):
+            # Not more than 64 times, as a part may be black.
+            factor = 2.0 ** min(np.floor(np.log2(whole / white_level(image))), 6)
+            title = f"{name.capitalize()} light"
+            title += f", {factor:g} times as bright" if factor > 1 else ""
+            panel(axes, display(image, whole / factor), title)
     return drawing
 
 
@@ -171,7 +207,7 @@ def draw_correspondence(transport: LightTransport) -> Picture:
     with mpl.rc_context(STYLE):
         drawing = Picture(figsize=(10.2, 3.4), layout="constrained")
         for number, (axes, shown) in enumerate(zip(drawing.subplots(1, 3), maps, strict=True)):
-            _draw_into(drawing, axes, shown)
+            draw_into(drawing, axes, shown)
             # Lines of equal row or column, in eight bands, can be read without colour.
             known = min(shown.values.shape) >= 2 and np.isfinite(shown.values).any()
             if number < 2 and known:
@@ -184,12 +220,18 @@ def draw_map(shown: Map) -> Picture:
     """A map with its title and the scale of its colours."""
     with mpl.rc_context(STYLE):
         drawing = Picture(figsize=(4.4, 3.6), layout="constrained")
-        _draw_into(drawing, drawing.subplots(), shown)
+        draw_into(drawing, drawing.subplots(), shown)
     return drawing
 
 
-def _draw_into(drawing: Figure, axes: Axes, shown: Map) -> None:
+def draw_into(drawing: Figure, axes: Axes, shown: Map, *, bar: bool = True) -> None:
+    """Draw a map, and by default the scale of its colours, into axes."""
     options = {"cmap": shown.colour_map, "norm": shown.norm, "vmin": None, "vmax": None}
     drawn = panel(axes, shown.shown, shown.title, **options)
-    # The colour bar is as high as the map, whatever the frame's shape.
-    drawing.colorbar(drawn, cax=axes.inset_axes((1.03, 0, 0.05, 1)), label=shown.label)
+    if bar:
+        # The colour bar is as high as the map, whatever the frame's shape.
+        scale = axes.inset_axes((1.03, 0, 0.05, 1))
+        drawing.colorbar(drawn, cax=scale, label=shown.label)
+        if shown.logarithmic:
+            decades = 10.0 ** np.arange(np.ceil(np.log10(shown.low)), np.log10(shown.high) + 0.01)
+            fix_ticks(scale.yaxis, decades.tolist())

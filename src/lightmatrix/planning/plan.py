@@ -62,17 +62,16 @@ class ExpectedErrors:
     measured: bool
 
 
-def expectations(frames: int, *, exposures: str = "advised") -> list[ExpectedErrors]:
+def expectations(frames: int) -> list[ExpectedErrors]:
     """The errors of each estimator at a number of frames, by a power law between measured ones.
 
     None below the fewest that were measured, where errors are far larger. Patterns are mixed from
-    64 frames on. `exposures` is "advised" (`advise_exposures`) or "long",
-    the benchmarks' single one, at which a fifth of the rows have a single response that clips.
+    64 frames on, and exposures are those of `advise_exposures`.
     """
     rows = [
         row
         for row in table()
-        if row["exposures"] == exposures
+        if row["exposures"] == "advised"
         and row["density"] == 0.5
         and row["patterns"] == ("mix" if row["frames"] >= FEWEST_MIXED else "fine")
     ]

@@ -7,15 +7,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar, Literal, TypeAlias
 
-import matplotlib as mpl
 import numpy as np
 from numpy.typing import NDArray
 
 from lightmatrix.files.images import encode_image, read_image
 from lightmatrix.patterns.pattern_set import block_mean
-from lightmatrix.pictures.maps import Map
+from lightmatrix.pictures.maps import Map, light_map
 from lightmatrix.pictures.style import display, white_level
-from lightmatrix.pictures.transport import FAINT
 
 
 @dataclass(frozen=True)
@@ -191,17 +189,10 @@ def colour_image(
     return _image(_bytes(_shrink(colours, MOST_PIXELS, "sampled")), alternative, title, caption)
 
 
-def faint_image(light: NDArray[Any], alternative: str, title: str, caption: str = "") -> Image:
+def faint_image(light: NDArray[Any], title: str, caption: str = "") -> Image:
     """A row or column of T, with the faint light around its bright spot made visible."""
-    brightest = max(float(light.max()), 1e-12)
-    shown = np.clip(_shrink(np.asarray(light, float), MOST_PIXELS, "largest") / brightest, 0, 1)
-    colours = mpl.colormaps["inferno"]
-    pixels = np.asarray(colours(shown**FAINT, bytes=True))[..., :3]
-    bar = np.asarray(colours(np.linspace(0, 1, _BAR_PIXELS), bytes=True))[None, :, :3]
-    half = _number(0.5 ** (1 / FAINT) * brightest)
-    label = f"relative to the clip level; the middle of the scale is {half}"
-    scale = Scale(_address(bar), "0", _number(brightest), label)
-    return _image(pixels, alternative, title, caption, scale)
+    small = _shrink(np.asarray(light, float), MOST_PIXELS, "largest")
+    return image_of_map(light_map(small, title), caption)
 
 
 def difference_image(

@@ -252,5 +252,5 @@ def _validation_sentence(validation: Validation) -> str:
     photographs = "1 unseen photograph" if count == 1 else f"{count} unseen photographs"
     return (
         f"Prediction error on {photographs}: {percent(validation.error)} "
-        f"({percent(validation.mean_error)} for the mean photograph)."
+        f"(guessing the average photograph: {percent(validation.mean_error)})."
     )

@@ -1,8 +1,8 @@
 """The responses of a camera and of a projector, measured from photographs.
 
 The camera's comes from photographs of one scene at several exposures: a pixel's light grows with
-the exposure, which gives the light of each level up to a common factor (Debevec & Malik 1997;
-Robertson, Borman & Stevenson 2003). The projector's comes from photographs of a ramp, each of one
+the exposure, which gives the light of each level up to a common factor (Debevec & Malik 1997). The
+projector's comes from photographs of a ramp, each of one
 grey value all over.
 """
 
@@ -32,7 +32,7 @@ from lightmatrix.files.writing import check_output
 from lightmatrix.patterns.projector_curve import ProjectorResponse
 from lightmatrix.pictures.style import COLOURS, STYLE
 from lightmatrix.pictures.transport import Picture
-from lightmatrix.ranges import as_float, real_array, real_numbers
+from lightmatrix.ranges import as_float, check_positive, real_array, real_numbers
 from lightmatrix.reprs import short_repr
 
 Photographs = str | Path | NDArray[Any]
@@ -109,12 +109,6 @@ class PixelSeries:
         """Which levels are trusted, (K, M): near both ends, noise and clipping bend the curve."""
         return (self.values >= self.lowest) & (self.values <= self.highest)
 
-    def some(self, count: int) -> PixelSeries:
-        """`count` of the pixels, evenly from the darkest to the brightest."""
-        places = np.linspace(0, self.values.shape[1] - 1, count).astype(int)
-        values = np.ascontiguousarray(self.values[:, places])
-        return PixelSeries(values, self.exposures, self.black)
-
 
 def sample_pixels(
     frames: Frames,
@@ -190,31 +184,23 @@ class Residuals:
         return float(np.abs(self.off).max()) if len(self.off) else float("nan")
 
 
-def fit_curve(series: PixelSeries, method: str) -> NDArray[np.float64]:
+def fit_curve(series: PixelSeries) -> NDArray[np.float64]:
     """Light of the levels 0 to 255: 0 without light, 1 at the clip level, never decreasing."""
     cv2 = load_opencv("measuring a camera's response", "response")
-    if method == "debevec":
-        # A dense system is solved, of about 3000 equations at most: pixels times exposures. OpenCV
-        # takes its samples from a grid over the image; here the grid is the whole image.
-        side = min(17, int(np.sqrt(3000 / len(series.exposures))))
-        some = series.some(side * side)
-        images = [np.ascontiguousarray(row.reshape(side, side)) for row in some.values]
-        # The last number weighs smoothness. tests/responses/test_responses.py and
-        # `python -m benchmarks.response_curves` measure the errors that it leaves.
-        calibrate = cv2.createCalibrateDebevec(side * side, 50.0, False)
-    else:
-        # OpenCV's implementation needs images of three channels, and takes longer with more pixels.
-        some = series.some(10_000)
-        images = [np.repeat(row[None, :, None], 3, axis=2) for row in some.values]
-        # At most 100 iterations, until the curve changes by less than 1e-4.
-        calibrate = cv2.createCalibrateRobertson(100, 1e-4)
-    curve = calibrate.process(images, some.exposures.astype(np.float32))
+    # A dense system is solved, of about 3000 equations at most: pixels times exposures. OpenCV
+    # takes its samples from a grid over the image; here the grid is the whole image.
+    side = min(17, int(np.sqrt(3000 / len(series.exposures))))
+    places = np.linspace(0, series.values.shape[1] - 1, side * side).astype(int)
+    images = [np.ascontiguousarray(row[places].reshape(side, side)) for row in series.values]
+    # The last number weighs smoothness. tests/responses/test_responses.py and
+    # `python -m benchmarks.response_curves` measure the errors that it leaves.
+    calibrate = cv2.createCalibrateDebevec(side * side, 50.0, False)
+    curve = calibrate.process(images, series.exposures.astype(np.float32))
     fitted = np.asarray(curve, np.float64).reshape(TOP + 1, -1)[:, 0]
     low, high = series.lowest, series.highest
     levels = np.arange(TOP + 1)
     known = np.isfinite(fitted) & (fitted > 0) & (levels >= low) & (levels <= high)
-    # Debevec's curve is smooth, so it also holds for levels that no pixel had.
-    known &= np.isin(levels, series.values[series.trusted]) | (method == "debevec")
+    # The curve is smooth, so it also holds for levels that no pixel had.
     light = np.interp(levels, levels[known], fitted[known])
     low, high = int(levels[known][0]), int(levels[known][-1])
     # Noise and clipping bend both ends of the curve, so straight lines replace them; that of the
@@ -268,8 +254,6 @@ class CameraResponse:
         ranges of light, as a share of full light. Above 0.02, something else has changed.
     gamma : float
         Exponent g for which level^g is nearest to the curve.
-    method : str
-        How the curve was fitted: "debevec" or "robertson".
     exposures : (K,) float64
         Exposure of each photograph, in the unit in which they were given.
     channels : float, optional
@@ -292,7 +276,6 @@ class CameraResponse:
     uncertainty: float
     misfit: float
     gamma: float
-    method: str
     exposures: NDArray[np.float64]
     channels: float | None
     residuals: Residuals
@@ -302,7 +285,6 @@ class CameraResponse:
     def as_dict(self) -> dict[str, Any]:
         """Everything besides the curve, JSON-ready."""
         return {
-            "method": self.method,
             "uncertainty": round(self.uncertainty, 5),
             "misfit": round(self.misfit, 5),
             "gamma": round(self.gamma, 3),
@@ -330,7 +312,6 @@ def camera_response(
     photographs: Photographs,
     exposures: float | NDArray[Any] | list[float] | None = None,
     *,
-    method: str = "debevec",
     black: str | Path | float | None = None,
     clip: float | None = None,
     output: str | Path | None = None,
@@ -347,8 +328,6 @@ def camera_response(
         colour camera share one curve.
     exposures : (K,), optional
         Exposure of each in any unit. None: read from the files of the camera.
-    method : {"debevec", "robertson"}
-        Debevec's curve is smooth and needs few pixels; Robertson's is rough and follows bends.
     black : str, Path or float, optional
         Photograph with the cap on, or the raw level without light. None: 0.
     clip : float, optional
@@ -387,8 +366,6 @@ def camera_response(
     >>> round(measured.gamma, 1), lm.Response.parse("curve.json").full_scale
     (2.2, 255.0)
     """
-    if method not in ("debevec", "robertson"):
-        raise InputError(f"a method {method!r}", hint="use debevec or robertson")
     for path, kind in ((output, RESPONSE), (picture, PICTURE)):
         if path is not None:
             check_output(path, kind, overwrite=overwrite)
@@ -402,13 +379,7 @@ def camera_response(
             f"{steps[-1]:g}",
             hint="take 3 exposures at least, better 7, each twice the one before",
         )
-    # Robertson's curve is not smooth, so that neighbouring exposures have to overlap.
-    if method == "robertson" and (len(steps) < 5 or (steps[1:] / steps[:-1]).max() > 2.2):
-        raise InputError(
-            f"Robertson's curve from {len(steps)} exposures from {steps[0]:g} to {steps[-1]:g}",
-            hint="it needs 5 at least, each about twice the one before; Debevec's needs fewer",
-        )
-    end = range_end(frames.dtype)
+    end = range_end(frames.dtype, clip)
     top = end if clip is None else as_float(clip)
     dark = (
         float(np.median(read_image(black)))
@@ -425,10 +396,10 @@ def camera_response(
     # Curves of four sets of different pixels are averaged; their spread is the uncertainty. Four
     # are the fewest whose spread tells anything, and each keeps enough pixels.
     parts = [PixelSeries(series.values[:, k::4], series.exposures, series.black) for k in range(4)]
-    several = np.array([fit_curve(part, method) for part in parts])
+    several = np.array([fit_curve(part) for part in parts])
     curve = several.mean(axis=0)
     by_channel = [
-        fit_curve(sample_pixels(frames, times, clip=top, black=dark, channel=channel), method)
+        fit_curve(sample_pixels(frames, times, clip=top, black=dark, channel=channel))
         for channel in range(frames.shape[2] if len(frames.shape) == 3 else 0)
     ]
     residuals = measure_residuals(curve, series)
@@ -437,7 +408,6 @@ def camera_response(
         float(several.std(axis=0, ddof=1).max()),
         residuals.largest,
         nearest_gamma(curve, series),
-        method,
         times,
         max((float(np.abs(each - curve).max()) for each in by_channel), default=None),
         residuals,
@@ -526,8 +496,9 @@ def projector_response(
             f"grey values from {grey[0]:g} to {grey[-1]:g}",
             hint="give whole numbers that increase from 0 to 255, the photographs likewise",
         )
+    check_positive(clip=clip)
     camera = response if isinstance(response, Response) else Response.parse(response or "linear")
-    scale = camera.full_scale or range_end(frames.dtype)
+    scale = camera.full_scale or range_end(frames.dtype, clip)
     ceiling = float(camera.linearise(np.array((clip or scale) / scale)))
 
     def light(index: int) -> NDArray[np.float64]:

@@ -214,8 +214,7 @@ class _ClosedLoop:
         measuring: Callable[[str, int, int], None] | None,
     ) -> _ClosedLoop:
         """Measure the rig, choose an exposure, and compare white with what T says of it."""
-        parts = ("settle", "flicker", "response")
-        known = measure_rig(rig, parts, keep=keep, progress=measuring)
+        known = measure_rig(rig, ("flicker", "response"), keep=keep, progress=measuring)
         assert known.settle is not None
         assert known.flicker is not None
         photographer = Photographer(rig, known.settle.seconds)

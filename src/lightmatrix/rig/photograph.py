@@ -25,8 +25,8 @@ from lightmatrix.rig.rig import Rig, UnfitRigError
 
 # Photographs that are tried for each one that is wanted.
 TRIES = 4
-# Seconds to wait after showing an image while the settle time is not known: no projector that we
-# know of takes longer.
+# Seconds to wait after showing an image while the settle time is not known; a rig that takes longer
+# needs to have it stated.
 FIRST_SETTLE = 0.4
 # The standard deviation of normal noise is this many times its median distance from the mean.
 MEDIAN_TO_DEVIATION = 1.48
@@ -351,7 +351,8 @@ def find_white_and_black(photographer: Photographer) -> WhiteAndBlack:
     raise UnfitRigError(
         "the camera does not see the projector: a white picture looks like a black one",
         hint="is the projector on, its lens uncovered, the picture on the right monitor, and the "
-        "camera pointed at it? A picture that comes half a second late is not seen either",
+        f"camera pointed at it? One that comes {photographer.settle:g} s late is not seen either: "
+        "state how long to wait, settle=1",
     )
 
 
@@ -429,12 +430,12 @@ def take_references(photographer: Photographer, seconds: NDArray[np.float64]) ->
     black, white = plain_images(photographer.rig)
     long, short = float(seconds.max()), float(seconds.min())
     # The first frames wait longer, so that nothing of an earlier image is left.
-    waiting = replace(photographer, settle=FIRST_SETTLE)
+    waiting = replace(photographer, settle=max(FIRST_SETTLE, photographer.settle))
     # The noise of the black frame enters all samples alike, so more frames are averaged for it.
     dark = dark_short = take_average(waiting, black, long, 8)
     if short != long:
         dark_short = take_average(photographer, black, short, 3)
-    waiting = replace(photographer, settle=FIRST_SETTLE)
+    waiting = replace(waiting)
     bright = take_average(waiting, white, short, 5)
     references = References(dark, bright, dark_short.mean)
     if np.quantile(references.light, 0.99) < 0.01 * bright.clip_level:

@@ -20,7 +20,7 @@ from lightmatrix.files.writing import atomic_file
 from lightmatrix.geometry.rig_geometry import RigGeometry, decomposed
 from lightmatrix.pictures.maps import UNKNOWN, Map
 from lightmatrix.pictures.style import COLOURS, STYLE, panel
-from lightmatrix.pictures.transport import Picture
+from lightmatrix.pictures.transport import Picture, draw_into
 from lightmatrix.reprs import short_repr
 from lightmatrix.uses.separation import shifted
 
@@ -114,11 +114,18 @@ def depth_map(depth: NDArray[np.floating], units: str | None) -> Map:
     """Depth (rows, cols) as a map over the camera, near surfaces bright."""
     known = depth[np.isfinite(depth)]
     # A few wrong points must not make all others alike.
-    low, high = np.quantile(known, [0.005, 0.995]).tolist() if known.size else (0.0, 1.0)
+    low, high = np.quantile(known, [0.02, 0.98]).tolist() if known.size else (0.0, 1.0)
     # A plane that faces the camera has one depth only.
     high = max(high, low + 1e-6 * max(1.0, abs(low)))
-    label = f"distance along the camera's axis, {units or 'in the unit of the geometry'}"
-    return Map("depth", "Depth", label, depth.astype(np.float64), low, high, "viridis_r")
+    return Map(
+        "depth",
+        "Depth along the camera's axis",
+        units or "unit of the geometry",
+        depth.astype(np.float64),
+        low,
+        high,
+        "viridis_r",
+    )
 
 
 def normal_colours(normals: NDArray[np.floating]) -> NDArray[np.float64]:
@@ -256,6 +263,11 @@ class Shape:
         OutputError
             If the file exists, is not one of ours, or cannot be written.
         """
+        with atomic_file(path, CLOUD, overwrite=overwrite) as part:
+            self.write_points(part, mesh=mesh)
+
+    def write_points(self, part: Path, *, mesh: bool) -> None:
+        """Write the points as `save` does, but in place."""
         known = self.kept.ravel()
         # Light at this quantile is shown white, and bent for screens, which undo it.
         bright = float(np.quantile(self.albedo, 0.99)) if self.albedo.size else 0.0
@@ -278,7 +290,7 @@ class Shape:
         faces = surface_faces(self.depth, self.geometry) if mesh else None
         if faces is not None:
             lines += [f"element face {len(faces)}", "property list uchar int vertex_indices"]
-        with atomic_file(path, CLOUD, overwrite=overwrite) as part, part.open("wb") as stream:
+        with part.open("wb") as stream:
             stream.write(("\n".join([*lines, "end_header"]) + "\n").encode("ascii"))
             stream.write(table.tobytes())
             if faces is not None:
@@ -296,29 +308,30 @@ class Shape:
             If the file exists or cannot be written.
         """
         with atomic_file(path, DEPTH, overwrite=overwrite) as part:
-            if part.suffix.lower() == ".npy":
-                np.save(part, self.depth)
-            else:
-                tifffile.imwrite(part, self.depth)
+            self.write_depth(part)
+
+    def write_depth(self, part: Path) -> None:
+        """Write the depth as `save_depth` does, but in place."""
+        if part.suffix.lower() == ".npy":
+            np.save(part, self.depth)
+        else:
+            tifffile.imwrite(part, self.depth)
 
     def show(self) -> Picture:
         """A Matplotlib figure: maps of depth and normals, and which test a pixel failed."""
-        rows, cols = self.depth.shape
         with mpl.rc_context(STYLE):
-            drawing = Picture(figsize=(11, 1 + 3 * rows / cols), layout="constrained")
+            drawing = Picture(figsize=(11, 3.4), layout="constrained")
             depths, directions, tests = drawing.subplots(1, 3)
-            shown = depth_map(self.depth, self.geometry.units)
-            options: dict[str, Any] = {"cmap": shown.colour_map, "norm": shown.norm}
-            options |= {"vmin": None, "vmax": None}
-            image = panel(depths, shown.shown, shown.title, **options)
-            drawing.colorbar(image, ax=depths, label=shown.label, shrink=0.8)
+            draw_into(drawing, depths, depth_map(self.depth, self.geometry.units))
             panel(directions, normal_colours(self.camera_normals), _NORMALS)
             count = len(ShapeTest)
             # Colours of kept pixels and of the tests that others failed.
             colours = ListedColormap(("#f2f2f2", "#404040", *COLOURS[:4]))
-            options |= {"cmap": colours, "norm": BoundaryNorm(np.arange(count + 1) - 0.5, count)}
+            norm = BoundaryNorm(np.arange(count + 1) - 0.5, count)
+            options: dict[str, Any] = {"cmap": colours, "norm": norm, "vmin": None, "vmax": None}
             image = panel(tests, self.test, "Which test a pixel failed", **options)
-            bar = drawing.colorbar(image, ax=tests, ticks=range(count), shrink=0.8)
+            scale = tests.inset_axes((1.03, 0, 0.05, 1))
+            bar = drawing.colorbar(image, cax=scale, ticks=range(count))
             bar.set_ticklabels([test.name.lower().replace("_", " ") for test in ShapeTest])
         return drawing
 

@@ -1,9 +1,8 @@
-"""`lm.truth`, `lm.scenes`, `lm.write_thumbnails`: truths bundled, cached, or rendered on demand."""
+"""`lm.truth`, `lm.scenes`: truths bundled, cached, or rendered on demand."""
 
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
 from dataclasses import replace
 from importlib.resources import as_file, files
 from pathlib import Path
@@ -11,19 +10,13 @@ from typing import NamedTuple
 
 import numpy as np
 import platformdirs
-from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
-from lightmatrix.capture.capture import Capture
 from lightmatrix.capture.settings import TRUTH
-from lightmatrix.defaults import PROCEDURAL, USUAL_SAMPLES
-from lightmatrix.errors import InputError, MissingExtraError, OutputError, warn
-from lightmatrix.files.images import fill_image
-from lightmatrix.files.kinds import THUMBNAILS
+from lightmatrix.defaults import USUAL_SAMPLES
+from lightmatrix.errors import InputError, OutputError, warn
 from lightmatrix.files.numpy_files import read_npz
-from lightmatrix.files.writing import atomic_folder
-from lightmatrix.simulation.procedural import check_truth_fits, scene_of
-from lightmatrix.simulation.renderer import Progress, load_mitsuba, mitsuba_scene, render
+from lightmatrix.simulation.renderer import Progress, render
 from lightmatrix.simulation.scenes import Scene, names, scene
 from lightmatrix.simulation.truth import Truth, view_geometry
 
@@ -84,8 +77,7 @@ def truth(
     ----------
     name : str, Path or Truth
         A scene that `scenes` lists: bundled, cached, or rendered now and then cached. Or a truth
-        file, T.npz; or a simulated capture, packed or not, with a truth.npz or of a procedural
-        scene, whose truth is computed again. A truth is returned unchanged.
+        file, T.npz; or a simulated capture, packed or not. A truth is returned unchanged.
     size : (rows, cols)
         Camera and projector size of a scene. Bundled scenes have 64 x 64.
     samples : int, optional
@@ -121,14 +113,10 @@ def truth(
     if Path(name).is_dir() and not (isinstance(name, str) and name in names()):
         if (Path(name) / TRUTH).is_file():
             return Truth.load(Path(name) / TRUTH)
-        procedural = scene_of(Capture.open(name).provenance)
-        if procedural is None:
-            raise InputError(
-                f"{name} holds no {TRUTH} and is not of a {PROCEDURAL} scene",
-                hint="give a T.npz file, a capture made by `lightmatrix simulate`, or a scene",
-            )
-        check_truth_fits(procedural, name)
-        return procedural.truth()
+        raise InputError(
+            f"{name} holds no {TRUTH}",
+            hint="give a T.npz file, a capture made by `lightmatrix simulate`, or a scene",
+        )
     name = str(name)
     built = scene(name)
     if name in BUNDLED and size == BUNDLED_SIZE and samples is None and seed == 0:
@@ -185,75 +173,3 @@ def scenes() -> tuple[SceneSummary, ...]:
 def cache_folder() -> Path:
     """The folder of rendered truths, in the user's cache directory; made on first use."""
     return Path(platformdirs.user_cache_dir("lightmatrix", appauthor=False)) / "truth"
-
-
-def white_image(
-    name: str, shape: tuple[int, int], *, samples: int = 128, seed: int = 0
-) -> NDArray[np.float32]:
-    """The linear camera image (rows, cols) of a scene under a white pattern, path traced."""
-    mi, _ = load_mitsuba()
-    image = mi.render(mitsuba_scene(mi, scene(name), shape, shape), spp=samples, seed=seed)
-    return np.asarray(image, np.float32).mean(axis=2)
-
-
-def white_level(image: NDArray[np.float32]) -> float:
-    """The value of a linear image that a picture shows as white."""
-    # A few highlights must not make everything else dark. Chosen by eye on the bundled scenes.
-    return float(1.1 * np.quantile(image, 0.97))
-
-
-def write_thumbnails(
-    folder: str | Path,
-    *,
-    size: tuple[int, int] = (256, 256),
-    overwrite: bool = False,
-    progress: Callable[[int, int], None] | None = None,
-) -> list[Path]:
-    """Write NAME.png for every scene and a list, scenes.json.
-
-    Without the renderer, only the bundled scenes are drawn, from their matrices at 64 x 64.
-
-    Parameters
-    ----------
-    folder : str or Path
-        The folder to make.
-    size : (rows, cols)
-        Size of the pictures.
-    overwrite : bool
-        Whether an existing folder of thumbnails may be replaced.
-    progress : callable, optional
-        Called with (done, total) scenes.
-
-    Returns
-    -------
-    list of Path
-        The pictures.
-
-    Raises
-    ------
-    OutputError
-        If the folder exists, holds something else, or cannot be written.
-
-    Examples
-    --------
-    >>> import lightmatrix as lm
-    >>> paths = lm.write_thumbnails("thumbnails")  # doctest: +SKIP
-    """
-    written = []
-    with atomic_folder(folder, THUMBNAILS, overwrite=overwrite) as temporary:
-        for done, name in enumerate(names(), start=1):
-            try:
-                image = white_image(name, size)
-            except MissingExtraError:
-                if name not in BUNDLED:
-                    continue
-                known = truth(name)
-                image = np.asarray(known.matrix.sum(axis=1), np.float32).reshape(known.camera_shape)
-            shown = np.clip(image / white_level(image), 0, 1) ** (1 / 2.2)
-            fill_image(temporary / f"{name}.png", shown.astype(np.float32))
-            written.append(Path(folder) / f"{name}.png")
-            if progress is not None:
-                progress(done, len(names()))
-        descriptions = {path.stem: scene(path.stem).description for path in written}
-        (temporary / "scenes.json").write_text(json.dumps(descriptions, indent=2) + "\n")
-    return written

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
-from lightmatrix.errors import InputError, MissingExtraError, warn
+from lightmatrix.errors import InputError, MissingExtraError
 from lightmatrix.ranges import check_seed
 from lightmatrix.resources.memory import available_bytes
 from lightmatrix.simulation.scenes import Part, Scene, View
@@ -67,31 +67,27 @@ def usable_llvm() -> str | None:
     return None
 
 
-def load_mitsuba(*, scalar: bool = False) -> tuple[ModuleType, bool]:
-    """Mitsuba and whether it is the LLVM variant; warns if only the slow one is usable."""
+def load_mitsuba() -> ModuleType:
+    """Mitsuba in its LLVM variant."""
     if importlib.util.find_spec("mitsuba") is None:
         raise MissingExtraError(
             "rendering needs Mitsuba 3, which is not installed",
-            hint="from the source folder: .venv/bin/pip install -e '.[render]'",
+            hint='install the extra: pip install "lightmatrix[render]"',
         )
-    llvm = None if scalar else usable_llvm()
+    llvm = usable_llvm()
+    if llvm is None:
+        raise MissingExtraError(
+            "rendering needs LLVM 17 or newer, and none was found",
+            hint="on Debian and Ubuntu: apt-get install libllvm19 (or `make system-deps`); "
+            "elsewhere install LLVM, or name its library in DRJIT_LIBLLVM_PATH",
+        )
     if llvm:
         os.environ["DRJIT_LIBLLVM_PATH"] = llvm
     import mitsuba
 
     mi: Any = mitsuba
-    mi.set_variant("scalar_rgb" if llvm is None else "llvm_ad_rgb")
-    if llvm is None and not scalar:
-        _warn_once_of_slowness()
-    return mi, llvm is not None
-
-
-@cache
-def _warn_once_of_slowness() -> None:
-    warn(
-        "no usable LLVM was found, so the scalar renderer is used, about a hundred times slower; "
-        "on Debian and Ubuntu: apt-get install libllvm19 (or `make system-deps`)",
-    )
+    mi.set_variant("llvm_ad_rgb")
+    return mi
 
 
 def mitsuba_scene(
@@ -221,8 +217,6 @@ class LoadedScene:
     projector_shape: tuple[int, int]
     max_depth: int
     colour: bool
-    # Whether Mitsuba runs its LLVM variant; the scalar one traces path after path.
-    fast: bool
 
     @property
     def channels(self) -> int:
@@ -344,52 +338,6 @@ def _trace(loaded: LoadedScene, first: int, count: int, samples: int, seed: int)
     )
 
 
-def _trace_scalar(
-    loaded: LoadedScene, first: int, count: int, samples: int, seed: int
-) -> Contributions:
-    """All contributions of a block, path after path, for machines without LLVM."""
-    mi, scene, channels = loaded.mi, loaded.scene, loaded.channels
-    camera_rows, camera_cols = loaded.camera_shape
-    rows, cols = loaded.projector_shape
-    places: list[int] = []
-    values: list[float] = []
-    direct: list[bool] = []
-    random = np.random.default_rng(seed).random
-    context = mi.BSDFContext()
-    sensor = scene.sensors()[0]
-    for pixel in range(count):
-        camera_row, camera_col = divmod(first + pixel, camera_cols)
-        for _ in range(samples):
-            u = random(2)
-            film = mi.Point2f((camera_col + u[0]) / camera_cols, (camera_row + u[1]) / camera_rows)
-            ray, throughput = sensor.sample_ray(0.0, 0.5, film, mi.Point2f(0.5))
-            for depth in range(loaded.max_depth):
-                hit = scene.ray_intersect(ray)
-                if not hit.is_valid():
-                    break
-                u = random(5)
-                bsdf = hit.bsdf(ray)
-                light, emitted = scene.sample_emitter_direction(hit, mi.Point2f(u[0], u[1]), True)
-                if light.pdf > 0:
-                    value = np.asarray(
-                        throughput * bsdf.eval(context, hit, hit.to_local(light.d)) * emitted
-                    ).ravel()
-                    row = min(int(light.uv.y * rows), rows - 1)
-                    col = min(int(light.uv.x * cols), cols - 1)
-                    for channel in range(channels):
-                        places.append((pixel * channels + channel) * rows * cols + row * cols + col)
-                        values.append(float(value[channel] if loaded.colour else value.mean()))
-                        direct.append(depth == 0)
-                sample, factor = bsdf.sample(context, hit, u[2], mi.Point2f(u[3], u[4]))
-                throughput = throughput * factor
-                if not np.asarray(throughput).max() > 0:
-                    break
-                ray = hit.spawn_ray(hit.to_world(sample.wo))
-    return Contributions(
-        np.array(places, np.uint32), np.array(values, np.float32), np.array(direct, bool)
-    )
-
-
 Progress = Callable[[int, int], None]
 
 
@@ -402,7 +350,6 @@ def render(
     seed: int = 0,
     keep: float = 0.999,
     colour: bool = False,
-    scalar: bool = False,
     progress: Progress | None = None,
 ) -> Truth:
     """Render the light transport matrix of a scene, direct and global light kept apart.
@@ -429,8 +376,6 @@ def render(
         smaller entries is gathered into fewer ones, so every row keeps its sum.
     colour : bool
         Whether a camera pixel has three samples (red, green, blue) instead of one.
-    scalar : bool
-        Whether to use the scalar renderer even where LLVM is installed.
     progress : callable, optional
         Called with (done, total) paths.
 
@@ -445,7 +390,7 @@ def render(
     InputError
         On unknown scenes, sizes below 1, or more memory than there is.
     MissingExtraError
-        If Mitsuba is not installed.
+        If Mitsuba or LLVM is not installed.
 
     Examples
     --------
@@ -466,7 +411,7 @@ def render(
         raise InputError(f"keep is {keep}", hint="use a share of the energy such as 0.999")
     check_memory(size, projector, 3 if colour else 1)
     started = time.perf_counter()
-    mi, fast = load_mitsuba(scalar=scalar)
+    mi = load_mitsuba()
     loaded = LoadedScene(
         mi,
         mitsuba_scene(mi, scene, size, projector),
@@ -474,7 +419,6 @@ def render(
         projector,
         scene.max_depth,
         colour,
-        fast,
     )
     most = min(loaded.pixels, samples * loaded.max_depth)
     if needed_bytes(size, loaded.channels, most) > available_bytes():
@@ -564,12 +508,11 @@ class _Rendering:
         step = max(1, WAVEFRONT // count)
         shape = (count * self.loaded.channels, self.loaded.pixels)
         sums = csr_array(shape, dtype=np.complex64)
-        trace = _trace if self.loaded.fast else _trace_scalar
         for number, start in enumerate(range(0, samples, step)):
             paths = min(step, samples - start)
             key = (self.seed, first, half, number)
             stream = int(np.random.SeedSequence(key).generate_state(1)[0])
-            traced = sum_contributions(trace(self.loaded, first, count, paths, stream), shape)
+            traced = sum_contributions(_trace(self.loaded, first, count, paths, stream), shape)
             sums = traced if start == 0 else csr_array(sums + traced)
             self.paths_done += count * paths
             if self.progress is not None:

@@ -7,9 +7,12 @@ parallax. A `View` with a target is turned towards it instead.
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from difflib import get_close_matches
+from functools import partial
+from importlib.resources import files
 from math import sqrt
 from typing import Any
 
@@ -168,28 +171,24 @@ class Scene:
     projector: View = _PROJECTOR
 
 
-# Where rigid blocks came to rest after falling on a table and on each other, computed once with a
-# rigid-body simulation: position of the middle (x, y, z), then the quaternion (w, x, y, z).
-_BLOCKS = (
-    (0.3821, -0.0159, 0.0850, 0.0000, -0.8563, 0.5165, -0.0000),
-    (-0.7430, 0.4119, 0.0850, 0.5179, -0.0000, 0.0000, 0.8554),
-    (0.3180, -0.5462, 0.0850, 0.7394, -0.0000, -0.0000, 0.6732),
-    (-0.0561, 0.7807, 0.0850, 0.0000, -0.1452, -0.9894, -0.0000),
-    (-0.5580, -1.2624, 0.0850, -0.0000, 0.0220, -0.9998, -0.0000),
-    (0.2652, -0.7279, 0.1377, 0.3049, -0.6637, -0.2440, 0.6380),
-    (-0.3075, -0.8097, 0.1855, 0.0720, 0.9113, -0.3627, 0.1810),
-    (-0.1087, -0.1340, 0.1963, 0.0456, 0.2035, 0.9544, 0.2138),
-    (-0.3178, -0.1055, 0.2787, 0.2507, 0.5231, -0.7765, 0.2462),
-    (0.3035, -0.1450, 0.3360, 0.1537, 0.0085, -0.9881, 0.0013),
-    (0.2557, 0.5760, 0.2044, 0.0650, -0.2611, -0.9364, 0.2253),
-)
+def _at_rest(name: str) -> list[tuple[str, Callable[[Mesh], Mesh]]]:
+    """The parts that were strewn over a scene, by name, and what puts each in its place.
+
+    A rigid-body simulation let them fall on a table and on each other. The file holds the name, the
+    position of the middle (x, y, z), and the quaternion (w, x, y, z) of each.
+    """
+    text = (files("lightmatrix.simulation") / "data" / "poses.json").read_text()
+    return [
+        (part, partial(Mesh.placed, position=pose[:3], rotation=from_quaternion(pose[3:])))
+        for part, *pose in json.loads(text)[name]
+    ]
 
 
 def _l_objects() -> Scene:
     """A random pile of white L-shaped objects, as in the paper's Fig. 5 (a)."""
     block = l_block(leg=0.56, width=0.19, height=0.17)
-    blocks = [block.placed(pose[:3], from_quaternion(pose[3:])) for pose in _BLOCKS]
-    parts = [Part(sheet(), matt(0.35)), *(Part(mesh, matt(0.85)) for mesh in blocks)]
+    blocks = [Part(placed(block), matt(0.85)) for _, placed in _at_rest("l_objects")]
+    parts = [Part(sheet(), matt(0.35)), *blocks]
     return Scene(
         "l_objects", "a random pile of white L-shaped blocks on a grey table", tuple(parts)
     )
@@ -263,39 +262,13 @@ _PARTS = {
     "bracket": (bracket(leg=0.36, thickness=0.045, width=0.30), "Al", 0.3),
 }
 
-# Where they came to rest on the paper and on each other, as above.
-_METAL = (
-    ("washer", (0.4758, 0.7094, 0.0150, 0.0001, -0.2137, 0.9769, -0.0000)),
-    ("nut", (-0.8516, 0.7096, 0.1212, 0.5598, -0.5598, -0.4321, 0.4321)),
-    ("washer", (-0.0541, 0.4705, 0.0150, 0.0003, -0.6957, 0.7183, -0.0002)),
-    ("bracket", (0.7924, -0.9462, 0.1800, 0.1359, 0.1359, -0.6939, -0.6939)),
-    ("bolt", (-0.7392, 0.4863, 0.0840, 0.2009, 0.7172, -0.1623, -0.6472)),
-    ("washer", (0.2817, 0.6964, 0.0420, 0.7456, -0.0627, -0.0499, 0.6615)),
-    ("bolt", (-0.8379, 0.2778, 0.0840, 0.4693, 0.5092, -0.5305, -0.4889)),
-    ("bracket", (-0.3045, 0.3089, 0.1991, 0.6740, -0.0188, -0.7373, -0.0428)),
-    ("nut", (0.5137, 0.7324, 0.1190, 0.8194, -0.1268, 0.0855, -0.5525)),
-    ("nut", (0.6916, -0.2165, 0.0550, 0.9487, -0.0000, -0.0000, 0.3163)),
-    ("bearing", (-0.1687, -0.6698, 0.0653, 0.0014, 0.8290, -0.5593, 0.0010)),
-    ("bolt", (0.0804, -0.0322, 0.0920, 0.5793, 0.4712, 0.5777, 0.3296)),
-    ("bolt", (0.1390, 0.5752, 0.1046, 0.6592, -0.6866, -0.2331, -0.1991)),
-    ("bolt", (-0.6206, -0.4348, 0.0840, 0.0593, -0.0643, -0.7325, 0.6751)),
-    ("nut", (0.0362, -0.2051, 0.1204, 0.0600, 0.1632, -0.9243, -0.3398)),
-    ("bearing", (-0.2776, -0.0994, 0.1887, 0.3568, -0.7948, 0.4655, -0.1559)),
-    ("washer", (0.6200, 0.4338, 0.0314, 0.0466, -0.6449, -0.7627, -0.0139)),
-    ("bolt", (0.4245, -0.1744, 0.0840, 0.4517, 0.7198, 0.1503, -0.5052)),
-    ("nut", (-0.2254, 0.3326, 0.1266, 0.8203, 0.0382, -0.0289, -0.5699)),
-    ("bearing", (-0.2733, 0.4259, 0.2456, 0.0112, -0.9958, -0.0786, -0.0466)),
-    ("bracket", (-0.6682, 0.0438, 0.2714, 0.5812, 0.3492, -0.6744, -0.2924)),
-)
-
 
 def _metal() -> Scene:
     """Metallic industrial parts on a sheet of paper, after the paper's Fig. 5 (c)."""
     parts = [Part(sheet(), matt(0.8))]
-    for kind, pose in _METAL:
+    for kind, placed in _at_rest("metal"):
         mesh, conductor, roughness = _PARTS[kind]
-        placed = mesh.placed(pose[:3], from_quaternion(pose[3:]))
-        parts.append(Part(placed, metal(conductor, roughness)))
+        parts.append(Part(placed(mesh), metal(conductor, roughness)))
     description = "metal bolts, nuts, washers, rings and brackets strewn on white paper"
     return Scene("metal", description, tuple(parts))
 

@@ -41,8 +41,7 @@ class ActiveSet:
     Parameters
     ----------
     fidelity : Fidelity
-        one-sided, rejection or linear. `clipped` is not convex and has no gap; `likelihood` is not
-        quadratic.
+        one-sided, rejection or linear. `clipped` is not convex and has no gap.
     tolerance : float
         Relative duality gap, in (0, 1).
     max_passes : int
@@ -53,7 +52,7 @@ class ActiveSet:
     Raises
     ------
     SolverError
-        For the fidelities `clipped` and `likelihood`.
+        For the fidelity `clipped`.
     InputError
         If a parameter is out of range.
 
@@ -76,13 +75,10 @@ class ActiveSet:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "fidelity", Fidelity(self.fidelity))
-        term = Fidelity(self.fidelity).term
-        if not (term.convex and term.quadratic):
-            reason = "it is not convex, so no row could be certified"
-            if term.convex:
-                reason = "its steps are exact for quadratic terms only"
+        if not Fidelity(self.fidelity).convex:
             raise SolverError(
-                f"the active-set solver cannot use the fidelity {self.fidelity}: {reason}",
+                f"the active-set solver cannot use the fidelity {self.fidelity}: it is not convex, "
+                "so no row could be certified",
                 hint="use one-sided, or the solver saturation-admm",
             )
         if not 0 < as_float(self.tolerance) < 1:
@@ -91,18 +87,12 @@ class ActiveSet:
             )
         check_at_least_one(max_passes=self.max_passes, threads=self.threads)
 
-    def solve(
-        self, problem: Problem, progress: Progress | None = None, *, start: SparseRows | None = None
-    ) -> Result:
-        """Solve all rows.
+    def solve(self, problem: Problem, progress: Progress | None = None) -> Result:
+        """Solve all rows; `progress` is called with (finished, all) rows.
 
-        `start` may hold the solution at another regularization; None starts from zero. `progress`
-        is called with (finished, all) rows. The coefficients are float64.
+        The coefficients are float64.
         """
-        check_start(problem, start)
-        solved = prepared(problem).solve(
-            problem.samples, self.settings(problem), start=start, progress=progress
-        )
+        solved = prepared(problem).solve(problem.samples, self.settings(problem), progress=progress)
         return as_result(solved, problem)
 
     def settings(self, problem: Problem) -> _core.Settings:
@@ -127,15 +117,6 @@ def prepared(problem: Problem) -> _core.PreparedPatterns:
     if problem.background_column is None:
         return problem.patterns.prepared
     return problem.patterns.prepare(problem.background_column)
-
-
-def check_start(problem: Problem, start: SparseRows | None) -> None:
-    """Refuse a start whose shape differs from the problem's."""
-    shape = (problem.rows, problem.patterns.pixels)
-    if start is not None and start.coefficients.shape != shape:
-        raise InputError(
-            f"the start has shape {start.coefficients.shape}, but the problem has {shape}"
-        )
 
 
 def as_result(
@@ -232,7 +213,11 @@ def solve_weighted(
         raise InputError(
             f"there are candidates for {len(candidates.indptr) - 1} rows, not {problem.rows}"
         )
-    check_start(problem, start)
+    shape = (problem.rows, problem.patterns.pixels)
+    if start is not None and start.coefficients.shape != shape:
+        raise InputError(
+            f"the start has shape {start.coefficients.shape}, but the problem has {shape}"
+        )
     pseudo = None
     if pseudo_samples is not None:
         pseudo = (pseudo_samples.unseen.prepared, pseudo_samples)

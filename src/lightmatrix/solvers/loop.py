@@ -1,4 +1,4 @@
-"""The loop of all iterative solvers: iteration limits, stopping row by row, finiteness, history."""
+"""The loop of all iterative solvers: iteration limits, stopping row by row, finiteness."""
 
 from __future__ import annotations
 
@@ -102,17 +102,15 @@ def solve(problem: Problem, solver: Solver, *, progress: Progress | None = None)
     finished = _Finished(problem, solver)
     active, part, state = np.arange(problem.rows), problem, solver.init(problem)
     running = np.ones(problem.rows, bool)
-    history: dict[str, list[float]] = {"primal": [], "dual": [], "rows": []}
+    finite = True
     for iteration in range(1, solver.max_iterations + 1):
         # In this order no third state stays in memory.
         before = state
         state = solver.step(part, before)
         primal, dual = solver.residuals(part, before, state)
-        history["primal"].append(float(np.max(primal[running], initial=0)))
-        history["dual"].append(float(np.max(dual[running], initial=0)))
-        history["rows"].append(float(running.sum()))
         converged = running & (primal <= solver.tolerance) & (dual <= solver.tolerance)
         broken = running & ~(np.isfinite(primal) & np.isfinite(dual))
+        finite &= not broken.any()
         last = iteration == solver.max_iterations
         stopping = running if last else converged | broken
         if stopping.any():
@@ -130,7 +128,7 @@ def solve(problem: Problem, solver: Solver, *, progress: Progress | None = None)
             keep = np.flatnonzero(running)
             active, part, state = active[keep], part.take(keep), state_of_rows(state, keep)
             running = np.ones(len(keep), bool)
-    return finished.result(history)
+    return finished.result(finite)
 
 
 def state_of_rows(state: S, rows: NDArray[np.integer]) -> S:
@@ -179,15 +177,15 @@ class _Finished:
         self.order.append(rows)
         self.parts.append(part)
 
-    def result(self, history: dict[str, list[float]]) -> Result:
+    def result(self, finite: bool) -> Result:
         rows = no_rows(self.problem)
         if self.parts:
             place = np.argsort(np.concatenate(self.order))
             rows = SparseRows.joined(self.parts).rows(place)
-        if not np.isfinite(history["primal"] + history["dual"]).all():
+        if not finite:
             status = Status.NOT_FINITE
         elif rows.diagnostics["converged"].all():
             status = Status.CONVERGED
         else:
             status = Status.ITERATION_LIMIT
-        return Result(rows, status, history)
+        return Result(rows, status)

@@ -6,7 +6,7 @@ Objectives and duality gaps are computed in float64 from their definitions.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from enum import StrEnum
 from functools import cached_property
 from typing import Any
@@ -56,9 +56,6 @@ class Problem:
     background_column : (K,) float, optional
         m: the light of the whole projector under each pattern. None: the means of the patterns.
         Patterns over a part of the projector need it, since diffuse light comes from all of it.
-    edge_noise : float
-        The s of the ``likelihood`` fidelity as a share of each sample's clip level, from 1e-4 to 1:
-        how far below the level the prediction of a clipped sample may lie, by noise and misfit.
 
     Raises
     ------
@@ -82,7 +79,6 @@ class Problem:
     nonnegative: bool = True
     background: bool = True
     background_column: NDArray[Any] | None = None
-    edge_noise: float = 0.02
 
     __repr__ = short_repr
 
@@ -96,11 +92,6 @@ class Problem:
             raise InputError(
                 f"the background column has shape {column.shape}, not ({self.patterns.count},)",
                 hint="give one finite number for each pattern, such as its mean",
-            )
-        if not 1e-4 <= self.edge_noise <= 1:
-            raise InputError(
-                f"edge_noise is {self.edge_noise}",
-                hint="use a share of the clip level from 0.0001 to 1, such as 0.02",
             )
 
     @property
@@ -119,16 +110,6 @@ class Problem:
         """The problem of some of the rows."""
         return replace(self, samples=self.samples.rows(rows))
 
-    def frames(self, index: NDArray[np.integer]) -> Problem:
-        """The problem with some of its patterns."""
-        column = self.background_column
-        return replace(
-            self,
-            patterns=self.patterns.subset(index),
-            samples=self.samples.frames(index),
-            background_column=None if column is None else column[index],
-        )
-
     @cached_property
     def observed(self) -> Observed:
         """The samples for the fidelities, in their own precision."""
@@ -138,16 +119,6 @@ class Problem:
             samples.clipped,
             samples.clip_levels_of_all(),
             samples.weights_of_all(),
-            self.edge_widths(),
-        )
-
-    def edge_widths(self) -> NDArray[Any]:
-        """The s of the ``likelihood`` fidelity, (M, K), in the dtype of the samples."""
-        # The clip level may be 0, where room light fills the whole range, but widths must be above
-        # 0.
-        tiny = np.finfo(self.samples.values.dtype).tiny
-        return np.maximum(
-            self.edge_noise * np.abs(self.samples.clip_levels_of_all()), np.sqrt(tiny)
         )
 
 
@@ -170,8 +141,6 @@ class Result:
         The rows, with iterations, convergence, gap and objective as diagnostics.
     status : Status
         The worst status of all rows.
-    history : dict of str to list of float
-        Residuals or counts per iteration, for plots; empty if the solver keeps none.
 
     Examples
     --------
@@ -187,7 +156,6 @@ class Result:
 
     rows: SparseRows
     status: Status
-    history: dict[str, list[float]] = field(default_factory=dict)
 
     __repr__ = short_repr
 
@@ -297,11 +265,11 @@ def relative_gap(
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Objective P and relative duality gap (P - D) / max(P, 1e-6 ||y||^2 / 2), each (M,) float64.
 
-    The dual of min lambda ||x||_1 + sum w f(A x + b m) is: maximise sum y theta - w g(theta / w),
-    with g the fidelity's `conjugate`, subject to A' theta <= lambda (in absolute value if x may be
-    negative), theta >= 0 where one-sided, and m' theta <= 0 (= 0 if b may be negative). The dual
-    point is the weighted residual, shifted along m and scaled to be feasible. A fidelity that is
-    not convex has the gap NaN.
+    The dual of min lambda ||x||_1 + sum w f(A x + b m) is: maximise sum y theta - theta^2 / (2 w),
+    since the conjugate of a convex f is t^2 / 2 where it is finite, subject to A' theta <= lambda
+    (in absolute value if x may be negative), theta >= 0 where one-sided, and m' theta <= 0 (= 0 if
+    b may be negative). The dual point is the weighted residual, shifted along m and scaled to be
+    feasible. A fidelity that is not convex has the gap NaN.
     """
     term, observed = Fidelity(fidelity).term, problem.observed.astype(np.float64)
     u = predictions(problem, coefficients, background)
@@ -347,8 +315,6 @@ def _dual_value(
         highest[chunk] = part.max(axis=1)
     with np.errstate(divide="ignore", invalid="ignore"):
         limit = np.where(highest > 0, problem.regularization / highest, np.inf)
-    if not term.quadratic:
-        return _scaled_down(observed, theta, limit, term)
     linear = (observed.values * theta).sum(axis=1)
     quadratic = _over(theta**2, observed.weights).sum(axis=1)
     # D(s theta) is a parabola in s. Take its top, or the largest feasible scaling below it.
@@ -358,15 +324,6 @@ def _dual_value(
     # larger one would only magnify the rounding errors in m' theta = 0.
     scaling = np.clip(top, 0, np.minimum(limit, 2))
     return np.asarray(scaling * linear - scaling**2 * quadratic / 2)
-
-
-def _scaled_down(
-    observed: Observed, theta: NDArray[np.float64], limit: NDArray[np.float64], term: DataTerm
-) -> NDArray[np.float64]:
-    """The dual value of theta, scaled down until it is feasible."""
-    theta = theta * np.minimum(limit, 1)[:, None]
-    cost = term.conjugate(_over(theta, observed.weights), observed)
-    return np.asarray((observed.values * theta - observed.weights * cost).sum(axis=1))
 
 
 def _over(numbers: NDArray[np.float64], weights: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -19,7 +19,7 @@ from scipy.sparse import csr_array
 
 from lightmatrix.errors import InputError, OutputError
 from lightmatrix.files import kinds
-from lightmatrix.files.numpy_files import NpyHeader, read_npz
+from lightmatrix.files.numpy_files import read_npz
 from lightmatrix.files.reading import check_version, parse_json
 from lightmatrix.files.writing import atomic_file, check_output
 from lightmatrix.geometry.rig_geometry import RigGeometry, checked_fields
@@ -31,17 +31,13 @@ from lightmatrix.transport.sparse_rows import checked_float32, checked_matrix, c
 
 # The version of exports, truth files and correspondences. Files of another one are refused.
 VERSION = 1
-# Arrays with one value for each entry. All others are small, or have one value for each row and
-# cell.
-_ENTRIES = ("data", "indices", "direct_data")
-# Arrays of a correspondence for each camera pixel: numbers after (rows, cols), type, and whether
-# every file has them.
+# Arrays of a correspondence for each camera pixel: type, and whether every file has them.
 _MATCHES = {
-    "pixel": ((2,), np.dtype(np.int32), True),
-    "place": ((2,), np.dtype(np.float32), True),
-    "confidence": ((), np.dtype(np.float32), True),
-    "uncertainty": ((2,), np.dtype(np.float32), False),
-    "light": ((), np.dtype(np.float32), False),
+    "pixel": (np.int32, True),
+    "place": (np.float32, True),
+    "confidence": (np.float32, True),
+    "uncertainty": (np.float32, False),
+    "light": (np.float32, False),
 }
 
 
@@ -86,7 +82,10 @@ def export(
     check_type("a light transport matrix", transport, LightTransport, hint=HOW_TO_GIVE)
     kind = kinds.export_kind(path)
     check_output(path, kind, overwrite=overwrite)
-    matrix, background = _parts(transport, dense_background)
+    matrix, background = transport.sparse, transport.background
+    if dense_background and background.any():
+        matrix = transport.to_matrix(dense_background=True)
+        background = np.zeros_like(background)
     shapes: dict[str, Any] = {
         "camera_shape": np.array(transport.camera_shape),
         "projector_shape": np.array(transport.projector_shape),
@@ -130,34 +129,6 @@ def export(
                 metadata=np.array(json.dumps(dict(transport.provenance), default=str)),
                 **shapes,
             )
-
-
-def _parts(
-    transport: LightTransport, dense_background: bool
-) -> tuple[csr_array, NDArray[np.float32]]:
-    """The matrix to write and the background that it leaves out."""
-    if not dense_background or not transport.background.any():
-        return transport.sparse, transport.background
-    rows, pixels = transport.shape
-    dense = transport.background.any(axis=1)
-    # Arrays of the greatest possible size, so that entries are stored once, not joined at the end.
-    bound = int(dense.sum()) * pixels + int(np.diff(transport.sparse.indptr)[~dense].sum())
-    data = np.empty(bound, np.float32)
-    # Both index arrays have one type: SciPy would copy them to the wider one.
-    indptr = np.zeros(rows + 1, np.int32 if bound < 2**31 else np.int64)
-    indices = np.empty(bound, indptr.dtype)
-    # 64 MiB of dense rows are made at once.
-    step = max(1, (1 << 24) // pixels)
-    for start in range(0, rows, step):
-        chunk = np.arange(start, min(start + step, rows))
-        tile = csr_array(transport.dense_rows(chunk))
-        at = indptr[start]
-        data[at : at + tile.nnz] = tile.data
-        indices[at : at + tile.nnz] = tile.indices
-        indptr[start + 1 : start + len(chunk) + 1] = at + tile.indptr[1:]
-    end = int(indptr[-1])
-    matrix = csr_array((data[:end], indices[:end], indptr), shape=(rows, pixels))
-    return matrix, np.zeros_like(transport.background)
 
 
 @dataclass(frozen=True, eq=False)
@@ -208,7 +179,7 @@ def import_npz(
 def read_sparse_npz(path: str | Path) -> SparseFile:
     """Read a sparse matrix in the form CSR."""
     file = Path(path)
-    content = read_npz(file, _check_sizes)
+    content = read_npz(file)
     for name in (kinds.TRANSPORT_MARK, kinds.TRUTH_MARK):
         if name in content:
             _check_version(file, content[name])
@@ -220,32 +191,14 @@ def read_sparse_npz(path: str | Path) -> SparseFile:
         ) from error
 
 
-def _check_sizes(headers: Mapping[str, NpyHeader]) -> None:
-    """Refuse sizes that no matrix has, before any array is inflated."""
-    lacking = [name for name in ("format", "shape", "data") if name not in headers]
-    if lacking:
-        raise ValueError(f"no sparse matrix: {', '.join(lacking)} missing")
-    entries = headers["data"].shape
-    if len(entries) != 1:
-        raise ValueError("data does not have one value for each entry")
-    for name, header in headers.items():
-        if name in _ENTRIES:
-            if header.shape != entries:
-                words = "direct parts" if name == "direct_data" else name
-                raise ValueError(f"{header.shape} {words} for {entries[0]} entries")
-        # Any other array, such as the metadata, is far smaller than 16 MiB in real files.
-        elif name not in ("indptr", "background") and header.bytes > 16 << 20:
-            raise ValueError(f"{name[:40]!r} holds {header.bytes} bytes")
-
-
 def _checked(file: Path, content: Mapping[str, NDArray[Any]]) -> SparseFile:
+    needed = ("format", "shape", "data", "indices", "indptr")
+    if lacking := [name for name in needed if name not in content]:
+        raise ValueError(f"no sparse matrix: {', '.join(lacking)} missing")
     rows, cols = checked_shape(content["shape"], (2,), "the matrix", pixels=max)
     form = _text(content["format"])
     if form != "csr":
         raise ValueError(f"a matrix in the form {form[:20]!r}; save it as csr (matrix.tocsr())")
-    lacking = [name for name in ("indices", "indptr") if name not in content]
-    if lacking:
-        raise ValueError(f"{', '.join(lacking)} missing")
     matrix = checked_matrix(content["data"], content["indices"], content["indptr"], (rows, cols))
 
     def shape_of(name: str, *lengths: int) -> Any:
@@ -266,6 +219,8 @@ def _checked(file: Path, content: Mapping[str, NDArray[Any]]) -> SparseFile:
         background = checked_float32(background, "the background")
     direct = content.get("direct_data")
     if direct is not None:
+        if direct.shape != matrix.data.shape:
+            raise ValueError(f"{direct.shape} direct parts for {matrix.nnz} entries")
         direct = checked_float32(direct, "the direct part")
     metadata: Any = {}
     if "metadata" in content:
@@ -336,32 +291,25 @@ def read_correspondence(path: str | Path) -> Correspondence:
     (64, 64)
     """
     file = Path(path)
-    content = read_npz(file, _check_matches)
+    content = read_npz(file)
+    if kinds.CORRESPONDENCE_MARK not in content:
+        raise InputError(
+            f"{file}: is no correspondence", hint="give a file that `lightmatrix decode` wrote"
+        )
     _check_version(file, content[kinds.CORRESPONDENCE_MARK])
     shape = content.get("projector_shape")
-    return Correspondence(
-        content["pixel"],
-        content["place"],
-        content["confidence"],
-        content.get("uncertainty"),
-        content.get("light"),
-        None if shape is None else (int(shape[0]), int(shape[1])),
-    )
-
-
-def _check_matches(headers: Mapping[str, NpyHeader]) -> None:
-    """Refuse arrays that no correspondence has, before any of them is read."""
-    if kinds.CORRESPONDENCE_MARK not in headers:
-        raise ValueError("no correspondence; `lightmatrix decode` writes one")
-    if "confidence" not in headers or len(headers["confidence"].shape) != 2:
-        raise ValueError("a correspondence without a confidence of each camera pixel")
-    grid = headers["confidence"].shape
-    for name, (numbers, kind, needed) in _MATCHES.items():
-        if name not in headers:
-            if needed:
-                raise ValueError(f"a correspondence without {name}")
-            continue
-        if headers[name].shape != (*grid, *numbers) or headers[name].dtype != kind:
-            raise ValueError(f"{name} is {headers[name].dtype} of {headers[name].shape}")
-    if "projector_shape" in headers and headers["projector_shape"].shape != (2,):
-        raise ValueError("a projector shape that is not rows and columns")
+    try:
+        values: dict[str, Any] = {
+            name: content[name] if needed else content.get(name)
+            for name, (_, needed) in _MATCHES.items()
+        }
+        for name, (kind, _) in _MATCHES.items():
+            if values[name] is not None and values[name].dtype != kind:
+                raise ValueError(f"{name} is {values[name].dtype}")
+        size = None if shape is None else (int(shape[0]), int(shape[1]))
+        return Correspondence(**values, projector_shape=size)
+    except (KeyError, IndexError, TypeError, ValueError, InputError) as error:
+        words = error.message if isinstance(error, InputError) else str(error)
+        raise InputError(
+            f"{file}: is damaged ({words})", hint="make it again with `lightmatrix decode`"
+        ) from error

@@ -10,7 +10,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lightmatrix.errors import InputError, LightMatrixError, MissingExtraError
+from lightmatrix.errors import InputError, LightMatrixError
+from lightmatrix.files.extras import load_extra
 from lightmatrix.ranges import check_finite
 from lightmatrix.transport.matrix import LightTransport
 from lightmatrix.viewer.export import STYLE, bundle, page_file
@@ -111,14 +112,9 @@ class Views:
 @cache
 def _widget_class() -> Any:
     """The class of the widgets. It is made here because its base belongs to an extra."""
-    try:
-        import anywidget
-        import traitlets
-    except ImportError as error:
-        raise MissingExtraError(
-            "the viewer in a notebook needs anywidget",
-            hint='install the extra: pip install "lightmatrix[notebook]"',
-        ) from error
+    load_extra("anywidget", "the viewer in a notebook needs anywidget", "notebook")
+    import anywidget
+    import traitlets
 
     class ViewerWidget(anywidget.AnyWidget):
         """The viewer of one matrix; made by `lm.view`."""
@@ -136,6 +132,11 @@ def _widget_class() -> Any:
             self._transport = scene.matrix
             self.views = Views(scene, self.send)
             self.on_msg(lambda _, content, buffers: self.views.receive(content, buffers))
+
+        def __repr__(self) -> str:
+            rows, cols = self._transport.projector_shape
+            down, right = self._transport.camera_shape[:2]
+            return f"<viewer: projector {rows} x {cols}, camera {down} x {right}>"
 
         @property
         def pattern(self) -> NDArray[np.float64]:

@@ -21,7 +21,8 @@ from typing import Any
 
 from lightmatrix.capture.capture import Capture
 from lightmatrix.defaults import PAGE_BYTES
-from lightmatrix.errors import InputError, LightMatrixError, MissingExtraError, OutputError
+from lightmatrix.errors import InputError, LightMatrixError, OutputError
+from lightmatrix.files.extras import load_extra
 from lightmatrix.geometry.rig_geometry import RigGeometry
 from lightmatrix.transport.matrix import LightTransport
 from lightmatrix.viewer.export import STYLE, frame, module_names, page_file
@@ -340,14 +341,11 @@ def serve_viewer(
     >>> import lightmatrix as lm
     >>> lm.serve_viewer("scene.zarr")  # doctest: +SKIP
     """
-    try:
-        import uvicorn
-        import websockets  # noqa: F401 - uvicorn needs it for the page's connection
-    except ImportError as error:
-        raise MissingExtraError(
-            "the viewer needs a web server",
-            hint='install the extra: pip install "lightmatrix[viewer]"',
-        ) from error
+    # Uvicorn needs websockets for the page's connection.
+    _, uvicorn = (
+        load_extra(name, "the viewer needs a web server", "viewer")
+        for name in ("websockets", "uvicorn")
+    )
     if not 0 <= port <= 65535:
         raise InputError(f"port {port}", hint="use 0 (any free one) to 65535")
     scene = Scene(

@@ -114,11 +114,11 @@ class Rounds:
             return steps | {ROWS: (names[-1],)}
         return steps | {HELD_OUT: (names[-1],), ROWS: (names[-1], HELD_OUT)}
 
-    def tiles(self, step: str, parts: int = 1, *, shrinking: bool = False) -> Iterator[Span]:
+    def tiles(self, step: str, parts: int = 1) -> Iterator[Span]:
         """The rows start..stop of the tiles of a step, in order."""
         row_bytes = coherent_row_bytes(self.capture.count, self.solver.candidates)
         most = max(1, (self.tile_rows or TILE_BYTES // row_bytes) // self.together)
-        return cut_rows(self._grid(self._number(step)).count, most, parts, shrinking)
+        return cut_rows(self._grid(self._number(step)).count, most, parts)
 
     def prepare(self, step: str, read: ReadStep) -> SolveTile:
         """Prepare the neighbourhood of a step, and return what solves its rows start..stop."""

@@ -105,7 +105,7 @@ class AvailableDevice:
 
 def missing_extra(extra: str, what: str, *, system: str | None = None) -> MissingExtraError:
     """The error for a back end whose packages are missing; `system` says what else to install."""
-    hint = f"from the source folder: .venv/bin/pip install -e '.[{extra}]'"
+    hint = f'pip install "lightmatrix[{extra}]"'
     if system is not None:
         hint = f"{system}, then {hint}"
     return MissingExtraError(f"{what} cannot be used, a package is not installed", hint=hint)

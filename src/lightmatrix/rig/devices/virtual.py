@@ -64,26 +64,24 @@ def parse_settings(text: str) -> VirtualSettings:
     >>> parse_settings("virtual:metal,delay=3,seed=7").delay
     3.0
     """
-    scene, *words = text.removeprefix(PREFIX).split(",")
-    if not text.startswith(PREFIX) or not scene:
+    address = Address.parse(text)
+    if address.kind != VirtualCamera.kind or not address.argument:
         raise InputError(
             f"a rig of {text!r}",
             hint="write virtual:SCENE, such as virtual:l_objects, or give a projector and a camera",
         )
     kinds: dict[str, Any] = {f.name: f.type for f in fields(VirtualSettings) if f.name != "scene"}
     values: dict[str, Any] = {}
-    for word in words:
-        name, _, value = word.partition("=")
-        if name not in kinds:
-            raise InputError(f"a virtual rig with {word!r}", hint=f"it has {', '.join(kinds)}")
+    address.check_options(list(kinds))
+    for name, value in address.options.items():
         try:
             values[name] = int(value) if kinds[name] == "int" else float(value)
         except ValueError:
             what = "whole number" if kinds[name] == "int" else "number"
             raise InputError(
-                f"a virtual rig with {word!r}", hint=f"give {name} a {what}, {name}=1"
+                f"a virtual rig with {name}={value}", hint=f"give {name} a {what}, {name}=1"
             ) from None
-    return VirtualSettings(scene, **values)
+    return VirtualSettings(address.argument, **values)
 
 
 @dataclass
