@@ -102,7 +102,7 @@ def test_the_commands_of_a_page_work(
     lm.RigGeometry.from_matrices(camera, projector, (24, 32), (32, 32)).save("rig.json")
     if name == "colour":
         _in_colour(capture)
-        ProceduralScene((12, 12), (12, 12), seed=1).truth().save("small.npz")
+        ProceduralScene((12, 12), (12, 12), seed=1).truth().save(Path("small.npz"))
     # The commands run at smaller sizes.
     text = (ROOT / "docs" / f"{name}.md").read_text()
     text = re.sub(r"(--size |\()64(, 64)?", lambda found: found[0].replace("64", "12"), text)
