@@ -103,7 +103,7 @@ experiments: test-install ## make the paper's figures and ours in experiments-ou
 
 docs: $(VENV)/.docs-installed ## build the documentation in site/; warnings are errors
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build
-	@echo 'the documentation: site/index.html'
+	@echo 'the documentation: run $(BIN)/python -m http.server --directory site, and open http://localhost:8000'
 
 gallery: test-install ## run the examples, which draw docs/images/gallery
 	$(BIN)/python tools/gallery.py

@@ -3,10 +3,11 @@
     python -m benchmarks.honesty [--quick] [--cases 320] [--seed 0] [--processes 2] [-o honesty-out]
 
 Cases are drawn at random from scenes, patterns, damages and sizes (`synthetic_captures`): half of
-them intact, the others with one damage. Each is checked and estimated as `lightmatrix estimate`
-does it. Results go to OUT/cases.jsonl, one line a case, and a later run goes on after the last.
-Then come a table, OUT/summary.json and OUT/honesty.png. Thresholds of the package were chosen on
-cases with odd numbers, so that only those with even numbers test them.
+them intact, the others with one damage. With --hidden they are of the kinds in `HIDDEN`. Each is
+checked and estimated as `lightmatrix estimate` does it. Results go to OUT/cases.jsonl, one line a
+case, and a later run goes on after the last. Then come a table, OUT/summary.json and
+OUT/honesty.png. Thresholds of the package were chosen on cases with odd numbers, so that only those
+with even numbers test them.
 """
 
 from __future__ import annotations
@@ -24,7 +25,14 @@ from pathlib import Path
 import numpy as np
 
 import lightmatrix as lm
-from benchmarks.synthetic_captures import DAMAGES, PATTERNS, SCENES, SyntheticCapture, draw
+from benchmarks.synthetic_captures import (
+    CLIPPING,
+    DAMAGES,
+    PATTERNS,
+    SCENES,
+    SyntheticCapture,
+    draw,
+)
 from experiments.harness import Row, show, write_json
 from experiments.harness import options as options_of
 from lightmatrix.check.finding import NOTES
@@ -44,6 +52,16 @@ WRONG, RIGHT, GOOD_AT_MOST = 0.3, 0.05, 0.1
 PLAIN_SCENES = ("wall", "textured", "translucent", "broad", *library.BUNDLED)
 PLAIN_PATTERNS = ("random", "many", "few", "mixed", "hadamard")
 TRUSTED = ("good", "fair")
+# Scenes, patterns and damages that hide what is wrong, or make intact captures look wrong: camera
+# pixels that see one projector pixel, clip levels that are not stated, parts of a projector under
+# few patterns, and patterns of varying density.
+_FEW = ("few", "some", "random")
+HIDDEN = (
+    (("own pixels", "permutation", "fibres"), _FEW, (INTACT, "curve", "clips at 128")),
+    (("textured", "own pixels"), _FEW, ("video range", *CLIPPING)),
+    (("half lit",), ("few", "some"), (INTACT,)),
+    (("wall", "textured", "half lit"), ("16 of any density", "46 of any density"), (INTACT,)),
+)
 # The error axes of the figure.
 _ERRORS, _TICKS = (0.0015, 2.5), (0.003, 0.01, 0.03, 0.1, 0.3, 1)
 
@@ -71,6 +89,14 @@ class Case:
         # Larger diffuse scenes would take gigabytes, and bundled scenes must be rendered.
         size = min(size, 64) if scene in ("diffuse", *library.BUNDLED) else size
         return cls(number, seed, scene, patterns, damage, size)
+
+    @classmethod
+    def hidden(cls, number: int, seed: int) -> Case:
+        """The case of a number among those of `HIDDEN`."""
+        generator = np.random.default_rng((seed, number, 1))
+        choices = HIDDEN[number // 2 % len(HIDDEN)]
+        scene, patterns, damage = (str(generator.choice(choice)) for choice in choices)
+        return cls(number, seed, scene, patterns, damage, int(generator.choice((16, 32))))
 
     def capture(self) -> SyntheticCapture:
         """The capture, and its truth."""
@@ -284,7 +310,8 @@ def _points(
 
 def chosen_cases(options: argparse.Namespace) -> list[Case]:
     """The cases of the options."""
-    cases = [Case.drawn(number, options.seed) for number in range(options.cases)]
+    drawn = Case.hidden if options.hidden else Case.drawn
+    cases = [drawn(number, options.seed) for number in range(options.cases)]
     if options.quick:
         cases = [case for case in cases if case.size == QUICK_SIZE][:QUICK_CASES]
     if options.sizes is not None:
@@ -298,6 +325,7 @@ def chosen_cases(options: argparse.Namespace) -> list[Case]:
 def main(arguments: list[str] | None = None) -> None:
     parser = options_of("benchmarks.honesty", __doc__)
     parser.add_argument("--quick", action="store_true", help=f"{QUICK_CASES} small cases")
+    parser.add_argument("--hidden", action="store_true", help="kinds whose faults hide")
     parser.add_argument("--cases", type=int, default=320)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--half", choices=("odd", "even"), help="only these numbers")

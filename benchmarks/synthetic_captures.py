@@ -53,7 +53,7 @@ def draw(scene: str, patterns: str, damage: str, size: int, seed: int) -> Synthe
     """A capture of a scene (`SCENES` or bundled) under patterns (`PATTERNS`) with a damage."""
     generator = np.random.default_rng(seed)
     matrix = scene_matrix(scene, size, generator)
-    images = PATTERNS[patterns](size, generator)
+    images = (PATTERNS | HIDDEN_PATTERNS)[patterns](size, generator)
     shown: PatternSet = ImagePatterns(images)
     if patterns in _RANDOM:
         shown = BernoulliPatterns((size, size), _RANDOM[patterns], seed=seed)
@@ -74,6 +74,10 @@ def draw(scene: str, patterns: str, damage: str, size: int, seed: int) -> Synthe
     frames = np.ascontiguousarray(raw.T).reshape(light.shape)
     if damage in DAMAGED_FRAMES:
         frames = DAMAGED_FRAMES[damage](frames, generator)
+    if damage == "video range":
+        frames = np.rint(16 + frames * (219 / 255)).astype(np.uint8)
+    elif damage in CLIPPING:
+        frames = np.minimum(frames, np.uint8(CLIPPING[damage]))
     if damage == "other seed":
         shown = BernoulliPatterns((size, size), shown.count, seed=seed + 1000)
     if damage == "patterns inverted":
@@ -87,6 +91,8 @@ def draw(scene: str, patterns: str, damage: str, size: int, seed: int) -> Synthe
 
 def scene_matrix(scene: str, size: int, generator: Generator) -> csr_array:
     """T of a scene, (size^2, size^2), with both camera and projector of size x size pixels."""
+    if scene == "own pixels":
+        return _own_pixels(size, generator)
     if scene in library.BUNDLED:
         times = max(1, library.BUNDLED_SIZE[0] // size)
         known = library.truth(scene, (size * times, size * times))
@@ -194,6 +200,11 @@ def _half_lit(size: int, generator: Generator) -> csr_array:
     return _footprints(_map(size, generator, 0.5), size, 0.6, 2)
 
 
+def _own_pixels(size: int, generator: Generator) -> csr_array:
+    """Each camera pixel sees one projector pixel: a fine camera before a coarse projector."""
+    return _scaled(csr_array(np.eye(size * size)), _albedo(size, generator))
+
+
 SCENES: dict[str, Callable[[int, Generator], csr_array]] = {
     "wall": _wall,
     "textured": _textured,
@@ -216,6 +227,12 @@ def _bernoulli(count: int, size: int, generator: Generator) -> Floats:
 def _with_inverses(size: int, generator: Generator) -> Floats:
     images = _bernoulli(24, size, generator)
     return np.stack([images, 1 - images], 1).reshape(-1, size, size)
+
+
+def _of_any_density(count: int, size: int, generator: Generator) -> Floats:
+    """Patterns whose shares of lit pixels vary."""
+    shares = generator.uniform(0.2, 0.8, (count, 1, 1))
+    return (generator.random((count, size, size)) < shares).astype(np.float32)
 
 
 def _repeated(times: int) -> Callable[[int, Generator], Floats]:
@@ -270,9 +287,9 @@ def _one_pixel(size: int, generator: Generator) -> Floats:
     return images.reshape(-1, size, size)
 
 
-_RANDOM = {"random": 64, "few": 16, "many": 128}
+_RANDOM = {"random": 64, "few": 16, "some": 24, "many": 128}
 PATTERNS: dict[str, Callable[[int, Generator], Floats]] = {
-    **{name: partial(_bernoulli, count) for name, count in _RANDOM.items()},
+    **{name: partial(_bernoulli, _RANDOM[name]) for name in ("random", "few", "many")},
     "mixed": _mixed,
     "hadamard": _hadamard,
     "with inverses": _with_inverses,
@@ -283,6 +300,12 @@ PATTERNS: dict[str, Callable[[int, Generator], Floats]] = {
     "grey": _grey,
     "stripes": _stripes,
     "one pixel": _one_pixel,
+}
+# Patterns and damages of `benchmarks.honesty --hidden` alone.
+HIDDEN_PATTERNS: dict[str, Callable[[int, Generator], Floats]] = {
+    "some": partial(_bernoulli, _RANDOM["some"]),
+    "16 of any density": partial(_of_any_density, 16),
+    "46 of any density": partial(_of_any_density, 46),
 }
 
 
@@ -369,6 +392,8 @@ DAMAGED_FRAMES: dict[str, Callable[[NDArray[np.uint8], Generator], NDArray[np.ui
     "torn": _torn,
     "jpeg": _jpeg,
 }
+# Raw levels at which cameras clip without saying so.
+CLIPPING = {"clips at 250": 250, "clips at 128": 128}
 DAMAGES = ("overexposed", "other seed", "patterns inverted", *_DAMAGED_LIGHT, *DAMAGED_FRAMES)
 # Captures whose frames belong to other patterns, or to other rows of T, than they seem to.
 MISREAD = (

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -16,13 +17,14 @@ from PIL import Image
 import lightmatrix as lm
 from lightmatrix.capture.capture import Capture
 from lightmatrix.capture.decoder import Decoder
-from lightmatrix.capture.folder import write_capture
+from lightmatrix.capture.folder import check_depth, write_capture
+from lightmatrix.capture.frames import in_memory
 from lightmatrix.capture.samples import Samples
 from lightmatrix.capture.sensor import Sensor
 from lightmatrix.capture.settings import KEYS, ReadSettings
 from lightmatrix.check.refusals import refuse_unusable
 from lightmatrix.errors import InputError, LightMatrixWarning, OutputError
-from lightmatrix.files.images import write_image
+from lightmatrix.files.images import read_image, write_image
 from lightmatrix.patterns.bits import BernoulliPatterns
 from lightmatrix.patterns.folder import read_patterns, write_patterns
 from lightmatrix.patterns.pattern_set import ImagePatterns, PatternSet
@@ -333,6 +335,37 @@ def test_files_with_unused_bits_are_refused(tmp_path: Path, bits: int) -> None:
             judge(ReadSettings(), block)
     judge(ReadSettings(clip=2**bits - 1))
     judge(ReadSettings(clip=65535))
+
+
+def test_swapped_bytes_are_named() -> None:
+    generator = np.random.default_rng(0)
+    smooth = np.add.outer(np.linspace(0, 2000, 24), np.linspace(0, 2000, 32))
+    raw = (smooth + generator.normal(0, 20, (5, 24, 32)) + 60).astype(np.uint16)
+    decoder = Decoder(4095, 65535)
+    # Levels of 12 bits, shifted to 16, without low bytes, and without high ones.
+    for frames in (raw, raw * 16, (raw // 16) * 256, raw // 16):
+        check_depth(in_memory(frames, None)[0], decoder)
+    with pytest.raises(InputError, match="half of the levels of a photograph are below -0"):
+        check_depth(in_memory((raw / 2048 - 1.5).astype(np.float32), None)[0], Decoder(1, 1))
+    for frames in (raw, raw * 16):
+        with pytest.raises(InputError, match="bytes of each level are swapped"):
+            check_depth(in_memory(frames.byteswap(), None)[0], decoder)
+
+
+def test_levels_of_float_images_are_stated_in_their_own_unit(tmp_path: Path) -> None:
+    patterns, photos = write_folders(tmp_path, SETS[0], photographs(SETS[0], Sensor(bits=12)))
+    for file in list(photos.iterdir()):
+        write_image(file.with_suffix(".tif"), read_image(file).astype(np.float32))
+        file.unlink()
+    with pytest.raises(InputError, match="levels up to 4095") as caught:
+        lm.estimate(Capture.from_folders(patterns, photos), check=False)
+    assert "clip=4095" in str(caught.value.hint)
+    # The level that the message proposes is accepted, and is where a curve ends.
+    stated = ReadSettings(clip=4095, response="gamma:2")
+    alone = Capture.from_folders(patterns, photos, stated)
+    both = Capture.from_folders(patterns, photos, replace(stated, full_scale=4095))
+    assert alone.digest == both.digest
+    assert alone.decoder.full_scale == 4095
 
 
 def test_jpeg_without_a_response_is_warned_about(tmp_path: Path) -> None:

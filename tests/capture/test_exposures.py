@@ -95,7 +95,7 @@ def mixed(tmp_path_factory: pytest.TempPathFactory) -> Path:
     patterns = f"patterns mix --mix fine:0.75,2x2:0.25 -k 48 --size 8x8 -o {folder}/patterns"
     simulate = (
         f"simulate {folder}/T.npz --patterns {folder}/patterns --exposure 4:0.75,1:0.25 "
-        f"--leak 0.01 --ambient 0.02 --black 6 --bits 12 --noise 0.0005 -o {folder}/capture"
+        f"--leak 0.01 --ambient 0.02 --black-level 6 --bits 12 --noise 0.0005 -o {folder}/capture"
     )
     for line in (patterns, simulate):
         assert main(line.split()) == 0

@@ -235,6 +235,21 @@ def test_bad_sizes(size: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
     assert not list(tmp_path.iterdir())
 
 
+def test_rare_options_are_shown_on_request(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["estimate", "--help"]) == 0
+    short = capsys.readouterr().out
+    assert main(["estimate", "--help-all"]) == 0
+    long = capsys.readouterr().out
+    for option in ("--patterns", "--black", "--report", "--bin-camera"):
+        assert f"{option} " in short
+    for option in ("--solver", "--tile-rows", "--mosaic", "--cluster"):
+        assert option not in short
+        assert option in long
+    assert "lightmatrix estimate --help-all" in short
+    # Types of Python are not what a reader writes.
+    assert not re.search("<(int|str|path|list)|x>=", long)
+
+
 def test_every_command_has_help(capsys: pytest.CaptureFixture[str]) -> None:
     assert main([]) == 0
     overview = capsys.readouterr().out

@@ -11,6 +11,7 @@ from lightmatrix.capture.capture import Capture
 from lightmatrix.capture.sensor import Sensor
 from lightmatrix.estimators.automatic_regularization import (
     automatic_regularization,
+    default_regularization,
     reached_level,
 )
 from lightmatrix.estimators.plain import PlainEstimator
@@ -20,7 +21,6 @@ from lightmatrix.patterns.pattern_set import PatternSet
 from lightmatrix.simulation.irradiance import irradiance
 from lightmatrix.simulation.procedural import ProceduralScene
 from lightmatrix.solvers import ActiveSet
-from lightmatrix.solvers.regularization import default_regularization
 
 TRUTH = ProceduralScene((24, 24), (16, 16), seed=4, background=0.02, bounces=6).truth()
 BITS = 16

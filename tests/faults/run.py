@@ -153,7 +153,9 @@ def _child(argv: list[str], folder: str, out: Connection, err: Connection, limit
         tempfile.tempdir = None
         os.environ.update(limits.environment, TMPDIR=str(Path(folder).parents[1] / "tmp"))
         _limit(limits, Path(folder))
-        from lightmatrix.cli import main
+        from lightmatrix.cli import main, stop_when_terminated
+
+        stop_when_terminated()
 
         code = main(argv)
     except SystemExit as left:

@@ -169,11 +169,14 @@ CASES = [
         )
         for sign in (signal.SIGKILL, signal.SIGTERM)
     ),
-    Case(
-        "patterns interrupted at work leave nothing",
-        code=(130, -2),
-        scenario=_struck(LONG, signal.SIGINT),
-        makes=(),
+    *(
+        Case(
+            f"patterns stopped at work by signal {sign:d} leave nothing",
+            code=(130, -2),
+            scenario=_struck(LONG, sign),
+            makes=(),
+        )
+        for sign in (signal.SIGINT, signal.SIGTERM)
     ),
     Case(
         "a replacement interrupted at work leaves the old",

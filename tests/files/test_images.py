@@ -687,3 +687,13 @@ def test_levels_of_16_bits_are_read_from_other_integers(dtype: str, tmp_path: Pa
         np.save(tmp_path / "b.npy", (levels - 1).astype(dtype))
         with pytest.raises(InputError, match=r"holds .* values"):
             read_image(tmp_path / "b.npy")
+
+
+@pytest.mark.parametrize("ending", ["png", "jpg", "bmp", "pgm"])
+def test_a_file_larger_than_any_image_is_not_read(tmp_path: Path, ending: str) -> None:
+    file = tmp_path / f"a.{ending}"
+    with file.open("wb") as stream:
+        # A copy program reserved the place, and was stopped.
+        stream.truncate(2**33)
+    with pytest.raises(InputError, match="is larger than 1024 MiB"):
+        read_image(file)

@@ -137,7 +137,7 @@ def test_the_table_is_complete_and_improves_with_frames() -> None:
 
 def test_advice_comes_true(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """The advised commands reach about the expected error, at a quarter of the size too."""
-    assert main(["plan", "metal", "--size", "64", "--frames", "64", "--json"]) == 0
+    assert main(["plan", "metal", "--size", "64", "-k", "64", "--json"]) == 0
     advice = json.loads(capsys.readouterr().out)
     assert advice["projector"] == [64, 64]
     for line in advice["commands"]:
@@ -213,7 +213,7 @@ def test_nothing_is_promised_below_the_fewest_measured_frames(
     fewest = counts()[0]
     assert expectations(fewest - 1) == []
     assert expectations(fewest) != []
-    assert main(["plan", "metal", "--size", "64", "--frames", "8"]) == 0
+    assert main(["plan", "metal", "--size", "64", "-k", "8"]) == 0
     text = " ".join(capsys.readouterr().out.split())
     assert "8 frames are too few" in text
     assert "8 *" not in text
@@ -228,7 +228,7 @@ def test_the_planned_capture_only_lacks_its_photographs(
     write_image(tmp_path / "white.png", frame)
     arguments = ["plan", str(tmp_path / "white.png"), "--clip", "4095", "--black", "16"]
     folder = tmp_path / "capture"
-    arguments += ["--size", "8x8", "--frames", "24", "-o", str(folder)]
+    arguments += ["--size", "8x8", "-k", "24", "-o", str(folder)]
     assert main([*arguments, "--json"]) == 0
     advice = json.loads(capsys.readouterr().out)
     assert len(advice["exposures"]) > 1

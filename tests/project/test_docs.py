@@ -8,6 +8,7 @@ import runpy
 import shlex
 import subprocess
 import sys
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -88,41 +89,36 @@ def test_the_commands_of_a_page_work(
     name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
+    # What the settings give is tested elsewhere; checks and coherent estimates take seconds.
+    quick = partial(lm.estimate, coherent=False, check=False)
+    monkeypatch.setattr(lm, "estimate", quick)
+    monkeypatch.setattr(lm, "estimate_colour", partial(lm.estimate_colour, check=False))
     truth = ProceduralScene((24, 32), (32, 32), seed=1).truth()
     capture = lm.simulate(truth, lm.BernoulliPatterns((32, 32), 24))
     capture.save("capture")
-    lm.estimate(capture, coherent=False, check=False, output="scene.zarr")
+    quick(capture, output="scene.zarr")
     camera = np.array([[30.0, 0, 16, 0], [0, 30, 12, 0], [0, 0, 1, 0]])
     projector = np.array([[30.0, 0, 16, -9], [0, 30, 16, 0], [0, 0, 1, 0]])
     lm.RigGeometry.from_matrices(camera, projector, (24, 32), (32, 32)).save("rig.json")
     if name == "colour":
         _in_colour(capture)
+        ProceduralScene((12, 12), (12, 12), seed=1).truth().save(Path("small.npz"))
+    # The commands run at smaller sizes.
     text = (ROOT / "docs" / f"{name}.md").read_text()
-    # The commands run at smaller sizes, which take a third of the time.
-    for size in ("--size 64", "(64, 64"):
-        text = text.replace(size, size.replace("64", "32"))
-    text = text.replace("-k 64", "-k 16").replace("l_objects", "capture/truth.npz")
+    text = re.sub(r"(--size |\()64(, 64)?", lambda found: found[0].replace("64", "12"), text)
+    text = text.replace("-k 64", "-k 16").replace("l_objects", "small.npz")
     commands = re.findall(r"^ *(lightmatrix .*)$", text, flags=re.MULTILINE)
     assert commands
-    if name == "colour":
-        commands = [each for line in commands for each in _of_each_colour(line)]
     for line in commands:
-        assert main(shlex.split(line)[1:]) == 0, line
+        for colour in ("red", "green", "blue") if "$colour" in line else ("",):
+            words = line.replace("$colour", colour)
+            if " estimate " in words:
+                words += " --no-check" + " --no-coherent" * bool(colour)
+            assert main(shlex.split(words)[1:]) == 0, words
     blocks = re.findall(r"```python\n(.*?)```", text, flags=re.DOTALL)
     assert blocks
     (tmp_path / "script.py").write_text("\n".join(blocks))
     runpy.run_path("script.py")
-
-
-def _of_each_colour(line: str) -> list[str]:
-    """The commands of a line in a loop over colours; some for green only."""
-    if "$colour" not in line:
-        return [line]
-    green = line.replace("$colour", "green")
-    if "check" in line:
-        return [green]
-    others = re.sub("(estimate .*) --report .*", r"\1 --no-check --no-coherent", line)
-    return [green, *(others.replace("$colour", colour) for colour in ("red", "blue"))]
 
 
 def _in_colour(capture: SimulatedCapture) -> None:

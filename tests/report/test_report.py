@@ -124,7 +124,7 @@ def test_the_page_has_its_sections_and_numbers(written: Path, estimate: lm.Light
     assert numbers["verdict"] in ("good", "fair")
     assert numbers["sentence"] in words
     for phrase in (
-        "First patterns and photographs", "0: ", "Clipped samples per frame",
+        "Relit by stripes", "0: ", "Clipped samples per frame",
         "Duality gap: median", "Estimated error per camera pixel", "Prediction minus photograph",
         "Projector row", "Projector column", "Confidence", "Footprint size", "Background",
         "Dual image", "Row of camera pixel", "Column of projector pixel", "The truth",
@@ -135,9 +135,12 @@ def test_the_page_has_its_sections_and_numbers(written: Path, estimate: lm.Light
         assert phrase in words, phrase
 
 
-def test_links_come_before_thumbnails(written: Path) -> None:
+def test_the_first_screen_shows_the_scene_and_photographs_come_last(written: Path) -> None:
     page = (written / "report.html").read_text()
-    assert page.index("<nav") < page.index('id="first-frames"') < page.index('id="photographs"')
+    order = ["Dual image", 'id="relighting"', 'id="accuracy"', 'id="photographs"', 'class="strip"']
+    places = [page.index(words) for words in order]
+    assert places == sorted(places)
+    assert page.count("<li>\n    <img") <= 12
 
 
 def test_the_numbers_are_those_of_the_estimate(

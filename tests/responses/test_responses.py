@@ -203,3 +203,10 @@ def test_without_opencv_the_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> N
     monkeypatch.setitem(sys.modules, "cv2", None)
     with pytest.raises(MissingExtraError, match=r"lightmatrix\[response\]"):
         lm.camera_response(stack(srgb, TIMES), TIMES)
+
+
+@pytest.mark.parametrize("clip", [np.nan, -5, "high"])
+def test_a_clip_level_that_is_no_level(clip: Any) -> None:
+    light = np.linspace(0, 250, 9)[:, None, None] * np.ones((9, 10, 10))
+    with pytest.raises(lm.InputError, match="clip is"):
+        lm.projector_response(light.astype(np.uint8), clip=clip)

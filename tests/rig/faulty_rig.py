@@ -40,8 +40,6 @@ class Faults:
     flicker: float = 0.0
     room_flicker: float = 0.0
     flicker_hz: float = 100.0
-    # Exponent of the camera: 1 is linear.
-    curve: float = 1.0
     # How long the camera is gone, and how long after the start that begins.
     unplugged: float = 0.0
     unplugged_at: float = 5.0
@@ -119,14 +117,6 @@ class FaultyCamera(VirtualCamera):
             frame = replace(frame, data=np.concatenate([frame.data[:row], before[row:]]))
         super()._keep(frame)
 
-    def _expose(self, start: float, stop: float, number: int) -> NDArray[Any]:
-        raw = super()._expose(start, stop, number)
-        if self._faults.curve == 1:
-            return raw
-        black, top = self._sensor.black_level, self._sensor.clip_level
-        share = np.clip((raw - black) / (top - black), 0, 1)
-        return np.rint(black + share**self._faults.curve * (top - black)).astype(raw.dtype)
-
 
 def faulty(settings: VirtualSettings, faults: Faults) -> Rig:
     """Open a virtual rig with faults."""
@@ -139,12 +129,12 @@ def faulty(settings: VirtualSettings, faults: Faults) -> Rig:
 
 
 def faulty_rig(text: str) -> Rig:
-    """Open ``virtual:SCENE,name=value,...``: settings of a virtual rig, and faults."""
+    """Open ``virtual:SCENE,name=value,...``: settings and faults, of which the last count."""
     names = [field.name for field in fields(Faults)]
     scene, *words = text.split(",")
-    wrong = dict(word.split("=") for word in words if word.split("=")[0] in names)
-    plain = [word for word in words if word.split("=")[0] not in names]
-    faults = Faults(**{name: float(value) for name, value in wrong.items()})
+    values = dict(word.split("=") for word in words)
+    faults = Faults(**{name: float(value) for name, value in values.items() if name in names})
+    plain = [f"{name}={value}" for name, value in values.items() if name not in names]
     return faulty(parse_settings(",".join([scene, *plain])), faults)
 
 

@@ -27,7 +27,6 @@ from lightmatrix.rig.devices.folders import SHOWN
 from lightmatrix.rig.devices.gentl import GenTLCamera
 from lightmatrix.rig.rig import Rig
 from lightmatrix.rig.rig_measurements import (
-    CameraLinearity,
     ExposureAdvice,
     Flicker,
     RigMeasurements,
@@ -88,7 +87,6 @@ class ShownScene:
             Flicker(0.0, 0.0, 0.001, 0.0),
             ExposureAdvice((self.exposure,), 0.5, (0.0,), _NOISE / 255, _BLACK),
             ProjectorResponse(steps, tuple(step / 255 for step in steps), 1.0),
-            CameraLinearity((self.exposure,), (0.7,), 0.0, 1.0),
             float((white - _BLACK).mean()) / 255 / self.exposure,
         )
 

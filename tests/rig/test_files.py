@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from PIL import Image
 
 from lightmatrix.errors import DeviceError, FrameTimeoutError, InputError, OutputError
 from lightmatrix.files.images import read_image, write_image
@@ -131,6 +132,31 @@ def test_frames_come_in_the_order_in_which_they_were_taken(tmp_path: Path) -> No
     assert frames[0].clip_level == 200
 
 
+def test_a_file_that_is_written_again_is_a_new_frame(tmp_path: Path) -> None:
+    for value in (1, 2, 3):
+        if value == 2:
+            camera = open_camera(f"watch:{tmp_path},exposure=1")
+        write_image(tmp_path / "tethered.png", np.full(SHAPE, value, np.uint8), overwrite=True)
+        if value > 1:
+            frame = camera.get_image(60)
+            assert (frame.id, int(frame.data[0, 0])) == (value - 1, value)
+    with pytest.raises(FrameTimeoutError, match=r"no frame within"):
+        camera.get_image(0.15)
+
+
+def test_one_photograph_in_two_formats_is_one_frame(tmp_path: Path) -> None:
+    camera = open_camera(f"watch:{tmp_path},exposure=1")
+    for number, endings in enumerate((("jpg", "png"), ("jpg", "png"), ("png", "jpg")), 1):
+        for ending in endings:
+            image = np.full(SHAPE, number, np.uint8)
+            Image.fromarray(image).save(tmp_path / f"IMG_{number}.{ending}")
+        frame = camera.get_image(60)
+        assert (frame.id, int(frame.data[0, 0])) == (number, number)
+    with pytest.raises(FrameTimeoutError) as caught:
+        camera.get_image(0.15)
+    assert ".png" in str(caught.value.hint)
+
+
 def test_what_no_camera_takes(tmp_path: Path) -> None:
     camera = open_camera(f"watch:{tmp_path},exposure=1")
     write_image(tmp_path / "a.npy", np.zeros(SHAPE, np.float32))
@@ -145,7 +171,7 @@ def test_what_no_camera_takes(tmp_path: Path) -> None:
     (tmp_path / ".hidden.png").write_text("no frame")
     with pytest.raises(FrameTimeoutError, match="no frame within") as caught:
         camera.get_image(0.1)
-    assert "PNG" in str(caught.value.hint)
+    assert ".png" in str(caught.value.hint)
 
 
 def test_what_cannot_be_watched(tmp_path: Path) -> None:

@@ -118,13 +118,6 @@ def test_the_brightest_single_response_does_not_clip() -> None:
     assert 0.8 < np.quantile(white, 0.99) * min(advice.seconds) / rig.unit < 1.2
 
 
-@pytest.mark.parametrize(("curve", "is_linear"), [(1.0, True), (0.8, False), (1.25, False)])
-def test_a_camera_that_is_not_linear(curve: float, is_linear: bool) -> None:
-    linearity = _measured(_rig(f",curve={curve},black=0,fps=0"), "linearity")
-    assert linearity.linear is is_linear
-    assert linearity.exponent == pytest.approx(curve, rel=0.05)
-
-
 def test_a_camera_that_does_not_see_the_projector() -> None:
     for part in PARTS:
         with pytest.raises(lm.DeviceError, match="does not see the projector"):
@@ -157,8 +150,7 @@ def test_outdated_parts_are_noticed() -> None:
     known = lm.measure_rig(_rig(",delay=2,fps=0"))
     assert outdated_parts(_rig(",delay=2,fps=0,noise=0.004"), known) == []
     assert outdated_parts(_rig(",delay=4,fps=0"), known) == ["settle"]
-    assert outdated_parts(_rig(",delay=2,fps=0,gamma=2.5"), known) == ["response", "linearity"]
-    assert "linearity" in outdated_parts(_rig(",delay=2,fps=0,curve=0.8"), known)
+    assert outdated_parts(_rig(",delay=2,fps=0,gamma=2.5"), known) == ["response"]
     assert outdated_parts(_rig(",delay=2,fps=0,unit=0.023"), known) == ["exposure"]
     for words in (",flicker=0.1", ",room_flicker=0.8,room=0.1"):
         assert outdated_parts(_rig(",delay=2,fps=0" + words), known)[-2:] == ["flicker", "exposure"]

@@ -224,3 +224,20 @@ def test_rows_that_state_an_error_of_all_their_light_give_no_depth() -> None:
         changed = np.flatnonzero((shape.test != without.test).ravel())
         np.testing.assert_array_equal(changed, uncertain)
         assert (shape.test.ravel()[changed] == ShapeTest.UNCERTAIN).all()
+
+
+def test_files_take_their_places_together(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    known = truth("corner")
+    scene = (known.transport(), known.geometry)
+    cloud, depth, picture = (tmp_path / f"a.{ending}" for ending in ("ply", "tif", "png"))
+
+    def stopped(shape: Shape) -> None:
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch:
+        patch.setattr(Shape, "show", stopped)
+        with pytest.raises(KeyboardInterrupt):
+            lm.triangulate(*scene, output=cloud, depth=depth, picture=picture)
+    assert not list(tmp_path.iterdir())
+    lm.triangulate(*scene, output=cloud, depth=depth, picture=picture)
+    assert set(tmp_path.iterdir()) == {cloud, depth, picture}

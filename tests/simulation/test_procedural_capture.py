@@ -20,7 +20,7 @@ PATTERNS = lm.BernoulliPatterns((8, 8), 24)
 def test_the_command_and_the_strips_of_the_benchmarks_give_the_same_frames(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    line = "simulate procedural --camera 12x10 --size 8x8 -k 24 -o {}/c.zarr --json"
+    line = "simulate procedural --camera-size 12x10 --size 8x8 -k 24 -o {}/c.zarr --json"
     assert main(line.format(tmp_path).split()) == 0
     assert json.loads(capsys.readouterr().out)["frames"] == 24
     photograph(tmp_path / "d.zarr", SCENE, PATTERNS)
@@ -33,7 +33,7 @@ def test_the_command_and_the_strips_of_the_benchmarks_give_the_same_frames(
     ("words", "message"),
     [
         ("procedural --patterns {}/p -k 8", "-k for patterns of a folder"),
-        ("metal --patterns {}/p --camera 8x8", "--camera for metal"),
+        ("metal --patterns {}/p --camera-size 8x8", "--camera-size for metal"),
         ("metal", "--patterns is missing"),
     ],
 )

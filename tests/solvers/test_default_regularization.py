@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 
 from lightmatrix.errors import InputError
-from lightmatrix.patterns.bits import BernoulliPatterns
-from lightmatrix.patterns.pattern_set import ImagePatterns
-from lightmatrix.solvers.regularization import (
+from lightmatrix.estimators.automatic_regularization import (
     TAIL_SHARE,
     column_length,
     default_regularization,
 )
+from lightmatrix.patterns.bits import BernoulliPatterns
+from lightmatrix.patterns.pattern_set import ImagePatterns
 
 
 def test_the_tail_decides_at_low_noise_and_the_noise_at_high() -> None:

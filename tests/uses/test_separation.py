@@ -242,6 +242,10 @@ def test_files_hold_what_is_returned(tmp_path: Path) -> None:
             np.load(tmp_path / "s" / f"{name}.npy"), part.relight(stripes)
         )
     assert (tmp_path / "s" / "separation.png").exists()
+    assert parts._repr_png_().startswith(b"\x89PNG")
+    titles = [axes.get_title() for axes in parts.show().axes]
+    assert titles[0] == "Direct light"
+    assert titles[1].startswith("Global light")
     np.testing.assert_array_equal(np.load(tmp_path / "s" / "parallax.npy"), parts.parallax)
     np.testing.assert_array_equal(np.load(tmp_path / "s" / "confidence.npy"), parts.confidence)
     with pytest.raises(lm.OutputError):

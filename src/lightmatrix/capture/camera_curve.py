@@ -27,9 +27,11 @@ from lightmatrix.reprs import short_repr
 MOST_LEVEL = 2.0**32
 
 
-def range_end(dtype: np.dtype[Any]) -> float:
-    """The highest raw level that images of a type hold: 1 for float."""
-    return 1.0 if dtype.kind == "f" else float(np.iinfo(dtype).max)
+def range_end(dtype: np.dtype[Any], clip: float | NDArray[Any] | None = None) -> float:
+    """The highest raw level that images of a type hold: 1 for float, or a higher `clip` level."""
+    if dtype.kind == "f":
+        return float(np.max(1.0 if clip is None else clip, initial=1.0))
+    return float(np.iinfo(dtype).max)
 
 
 def per_frame(value: float | NDArray[Any], start: int, stop: int, name: str) -> NDArray[np.float64]:

@@ -316,9 +316,7 @@ def make_decoder(stack: ImageStack, settings: ReadSettings) -> Decoder:
             f"a response of levels up to {measured:g} for images of {stack.dtype}",
             hint="measure it with images of that kind",
         )
-    if full_scale is None:
-        full_scale = measured or top
-    elif stack.dtype.kind == "u" and full_scale > top:
+    if full_scale is not None and stack.dtype.kind == "u" and full_scale > top:
         raise InputError(
             f"a full scale of {full_scale:g} for images of {stack.dtype}",
             hint=f"use a raw level of at most {top:g}",
@@ -329,6 +327,7 @@ def make_decoder(stack: ImageStack, settings: ReadSettings) -> Decoder:
         if pile is not None:
             warn(f"clip: {pile}, where the camera seems to clip")
         clip, assumed = None if pile is None else float(pile.shown), pile is None
+    full_scale = full_scale or measured or range_end(stack.dtype, clip)
     clip = full_scale if clip is None else clip
     return Decoder(
         clip,
@@ -381,11 +380,26 @@ def _read_black(
 
 
 def check_depth(frames: Frames, decoder: Decoder) -> None:
-    """Refuse 16-bit files that hold fewer bits if no clip level is stated.
+    """Refuse swapped bytes, negative levels, and 16-bit files of fewer bits without a clip level.
 
     A camera of 12 bits clips at 4095. With 65535 in its place no sample would count as clipped: the
     estimate would be wrong without any sign of it.
     """
+    middle = frames.read(frames.count // 2)
+    dark = float(np.median(middle))
+    # Noise around a dark frame that was subtracted is far smaller.
+    if dark < -0.05 * np.min(decoder.clip):
+        raise InputError(
+            f"half of the levels of a photograph are below {dark:g}",
+            hint="scale the images so that 0 is no light",
+        )
+    # One frame may lack some bits by chance.
+    swapped = frames.dtype == np.uint16 and have_swapped_bytes([middle])
+    if swapped and have_swapped_bytes(level_blocks(frames)):
+        raise InputError(
+            "the two bytes of each level are swapped: the bits that all levels use have a gap",
+            hint="write the images in the byte order that their format or header states",
+        )
     if not decoder.clip_assumed:
         return
     if frames.dtype.kind == "f":
@@ -413,6 +427,22 @@ def check_depth(frames: Frames, decoder: Decoder) -> None:
         f"the images have 16 bits, but no level above {top}: a camera {which}",
         hint=f'{hint}, or "clip" in capture.json; clip=65535 if they are just dark',
     )
+
+
+def have_swapped_bytes(levels: Iterable[NDArray[np.uint16]]) -> bool:
+    """Whether the bits that levels use have a gap, and none once their bytes are exchanged.
+
+    The bits of a camera are neighbours, wherever they stand in the 16 bits of a file: those of
+    12 bits are 0x0fff or 0xfff0, with swapped bytes 0xff0f or 0xf0ff.
+    """
+    used = 0
+    for block in levels:
+        used |= int(np.bitwise_or.reduce(block, axis=None))
+
+    def gap(bits: int) -> bool:
+        return "0" in f"{bits:b}".strip("0")
+
+    return gap(used) and not gap((used >> 8) | (used & 255) << 8)
 
 
 def read_mask(mask: str | Path | None, shape: tuple[int, ...]) -> NDArray[np.bool_] | None:

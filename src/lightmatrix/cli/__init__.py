@@ -53,12 +53,19 @@ def console() -> None:
         code = 3
         if not _lacks_address_space():
             _load()
+            stop_when_terminated()
             code = main()
     except KeyboardInterrupt:
         code = 130
     # Python would look for garbage once more, for 0.15 s, in memory that the system frees anyway.
     gc.freeze()
     sys.exit(code)
+
+
+def stop_when_terminated() -> None:
+    """Let SIGTERM end a command like Ctrl-C: what it has begun to write is removed."""
+    if signal.getsignal(signal.SIGTERM) is signal.SIG_DFL:
+        signal.signal(signal.SIGTERM, signal.default_int_handler)
 
 
 def keep_freed_memory() -> None:

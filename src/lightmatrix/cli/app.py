@@ -87,29 +87,44 @@ class _Group(TyperGroup):
 
 
 class _Command(TyperCommand):
-    """Lists the options under their headings."""
+    """Lists the usual options; those under headings of their own after --help-all."""
 
     def format_options(self, ctx: Any, formatter: Any) -> None:
-        for heading, records in help_sections(self, ctx).items():
+        sections = help_sections(self, ctx)
+        shown = [name for name in sections if ctx.find_root().obj or name in _USUAL]
+        for heading in shown:
             with formatter.section(heading):
-                formatter.write_dl(records)
+                formatter.write_dl(sections[heading])
+        if len(shown) < len(sections):
+            formatter.write_paragraph()
+            formatter.write_text(f"More options: {ctx.command_path} --help-all")
+
+
+# The headings of every command. Other options are rarely needed.
+_USUAL = ("Arguments", "Options")
+# What a reader writes for a type, as the help names it.
+_WORDS = {"int": "N", "int range": "N", "float": "X", "float range": "X", "str": "TEXT"}
+_WORDS |= {"path": "PATH", "list[Path]": "PATH"}
 
 
 def help_sections(command: TyperCommand, context: Any) -> dict[str, list[tuple[str, str]]]:
     """The headings of a command's help (`rich_help_panel`), each with names and meanings."""
-    sections: dict[str, list[tuple[str, str]]] = {}
+    sections: dict[str, list[tuple[str, str]]] = {name: [] for name in _USUAL}
     for parameter in command.get_params(context):
         record = parameter.get_help_record(context)
         if record is not None:
             words, meaning = record
-            # Typer puts a default that is text into brackets of its own.
-            meaning = re.sub(r"\[default: \((.*)\)(;.*)?\]$", r"[default: \1\2]", meaning)
-            usual = "Arguments" if parameter.param_type_name == "argument" else "Options"
+            words = re.sub("<([^<>]*)>", lambda found: _WORDS.get(found[1], found[1]), words)
+            # Limits are left to the messages; and Typer puts a default that is text into brackets.
+            meaning = re.sub(r"(; |\[)[^\]\[;]*x[<>]=?[^\]\[;]*\]$", r"\1]", meaning)
+            meaning = meaning.replace("; ]", "]").removesuffix("[]").rstrip()
+            meaning = re.sub(r"\[default: \((.*)\)\]$", r"[default: \1]", meaning)
+            usual = _USUAL[parameter.param_type_name != "argument"]
+            if usual == "Arguments":
+                words = words.removesuffix(" PATH").removesuffix(" TEXT")
             heading = getattr(parameter, "rich_help_panel", None) or usual
             sections.setdefault(heading, []).append((words, meaning))
-    # Options without a heading are those that most commands have: they come last.
-    rest = sections.pop("Options", None)
-    return sections | ({"Options": rest} if rest else {})
+    return {heading: records for heading, records in sections.items() if records}
 
 
 app = typer.Typer(
@@ -165,7 +180,9 @@ def _invoke(arguments: list[str]) -> int:
         if COMPLETION in os.environ:
             # The shell wants the words that can come next, and nothing else.
             command.main(arguments, prog_name="lightmatrix", complete_var=COMPLETION)
-        with outputs, command.make_context("lightmatrix", list(arguments)) as context:
+        words = ["--help" if word == "--help-all" else word for word in arguments]
+        every = words != arguments
+        with outputs, command.make_context("lightmatrix", words, obj=every) as context:
             command.invoke(context)
     except typer.Exit as leaving:
         return leaving.exit_code
@@ -216,7 +233,7 @@ def _explain(error: BaseException) -> tuple[int, list[str]]:
     if lacks_memory(error):
         return NO_MEMORY, [
             "error: not enough memory",
-            "use a smaller size, --memory or --tile-rows",
+            "use a smaller size, or --memory",
         ]
     if isinstance(error, OSError) and str(error).startswith("cannot start"):
         return NO_MEMORY, [f"error: {error}", "free some memory, or lower RAYON_NUM_THREADS"]

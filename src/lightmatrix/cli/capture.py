@@ -85,7 +85,7 @@ def capture(
 ) -> None:
     """Photograph patterns with a rig; interrupted runs go on.
 
-    The rig is measured first: settle time, exposures, flicker, response and linearity. Later
+    The rig is measured first: settle time, exposures, flicker and response. Later
     captures only check these by a short look. Frames that are late, torn, lost or copied are taken
     again.
     """

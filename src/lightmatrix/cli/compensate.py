@@ -37,7 +37,10 @@ def compensate(
     ] = 1.0,
     resize: Annotated[bool, Option("--resize", help="Resize the picture to the camera.")] = False,
     exposure: Annotated[
-        float, Option(help="Exposure e at which samples are counted that clip.")
+        float,
+        Option(
+            help="Brightness factor at which samples are counted that clip; 1 is the unit of T."
+        ),
     ] = 1.0,
     projector_response: Annotated[
         str | None,

@@ -35,7 +35,7 @@ if TYPE_CHECKING:
 _OUTPUT = Path("scene.zarr")
 
 # Headings of the options in `--help`.
-_SOLVER, _RESOLUTION, _RESOURCES = "How to solve", "Resolution", "Memory and processes"
+_SOLVER, _RESOURCES, _REPORT = "How to solve", "Memory and processes", "Check and report"
 
 SolverName = Literal["active-set", "saturation-admm", "admm", "romp"]
 FidelityName = Literal["linear", "one-sided", "clipped", "rejection"]
@@ -61,7 +61,7 @@ Regularization = Annotated[
     str,
     typer.Option(
         rich_help_panel=_SOLVER,
-        help="The paper's lambda, in units of camera sample; or auto (from patterns and samples).",
+        help="How strongly faint light is suppressed (the paper's lambda). Leave it at auto.",
     ),
 ]
 Coherent = Annotated[
@@ -103,11 +103,9 @@ MultiScale = Annotated[
     ),
 ]
 BinProjector = Annotated[
-    str, typer.Option(rich_help_panel=_RESOLUTION, help="Projector pixels per bin, 8 or 8x8.")
+    str, typer.Option(rich_help_panel=_SOLVER, help="Projector pixels per bin, 8 or 8x8.")
 ]
-BinCamera = Annotated[
-    str, typer.Option(rich_help_panel=_RESOLUTION, help="Camera pixels per bin, 8 or 8x8.")
-]
+BinCamera = Annotated[str, typer.Option(help="Camera pixels per bin, 8 or 8x8; averages them.")]
 TileRows = Annotated[
     int | None,
     typer.Option(
@@ -149,6 +147,7 @@ Correct = Annotated[
     str,
     typer.Option(
         metavar="auto|none|NAME,...",
+        rich_help_panel=_REPORT,
         help="Which faults of the rig to look for in the photographs and to take out of T: all, "
         "none, or some of gain, exposure, ambient, shift, rows, previous, camera-curve, "
         "projector-curve, crosstalk, sharpening, camera-sharpening, dynamic-contrast.",
@@ -157,8 +156,9 @@ Correct = Annotated[
 Check = Annotated[
     bool,
     typer.Option(
+        rich_help_panel=_REPORT,
         help="Check the frames first, and refuse images that do not follow the patterns and "
-        "estimates that do not fit into memory."
+        "estimates that do not fit into memory.",
     ),
 ]
 
@@ -199,18 +199,29 @@ def estimate(
         ),
     ] = None,
     viewer: Annotated[
-        bool, typer.Option("--viewer", help="Add the viewer to the report, as viewer.html.")
+        bool,
+        typer.Option(
+            "--viewer",
+            rich_help_panel=_REPORT,
+            help="Add the viewer to the report, as viewer.html.",
+        ),
     ] = False,
     geometry: Annotated[
         Path | None,
         typer.Option(
             metavar="RIG.json",
+            rich_help_panel=_REPORT,
             help="Where camera and projector stand, for depth and normals in the report: a file of "
             "`calibrate`.",
         ),
     ] = None,
     dry_run: Annotated[
-        bool, typer.Option("--dry-run", help="Print the memory and time it would take, and stop.")
+        bool,
+        typer.Option(
+            "--dry-run",
+            rich_help_panel=_RESOURCES,
+            help="Print the memory and time it would take, and stop.",
+        ),
     ] = False,
     verbose: Verbose = False,
     overwrite: Overwrite = False,

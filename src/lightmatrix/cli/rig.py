@@ -55,7 +55,6 @@ _PARTS = {
     "settle": "Measure the shortest safe delay between showing and exposing.",
     "exposure": "Choose exposures from a white picture.",
     "response": "Measure the projector's light for each grey value.",
-    "linearity": "Test whether twice the exposure gives twice the level.",
     "flicker": "Test whether the projector or the room flickers.",
 }
 
@@ -76,11 +75,6 @@ def _lines(name: str, part: Mapping[str, Any]) -> Iterator[str]:
         )
     elif name == "response":
         yield f"the projector's gamma is {part['gamma']:.2f}; grey patterns are corrected by it"
-    elif name == "linearity":
-        yield (
-            f"off a straight line by {100 * part['deviation']:.1f} % at most; level goes with the "
-            f"exposure to the power of {part['exponent']:.3f}"
-        )
     else:
         if part["frequency"]:
             yield (

@@ -38,7 +38,8 @@ def simulate(
         Path | None, typer.Option("--patterns", help="Folder made by `lightmatrix patterns`.")
     ] = None,
     camera: Annotated[
-        str | None, typer.Option(help="procedural: camera pixels, such as 1024x1024.")
+        str | None,
+        typer.Option("--camera-size", help="procedural: camera pixels, such as 1024x1024."),
     ] = None,
     projector: Annotated[
         str | None,
@@ -46,7 +47,9 @@ def simulate(
     ] = None,
     count: Annotated[
         int | None,
-        typer.Option("-k", help="procedural: number of random patterns, in place of --patterns."),
+        typer.Option(
+            "-k", "--count", help="procedural: number of random patterns, in place of --patterns."
+        ),
     ] = None,
     exposure: Annotated[
         str,
@@ -63,7 +66,7 @@ def simulate(
         float,
         typer.Option(help="Shot noise at the clip level, standard deviation as a share of it."),
     ] = 0.0,
-    black: Annotated[float, typer.Option(help="Black level in raw levels.")] = 0.0,
+    black: Annotated[float, typer.Option("--black-level", help="Raw level without light.")] = 0.0,
     blur: Annotated[
         float, typer.Option(help="Defocus of the projector, standard deviation in pixels.")
     ] = 0.0,
@@ -79,6 +82,7 @@ def simulate(
     primary: Annotated[
         Literal["red", "green", "blue"] | None,
         typer.Option(
+            "--colour",
             help="Primary of a colour projector that shows the patterns; the camera then has "
             "three channels.",
             show_default="white",
@@ -99,7 +103,7 @@ def simulate(
     """Photograph a scene under patterns.
 
     The command writes a capture folder, with the true T beside the frames as truth.npz. The scene
-    `procedural` has any --camera and --size.
+    `procedural` has any --camera-size and --size.
     """
     packed = output.suffix.lower() == ".zarr"
     claim(output, PACKED_CAPTURE if packed else CAPTURE, overwrite=overwrite)
@@ -120,7 +124,7 @@ def simulate(
             truth = lm.ProceduralScene(camera_shape, patterns.shape, seed).truth()
             capture = lm.simulate(truth, patterns, progress=report, **common, **rig)
         else:
-            _refuse({"--camera": camera, "--size": projector, "-k": count}, scene)
+            _refuse({"--camera-size": camera, "--size": projector, "-k": count}, scene)
             if pattern_folder is None:
                 raise InputError("--patterns is missing", hint="make some: lightmatrix patterns")
             capture = lm.simulate(scene, pattern_folder, progress=report, **common, **rig)

@@ -130,14 +130,14 @@ def read_source(
         Argument(metavar="IMAGES", help="The photographs, if the first argument is the patterns."),
     ] = None,
     patterns: Annotated[
-        Path | None, _reading(help="Pattern images: a folder, or a stack (TIFF, npy, npz).")
+        Path | None, Option(help="Pattern images: a folder, or a stack (TIFF, npy, npz).")
     ] = None,
     images: Annotated[
-        Path | None, _reading(help="Photographs in the same order: a folder, or a stack.")
+        Path | None, Option(help="Photographs in the same order: a folder, or a stack.")
     ] = None,
     black: Annotated[
         str | None,
-        _reading(help="Photograph under a black pattern, or of ambient light; or a black level."),
+        Option(help="Photograph under a black pattern, or of ambient light; or a black level."),
     ] = None,
     black_exposure: Annotated[
         float | None,
@@ -161,7 +161,7 @@ def read_source(
         float | None,
         _reading(help="Raw level that the response calls 1.", show_default="end of the range"),
     ] = None,
-    response: Annotated[str | None, _reading(help=FIND_HELP, show_default="linear")] = None,
+    response: Annotated[str | None, Option(help=FIND_HELP, show_default="linear")] = None,
     projector_response: Annotated[
         str | None,
         _reading(

@@ -40,8 +40,9 @@ def view(
     page_memory: Annotated[
         str,
         Option(
+            hidden=True,
             help="Largest matrix that the page itself holds, such as 512MiB. Larger ones stay on "
-            "disk, with an index of their columns, which is made if it is missing."
+            "disk, with an index of their columns, which is made if it is missing.",
         ),
     ] = USUAL_PAGE_MEMORY,
     overwrite: Overwrite = False,

@@ -14,7 +14,7 @@ from scipy.sparse import csr_array
 from lightmatrix.capture.capture import Capture
 from lightmatrix.capture.samples import Samples
 from lightmatrix.errors import InputError
-from lightmatrix.estimators.automatic_regularization import automatic_regularization
+from lightmatrix.estimators.automatic_regularization import automatic_regularization, column_length
 from lightmatrix.estimators.base import (
     Estimator,
     Plan,
@@ -28,7 +28,6 @@ from lightmatrix.patterns.pattern_set import ImagePatterns, PatternSet
 from lightmatrix.solvers import Solver, solve
 from lightmatrix.solvers.loop import Progress
 from lightmatrix.solvers.problem import Problem, Result
-from lightmatrix.solvers.regularization import column_length
 from lightmatrix.transport.checkpoint import Span
 from lightmatrix.transport.sparse_rows import SparseRows
 

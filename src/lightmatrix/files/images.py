@@ -27,7 +27,7 @@ from lightmatrix.files.colours import COLOURS
 from lightmatrix.files.extras import RAW, read_exr, read_raw, write_exr
 from lightmatrix.files.kinds import IMAGE
 from lightmatrix.files.numpy_files import as_float32, read_npy
-from lightmatrix.files.reading import check_image_size, regular_file
+from lightmatrix.files.reading import MOST_VALUES, check_image_size, read_bytes, regular_file
 from lightmatrix.files.writing import atomic_file
 from lightmatrix.ranges import real_array
 
@@ -283,8 +283,13 @@ def _check_file(file: Path) -> None:
         raise InputError(f"{file}: is empty (0 bytes)", hint="copy or export the file again")
 
 
+def _content(file: Path) -> bytes:
+    """All bytes of a file of values of 8 or 16 bits, which no image makes so large."""
+    return read_bytes(file, 4 * MOST_VALUES)
+
+
 def _read_png(file: Path) -> NDArray[Any]:
-    data = file.read_bytes()
+    data = _content(file)
     if not data.startswith(_PNG) or data[12:16] != b"IHDR":
         raise ValueError("not a PNG file")
     cols, rows, _, colour = struct.unpack_from(">IIBB", data, 16)
@@ -310,7 +315,7 @@ def _by_pillow(signature: bytes, kind: str) -> Callable[[Path], NDArray[Any]]:
     """The reader of a format that Pillow decodes, if the file begins like that format."""
 
     def read(file: Path) -> NDArray[Any]:
-        data = file.read_bytes()
+        data = _content(file)
         if not data.startswith(signature):
             raise ValueError(f"not a {kind} file")
         with Image.open(io.BytesIO(data)) as opened:
@@ -415,7 +420,7 @@ def _read_pgm(file: Path) -> NDArray[Any]:
     A file of 12 bits says so by its largest level, 4095, and its levels stay as they are; other
     readers, Pillow among them, stretch them to 65535.
     """
-    data = file.read_bytes()
+    data = _content(file)
     if not data.startswith(b"P5"):
         raise ValueError("not a binary PGM file")
     numbers, place = [], 2

@@ -51,13 +51,14 @@ def read_bytes(path: str | Path, most: int = MOST_TEXT) -> bytes:
     """The content of a regular file of at most `most` bytes."""
     file = regular_file(path)
     try:
+        large = file.stat().st_size > most
         with file.open("rb") as stream:
-            content = stream.read(most + 1)
+            content = b"" if large else stream.read(most + 1)
     except OSError as error:
         raise InputError(
             f"{file}: cannot be read ({error.strerror or error})", hint="check its permissions"
         ) from error
-    if len(content) > most:
+    if large or len(content) > most:
         raise InputError(
             f"{file}: is larger than {most / 2**20:g} MiB", hint="check that it is the right file"
         )

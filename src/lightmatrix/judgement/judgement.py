@@ -22,6 +22,7 @@ from scipy.ndimage import rank_filter
 
 from lightmatrix.judgement.metrics import row_energies, unclipped_rows
 from lightmatrix.ranges import check_type
+from lightmatrix.reprs import html_table
 from lightmatrix.transport.matrix import LightTransport, prediction_error
 from lightmatrix.transport.operator import HOW_TO_GIVE, TransportOperator
 
@@ -171,6 +172,10 @@ class Verdicts:
                 for name, each in verdicts.items()
             }
         )
+
+    def _repr_html_(self) -> str:
+        rows = (line.partition(": ") for line in self.lines())
+        return html_table("Verdicts", {question: answer for question, _, answer in rows})
 
     def as_dict(self) -> dict[str, dict[str, Any]]:
         """The verdicts by their names, each with its parts and its sentence, JSON-ready."""

@@ -31,11 +31,11 @@ from lightmatrix.judgement.judgement import (
 )
 from lightmatrix.judgement.metrics import check_same_rig
 from lightmatrix.pictures.maps import has_diagnostic
-from lightmatrix.report.elements import Points, Section
+from lightmatrix.report.elements import Section
 from lightmatrix.report.facts import Estimator, Facts, Validation, validate
 from lightmatrix.report.sections import (
     error_estimates,
-    first_frames,
+    first_pictures,
     parameters,
     photographs,
     relighting,
@@ -89,6 +89,12 @@ def recommendations(facts: Facts) -> tuple[str, ...]:
             else f"{error} Check that the frames follow the patterns, that they are linear in "
             "light and that the camera did not move. If so, take twice the patterns "
             f"({2 * count}), or average projector pixels (bin_projector=2)."
+        )
+    if facts.errors is not None and facts.errors.relative_error_diffuse > 2 * GOOD:
+        sentences.append(
+            f"Rows of diffuse light, which hardly see direct light, have an error of "
+            f"{percent(facts.errors.relative_error_diffuse)}. More coarse patterns resolve them "
+            "(`lightmatrix patterns mix`)."
         )
     unfinished = 1 - float(np.mean(diagnostics.get("converged", True)))
     if unfinished > 0.01:
@@ -262,15 +268,15 @@ def write_page(
         numbers=first_numbers,
         viewer="viewer.html" if viewer else None,
         findings=[_sentences(finding) for finding in findings],
-        first_frames=first_frames(facts),
+        first=first_pictures(facts),
+        advice=advice,
         sections=(
-            photographs(facts),
-            error_estimates(facts),
-            transport_matrix(facts),
             relighting(facts),
+            transport_matrix(facts),
             uses(facts),
+            error_estimates(facts),
             *more,
-            Section("recommendations", "Recommendations", "", (Points(advice),)),
+            photographs(facts),
             parameters(facts),
         ),
         version=__version__,

@@ -21,6 +21,7 @@ from lightmatrix.pictures.maps import (
     gap_map,
     has_diagnostic,
 )
+from lightmatrix.pictures.style import white_level
 from lightmatrix.report.elements import (
     THUMB_PIXELS,
     Bars,
@@ -53,7 +54,13 @@ from lightmatrix.uses.separation import separate
 
 def parameters(facts: Facts) -> Section:
     """The provenance of the estimate, enough to repeat it."""
-    rows = tuple(_flat(facts.transport.provenance))
+    # How a bundled scene was rendered is not how it was photographed.
+    rendering = ("renderer", "seconds", "samples", "keep", "max depth", "noise entries")
+    rows = tuple(
+        (name, value)
+        for name, value in _flat(facts.transport.provenance)
+        if name.removeprefix("capture description: ") not in (*rendering, "noise white")
+    )
     lead = "The parameters as the store of the estimate holds them."
     tables = (Table("Parameters", ("parameter", "value"), rows),) if rows else ()
     return Section("parameters", "All parameters", lead, tables)
@@ -331,13 +338,8 @@ def _comparison(facts: Facts, validation: Validation, index: int) -> tuple[Image
     )
 
 
-# The first screen shows this many frames, and the whole page at most this many.
-FIRST, MOST = 8, 48
-
-
-def first_frames(facts: Facts) -> Strip:
-    """The first patterns and photographs, which show at a glance whether their order is right."""
-    return Strip(tuple(_pair(facts, k) for k in range(min(FIRST, facts.capture.count))))
+# The page shows at most this many frames.
+MOST = 12
 
 
 def photographs(facts: Facts) -> Section:
@@ -371,9 +373,8 @@ def photographs(facts: Facts) -> Section:
         _bars("Mean level per frame, relative to the clip level", frames.level),
     )
     elements: list[Element] = [Columns((table, *maps), charts), *_rig(facts.transport)]
-    if capture.count > FIRST:
-        shown = np.unique(np.linspace(FIRST, capture.count - 1, MOST - FIRST).astype(int))
-        elements.append(Strip(tuple(_pair(facts, int(k)) for k in shown)))
+    shown = np.unique(np.linspace(0, capture.count - 1, MOST).astype(int))
+    elements.append(Strip(tuple(_pair(facts, int(k)) for k in shown)))
     lead = (
         f"The capture has {capture.count} photographs, one per pattern. "
         f"{clipped} of the samples clipped."
@@ -452,13 +453,22 @@ def transport_matrix(facts: Facts) -> Section:
     if has_diagnostic(transport, "footprint"):
         caption = "How many projector pixels a camera pixel sees: many where it is out of focus."
         images.append(image_of_map(footprint_map(transport), caption))
+    share = percent(transport.background_share)
+    images.append(
+        photograph(
+            transport.background.sum(axis=1).reshape(transport.camera_shape),
+            f"Light of the background: {share} of all light",
+            "Background",
+            f"{share} of the light comes faintly from everywhere; on the scale of the white image.",
+            white=white_level(facts.white),
+        )
+    )
     elements: list[Element] = [
         Text(
             "The projector pixel that each camera pixel sees most. `lightmatrix show SCENE.zarr "
             "--correspondence -o map.npz` writes the numbers, to fractions of a pixel."
         ),
         Gallery(tuple(images)),
-        Gallery(_views(facts)),
         Text(
             "A row of T shows on the projector where the light of a camera pixel comes from. A "
             "column of T shows in the camera where the light of a projector pixel goes. Faint "
@@ -470,31 +480,32 @@ def transport_matrix(facts: Facts) -> Section:
     return Section("matrix", "The light transport matrix", lead, tuple(elements))
 
 
-def _views(facts: Facts) -> tuple[Image, ...]:
+def first_pictures(facts: Facts) -> Gallery:
+    """The scene under white, from the projector, and relit: what T is, at a glance."""
     transport = facts.transport
     rows, cols, *_ = transport.camera_shape
-    background = transport.background.sum(axis=1).reshape(transport.camera_shape)
-    share = percent(transport.background_share)
-    return (
-        photograph(
-            facts.white,
-            f"The scene under a white pattern, {rows} x {cols} pixels, computed from T",
-            "White pattern",
-            "The scene with every projector pixel lit, without clipping.",
-        ),
-        photograph(
-            background,
-            f"Light of the background: {share} of all light",
-            "Background",
-            f"{share} of the light comes faintly from everywhere; shown on the same scale.",
-            white=float(np.quantile(facts.white, 0.99)),
-        ),
-        photograph(
-            transport.dual_image(),
-            "The scene seen from the projector, lit from the camera",
-            "Dual image",
-            "The scene as the projector would photograph it, lit from the camera.",
-        ),
+    stripes = unseen_patterns(transport.projector_shape)["stripes"]
+    return Gallery(
+        (
+            photograph(
+                facts.white,
+                f"The scene under a white pattern, {rows} x {cols} pixels, computed from T",
+                "White pattern",
+                "The scene with every projector pixel lit, computed from T.",
+            ),
+            photograph(
+                transport.dual_image(),
+                "The scene seen from the projector, lit from the camera",
+                "Dual image",
+                "The scene as the projector would photograph it, lit from the camera.",
+            ),
+            photograph(
+                transport.relight(stripes),
+                "The scene under stripes, computed from T",
+                "Relit by stripes",
+                "A pattern that was never projected.",
+            ),
+        )
     )
 
 

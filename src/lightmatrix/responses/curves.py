@@ -32,7 +32,7 @@ from lightmatrix.files.writing import check_output
 from lightmatrix.patterns.projector_curve import ProjectorResponse
 from lightmatrix.pictures.style import COLOURS, STYLE
 from lightmatrix.pictures.transport import Picture
-from lightmatrix.ranges import as_float, real_array, real_numbers
+from lightmatrix.ranges import as_float, check_positive, real_array, real_numbers
 from lightmatrix.reprs import short_repr
 
 Photographs = str | Path | NDArray[Any]
@@ -379,7 +379,7 @@ def camera_response(
             f"{steps[-1]:g}",
             hint="take 3 exposures at least, better 7, each twice the one before",
         )
-    end = range_end(frames.dtype)
+    end = range_end(frames.dtype, clip)
     top = end if clip is None else as_float(clip)
     dark = (
         float(np.median(read_image(black)))
@@ -496,8 +496,9 @@ def projector_response(
             f"grey values from {grey[0]:g} to {grey[-1]:g}",
             hint="give whole numbers that increase from 0 to 255, the photographs likewise",
         )
+    check_positive(clip=clip)
     camera = response if isinstance(response, Response) else Response.parse(response or "linear")
-    scale = camera.full_scale or range_end(frames.dtype)
+    scale = camera.full_scale or range_end(frames.dtype, clip)
     ceiling = float(camera.linearise(np.array((clip or scale) / scale)))
 
     def light(index: int) -> NDArray[np.float64]:

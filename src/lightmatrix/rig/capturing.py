@@ -34,6 +34,7 @@ from lightmatrix.judgement.metrics import row_energies
 from lightmatrix.patterns.folder import read_patterns
 from lightmatrix.patterns.making import make_patterns
 from lightmatrix.patterns.pattern_set import PatternSet
+from lightmatrix.ranges import as_float, whole
 from lightmatrix.rig.devices.base import exposure_limits
 from lightmatrix.rig.photograph import Drift, Photographer, measure_drift, take_references
 from lightmatrix.rig.rig import ProjectedPatterns, Rig
@@ -168,13 +169,15 @@ class CaptureSettings:
     def __post_init__(self) -> None:
         for name, value in (("exposure", self.exposure), ("settle time", self.settle)):
             # More than a minute is a mistake.
-            if value is not None and not 0 <= value <= 60:
+            if value is not None and not 0 <= as_float(value) <= 60:
                 raise InputError(f"a {name} of {value} s", hint="give seconds, such as 0.02")
-        if self.cell < 1:
-            raise InputError(f"a cell of {self.cell} pixels", hint="use 1 or more")
-        if self.reference_every < 0:
+        if (whole(self.cell) or 0) < 1:
+            raise InputError(f"a cell of {self.cell} pixels", hint="use a whole number, 1 or more")
+        every = whole(self.reference_every)
+        if every is None or every < 0:
             raise InputError(
-                f"a reference every {self.reference_every} frames", hint="use 0 or more"
+                f"a reference every {self.reference_every} frames",
+                hint="use a whole number, 0 or more",
             )
         if self.until is not None:
             parse_until(self.until)
@@ -300,7 +303,7 @@ def take_capture(
                 outcome = photograph_until(session, parse_until(settings.until), estimate_so_far)
             _write(target, session, known, settings, outcome, overwrite=overwrite)
             record.discard()
-    _warn(record, known, settings.response)
+    _warn(record, known)
     return Capture.open(output)
 
 
@@ -447,7 +450,7 @@ def _write(
     )
 
 
-def _warn(record: CaptureRecord, known: RigMeasurements, response: str) -> None:
+def _warn(record: CaptureRecord, known: RigMeasurements) -> None:
     """Warn of patterns that are left out, drift, and weaknesses of the rig."""
     state = record.state
     concerns = []
@@ -466,12 +469,6 @@ def _warn(record: CaptureRecord, known: RigMeasurements, response: str) -> None:
         concerns.append(
             f"the room's light varies by {100 * known.flicker.room:.0f} % of white from frame to "
             "frame: darken the room, or expose for longer"
-        )
-    linearity = known.linearity
-    if linearity is not None and not linearity.linear and response == "linear":
-        concerns.append(
-            f"the camera is off a straight line by {100 * linearity.deviation:.0f} %: switch off "
-            "its gamma, or say its response"
         )
     for text in concerns:
         warn(text)

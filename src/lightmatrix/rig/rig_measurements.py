@@ -3,8 +3,7 @@
 The settle time says how long after a picture is shown a photograph of it may begin: black and white
 alternate while frames are taken, and the brightness of each frame shows whether its exposure began
 before the change was over. Flicker of the lamp or of the room is found in series of short frames.
-Exposures, the projector's response and the camera's linearity follow from levels of averaged
-frames.
+Exposures and the projector's response follow from levels of averaged frames.
 """
 
 from __future__ import annotations
@@ -372,55 +371,6 @@ def measure_response(
     return ProjectorResponse.of_light(levels, light)
 
 
-@dataclass(frozen=True)
-class CameraLinearity:
-    """Levels of a white picture at several exposures; one exposure alone counts as linear."""
-
-    # Seconds, from the shortest to the longest.
-    exposures: tuple[float, ...]
-    # Mean level above black of the lit samples, as a share of the clip level.
-    levels: tuple[float, ...]
-    # The largest distance of a level from the straight line, as a share of the longest one's.
-    deviation: float
-    # Exponent of the power law that fits best; 1 is linear.
-    exponent: float
-
-    @property
-    def linear(self) -> bool:
-        """Whether the deviation is at most 2 %; larger ones change the second digit of T."""
-        return self.deviation <= 0.02
-
-
-def measure_linearity(
-    rig: Rig, whites: WhiteAndBlack, settle: float, period: float, report: _Report
-) -> CameraLinearity:
-    """Photograph white and black at several exposures."""
-    photographer = Photographer(rig, settle)
-    black, white = plain_images(rig)
-    # Seven exposures, each 1.6 times the one before, from the noise up to the brightest level.
-    asked = whites.exposure * np.geomspace(1 / 16, 1, 7)
-    asked = np.unique(asked.clip(*exposure_limits(rig.camera)))
-    # Twelve frames at random moments of a flicker average it out.
-    count = 12 if period else 3
-    exposures, levels = [], []
-    for k, exposure in enumerate(asked):
-        bright = take_average(photographer, white, float(exposure), count)
-        dark = take_average(photographer, black, float(exposure), count)
-        exposures.append(bright.exposure)
-        levels.append(float((bright.mean - dark.mean)[whites.lit].mean() / bright.clip_level))
-        report(k + 1, len(asked))
-    times, light = np.array(exposures), np.array(levels)
-    # The straight line goes through zero and the brightest level.
-    straight = light[-1] * times / times[-1]
-    deviation = float(np.abs(light - straight).max() / light[-1])
-    log_time = np.log(times / times[-1])
-    log_light = np.log(np.maximum(light, 1e-6) / light[-1])
-    weight = light / light[-1]
-    power = float((weight * log_time * log_time).sum())
-    exponent = float((weight * log_time * log_light).sum()) / power if power else 1.0
-    return CameraLinearity(tuple(exposures), tuple(levels), deviation, exponent)
-
-
 VERSION = 1
 # The parts stand in the order of measuring: each needs those before it.
 _KINDS: dict[str, Callable[..., Any]] = {
@@ -428,7 +378,6 @@ _KINDS: dict[str, Callable[..., Any]] = {
     "flicker": Flicker,
     "exposure": ExposureAdvice,
     "response": ProjectorResponse,
-    "linearity": CameraLinearity,
 }
 PARTS = tuple(_KINDS)
 # Facts by which a projector and a camera are recognized, with their settings.
@@ -447,7 +396,6 @@ class RigMeasurements:
     flicker : Flicker, optional
     exposure : ExposureAdvice, optional
     response : ProjectorResponse, optional
-    linearity : CameraLinearity, optional
     brightness : float
         Mean light of white over black a second, as a share of the clip level.
     measured : str
@@ -468,7 +416,6 @@ class RigMeasurements:
     flicker: Flicker | None = None
     exposure: ExposureAdvice | None = None
     response: ProjectorResponse | None = None
-    linearity: CameraLinearity | None = None
     brightness: float = 0.0
     measured: str = ""
 
@@ -570,7 +517,7 @@ def measure_rig(
     Parameters
     ----------
     rig : Rig
-    parts : sequence of {"settle", "flicker", "exposure", "response", "linearity"}
+    parts : sequence of {"settle", "flicker", "exposure", "response"}
         What to measure. Other parts that these need come from `keep`, or are measured too.
     keep : str or Path, optional
         File, such as rig.json, of earlier measurements of this rig, which is written anew. One of
@@ -652,9 +599,6 @@ def _measured(
     if "response" in parts:
         response = measure_response(rig, whites, wait, report("response"))
         known = replace(known, response=response)
-    if "linearity" in parts:
-        linearity = measure_linearity(rig, whites, wait, period, report("linearity"))
-        known = replace(known, linearity=linearity)
     now = datetime.now().astimezone().isoformat(timespec="seconds")
     return replace(known, brightness=whites.brightness, measured=now)
 
@@ -703,8 +647,7 @@ def _changed_levels(rig: Rig, known: RigMeasurements) -> tuple[WhiteAndBlack, li
         image = np.full_like(plain_images(rig)[0], grey)
         shown = take_average(photographer, image, exposure, 3)
         if abs(whites.level(shown.mean) - light) > 0.03:
-            # The projector's curve has changed, or the camera's.
-            parts += ["response", "linearity"]
+            parts.append("response")
     if abs(whites.brightness / known.brightness - 1) > 0.05:
         # The aperture, the distance, the scene or the lamp has changed.
         parts.append("exposure")

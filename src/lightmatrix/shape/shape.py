@@ -263,6 +263,11 @@ class Shape:
         OutputError
             If the file exists, is not one of ours, or cannot be written.
         """
+        with atomic_file(path, CLOUD, overwrite=overwrite) as part:
+            self.write_points(part, mesh=mesh)
+
+    def write_points(self, part: Path, *, mesh: bool) -> None:
+        """Write the points as `save` does, but in place."""
         known = self.kept.ravel()
         # Light at this quantile is shown white, and bent for screens, which undo it.
         bright = float(np.quantile(self.albedo, 0.99)) if self.albedo.size else 0.0
@@ -285,7 +290,7 @@ class Shape:
         faces = surface_faces(self.depth, self.geometry) if mesh else None
         if faces is not None:
             lines += [f"element face {len(faces)}", "property list uchar int vertex_indices"]
-        with atomic_file(path, CLOUD, overwrite=overwrite) as part, part.open("wb") as stream:
+        with part.open("wb") as stream:
             stream.write(("\n".join([*lines, "end_header"]) + "\n").encode("ascii"))
             stream.write(table.tobytes())
             if faces is not None:
@@ -303,10 +308,14 @@ class Shape:
             If the file exists or cannot be written.
         """
         with atomic_file(path, DEPTH, overwrite=overwrite) as part:
-            if part.suffix.lower() == ".npy":
-                np.save(part, self.depth)
-            else:
-                tifffile.imwrite(part, self.depth)
+            self.write_depth(part)
+
+    def write_depth(self, part: Path) -> None:
+        """Write the depth as `save_depth` does, but in place."""
+        if part.suffix.lower() == ".npy":
+            np.save(part, self.depth)
+        else:
+            tifffile.imwrite(part, self.depth)
 
     def show(self) -> Picture:
         """A Matplotlib figure: maps of depth and normals, and which test a pixel failed."""

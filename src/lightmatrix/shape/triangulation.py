@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -12,7 +13,7 @@ from scipy.sparse import csr_array
 from lightmatrix.capture.capture import Capture
 from lightmatrix.errors import InputError
 from lightmatrix.files.kinds import CLOUD, DEPTH, PICTURE
-from lightmatrix.files.writing import check_output
+from lightmatrix.files.writing import atomic_file, check_output
 from lightmatrix.geometry.rig_geometry import RigGeometry
 from lightmatrix.resources.threads import work_ahead
 from lightmatrix.shape.shape import Shape, ShapeTest, local_mean, surface_normals
@@ -227,7 +228,8 @@ def triangulate(
     >>> shape.depth.shape, bool(shape.kept.mean() > 0.9)
     ((64, 64), True)
     """
-    for path, kind in ((output, CLOUD), (depth, DEPTH), (picture, PICTURE)):
+    outputs = ((output, CLOUD), (depth, DEPTH), (picture, PICTURE))
+    for path, kind in outputs:
         if path is not None:
             check_output(path, kind, overwrite=overwrite)
     source = open_matches(transport)
@@ -244,12 +246,18 @@ def triangulate(
     else:
         found = _spots_of(source, rig, lines)
     shape = _shape(found, rig, camera, lines, strict)
-    if output is not None:
-        shape.save(output, mesh=mesh, overwrite=overwrite)
-    if depth is not None:
-        shape.save_depth(depth, overwrite=overwrite)
-    if picture is not None:
-        shape.show().write(picture, overwrite=overwrite)
+    # The files take their places together, since one alone would stand in the way of the next run.
+    with ExitStack() as files:
+        for path, kind in outputs:
+            if path is None:
+                continue
+            part = files.enter_context(atomic_file(path, kind, overwrite=overwrite))
+            if kind is CLOUD:
+                shape.write_points(part, mesh=mesh)
+            elif kind is DEPTH:
+                shape.write_depth(part)
+            else:
+                shape.show().draw_file(part)
     return shape
 
 

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from lightmatrix.solvers.active_set import ActiveSet
-from lightmatrix.solvers.admm import ADMM
+from lightmatrix.solvers.admm import ADMM, SaturationADMM
 from lightmatrix.solvers.fidelity import Fidelity
 from lightmatrix.solvers.loop import Solver, solve
 from lightmatrix.solvers.problem import Problem, Result, Status
 from lightmatrix.solvers.romp import ROMP
-from lightmatrix.solvers.saturation_admm import SaturationADMM
 
 __all__ = [
     "ADMM",

@@ -243,7 +243,7 @@ LAYERS = {
         "Global light of white", "camera", _light(lambda s: s.global_), lambda s: s.separable
     ),
     "depth": Layer("Depth", "camera", _depth, lambda s: s.geometry is not None),
-    "parallax": Layer("Parallax (depth order)", "camera", _depth_order, lambda s: s.separable),
+    "parallax": Layer("Parallax", "camera", _depth_order, lambda s: s.separable),
     "dual": Layer("Dual image", "projector", _dual),
     "row": Layer("Correspondence: row", "camera", _places(0)),
     "column": Layer("Correspondence: column", "camera", _places(1)),

@@ -133,6 +133,11 @@ def _widget_class() -> Any:
             self.views = Views(scene, self.send)
             self.on_msg(lambda _, content, buffers: self.views.receive(content, buffers))
 
+        def __repr__(self) -> str:
+            rows, cols = self._transport.projector_shape
+            down, right = self._transport.camera_shape[:2]
+            return f"<viewer: projector {rows} x {cols}, camera {down} x {right}>"
+
         @property
         def pattern(self) -> NDArray[np.float64]:
             shape = self._transport.projector_shape

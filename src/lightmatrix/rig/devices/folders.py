@@ -80,7 +80,9 @@ class WatchedFolder(Camera):
         self._folder, self._stated, self._clip = folder, exposure, clip
         self._name, self._trigger = f"folder {folder}", "elsewhere"
         self._by_name = address.choice("numbers", ("order", "name")) == "name"
-        self._seen = set(self._files())
+        # The ending of all frames: that of the first.
+        self._suffix = ""
+        self._seen = self._states()
         self._count = 0
 
     def get_image(self, timeout: float) -> Frame:
@@ -91,11 +93,8 @@ class WatchedFolder(Camera):
         failure: InputError | None = None
         while True:
             # Later files wait for the oldest one.
-            for file in self._new_files()[:1]:
-                state = _size_and_time(file)
+            for file, state in self._new_files()[:1]:
                 now = time.monotonic()
-                if state is None:
-                    break
                 if file not in changes or changes[file][0] != state:
                     changes[file] = (state, now)
                 # A file is complete if it can be read and did not change for 0.1 s, which covers
@@ -107,10 +106,11 @@ class WatchedFolder(Camera):
                     except InputError as error:
                         failure = error
                     else:
-                        return self._frame(file, image, state)
+                        if _size_and_time(file) == state:
+                            return self._frame(file, image, state)
             if time.monotonic() >= until:
                 if failure is None:
-                    hint = f"does the other program write {FORMATS} files here?"
+                    hint = f"does the other program write {self._suffix or FORMATS} files here?"
                     raise self._timeout(timeout, hint)
                 hint = "have files written elsewhere and moved here when they are whole"
                 raise self._timeout(timeout, hint, f"; {failure.message}")
@@ -119,30 +119,36 @@ class WatchedFolder(Camera):
     def flush(self) -> None:
         """Pass over the files that are there."""
         self._check_open()
-        passed = self._new_files()
-        self._seen.update(passed)
-        self._count += len(passed)
+        self._count += len(self._new_files())
+        self._seen = self._states()
 
-    def _files(self) -> list[Path]:
+    def _states(self) -> dict[Path, tuple[int, int]]:
+        """Files that may be frames, with their sizes and the times of their last changes."""
+        endings = (self._suffix,) if self._suffix else READABLE
         try:
-            return [
+            files = [
                 file
                 for file in self._folder.iterdir()
-                if file.suffix.lower() in READABLE and file.name[0] != "."
+                if file.suffix.lower() in endings and file.name[0] != "."
             ]
         except OSError as error:
             raise self._error(
                 f"the folder cannot be read ({error.strerror})", "check its name and permissions"
             ) from error
-
-    def _new_files(self) -> list[Path]:
-        """Files that are not frames yet, the oldest first; those of one moment by name."""
-        files = [file for file in self._files() if file not in self._seen]
         states = {file: state for file in files if (state := _size_and_time(file)) is not None}
-        return sorted(states, key=lambda file: (states[file][1], file.name))
+        # Cameras may write one photograph in two formats, under one name.
+        best: dict[str, Path] = {}
+        for file in sorted(states, key=lambda file: READABLE.index(file.suffix.lower())):
+            best.setdefault(file.stem, file)
+        return {file: states[file] for file in best.values()}
+
+    def _new_files(self) -> list[tuple[Path, tuple[int, int]]]:
+        """Files that are new or written again, the oldest first; those of one moment by name."""
+        new = [item for item in self._states().items() if self._seen.get(item[0]) != item[1]]
+        return sorted(new, key=lambda item: (item[1][1], item[0].name))
 
     def _frame(self, file: Path, image: NDArray[Any], state: tuple[int, int]) -> Frame:
-        self._seen.add(file)
+        self._seen[file] = state
         self._count += 1
         if image.dtype not in (np.uint8, np.uint16):
             raise DeviceError(
@@ -155,6 +161,7 @@ class WatchedFolder(Camera):
                 f"{size_in_words(self._shape)}",
                 hint="do not turn the camera or change its image size meanwhile",
             )
+        self._suffix = file.suffix.lower()
         self._shape, self._bits = image.shape, 8 * image.dtype.itemsize
         number = self._count
         if self._by_name:
@@ -173,6 +180,9 @@ class WatchedFolder(Camera):
 
 def open_watched(address: Address) -> WatchedFolder:
     """Open a folder in which frames appear; files that are there already are passed over.
+
+    A file that is written again is a new frame. All frames have the ending of the first one, so
+    that a camera may write each photograph in a second format too.
 
     The address is "watch:DIR,exposure=0.1" with the exposure, in seconds, that was set on the
     camera. The option clip is the largest value where it is not that of 8 or 16 bits (clip=4095).

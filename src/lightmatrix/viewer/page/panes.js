@@ -85,6 +85,12 @@ export class Pane {
         context.moveTo(x(ruler.from[1]), y(ruler.from[0]));
         context.lineTo(x(ruler.to[1]), y(ruler.to[0]));
       });
+      // The number stays beside its line; left of it where it would leave the picture.
+      const far = x(ruler.to[1]) > 0.8 * this.marks.width, side = (far ? -8 : 8) * ratio;
+      Object.assign(context, { font: `600 ${13 * ratio}px system-ui, sans-serif`, textAlign: far ? "right" : "left" });
+      Object.assign(context, { strokeStyle: "#000", lineWidth: 3 * ratio, fillStyle: "#fff", lineJoin: "round" });
+      context.strokeText(ruler.length, x(ruler.to[1]) + side, y(ruler.to[0]));
+      context.fillText(ruler.length, x(ruler.to[1]) + side, y(ruler.to[0]));
     }
   }
 

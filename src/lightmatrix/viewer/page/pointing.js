@@ -101,7 +101,8 @@ export class Pointing {
   #measure(side, spot, first) {
     this.ruler = { side, from: first ? spot : this.ruler.from, to: spot };
     const [row, col] = [0, 1].map((k) => spot[k] - this.ruler.from[k]);
-    this.viewer.say(`${Math.hypot(row, col).toFixed(1)} px (${Math.abs(row).toFixed(1)} down, ${Math.abs(col).toFixed(1)} across)`);
+    this.ruler.length = `${Math.hypot(row, col).toFixed(1)} px`;
+    this.viewer.say(`${this.ruler.length} (${Math.abs(row).toFixed(1)} down, ${Math.abs(col).toFixed(1)} across)`);
   }
 
   /** The pointer is at a place: mark it and tell its value. */

@@ -24,6 +24,9 @@ export class Viewer {
   /** When the first movement happened that is not relit, and one that is relit but not drawn. */
   #moved = null;
   #relit = null;
+  /** The picture that is projected, to compensate it later; whether a pattern of the capture is. */
+  #file = null;
+  #framed = false;
   #changed = false;
   #waiting = false;
 
@@ -88,7 +91,7 @@ export class Viewer {
   #listen() {
     const { field, form, root } = this, file = form.querySelector("[type=file]");
     const buttons = {
-      undo: () => this.pattern.undo() && this.change(), redo: () => this.pattern.redo() && this.change(),
+      undo: () => this.undo(), redo: () => this.redo(),
       clear: () => this.fill(() => 0), invert: () => this.invert(), picture: () => file.click(),
       auto: () => this.autoExposure(), out: () => this.zoom(1 / ZOOM), in: () => this.zoom(ZOOM), fit: () => this.fit(),
       snapshot: () => download(this.snapshot(), "photograph"), save: () => download(this.patternImage(), "pattern"),
@@ -108,6 +111,7 @@ export class Viewer {
       const preset = PRESETS[this.field.preset.value];
       if (preset && (name === "preset" || preset[1].length)) this.fill(preset[1](+this.field.period.value, this.pattern.rows, this.pattern.cols));
     }
+    if (name === "compensated" && this.#file) this.usePicture(this.#file);
     if (name === "frame") this.useFrame(+this.field.frame.value);
     if (name === "tool") { this.#clearOverlays(); this.say(TOOLS[this.tool][2]); }
     this.#showValues();
@@ -137,7 +141,7 @@ export class Viewer {
     const { field } = this;
     const texts = {
       size: `${field.size.value} px`, intensity: `${field.intensity.value} %`, period: `${field.period.value} px`,
-      frame: `${+field.frame.value + 1} of ${this.scene.frames ?? 0}`,
+      frame: this.#framed ? `${+field.frame.value + 1} of ${this.scene.frames ?? 0}` : "not shown",
       exposure: `\u00d7 ${(+this.gain.toPrecision(3)).toString()}`, gamma: (+field.gamma.value).toFixed(2).replace(/\.?0+$/, ""),
     };
     for (const [name, text] of Object.entries(texts)) {
@@ -159,12 +163,17 @@ export class Viewer {
 
   // --- the pattern and the photograph ---
 
-  fill(level) { this.pattern.fill(level); this.change(); }
-  invert() { this.pattern.invert(); this.change(); }
+  fill(level) { this.#own(); this.pattern.fill(level); this.change(); }
+  undo() { if (this.pattern.undo()) { this.#own(); this.change(); } }
+  redo() { if (this.pattern.redo()) { this.#own(); this.change(); } }
+  invert() { this.#own(); this.pattern.invert(); this.change(); }
+  /** The pattern is neither a picture of the user nor one of the capture any more. */
+  #own() { this.#file = null; this.#framed = false; }
 
   /** Move the brush from one place to another; `first` where it is put down. */
   paint(from, to, level, first, time) {
     if (first) {
+      this.#own();
       this.pattern.keep();
       this.overlay = { ...NO_OVERLAYS };
       for (const side of ["projector", "camera"]) if (this.shown[side]) this.showLayer(side, "");
@@ -184,6 +193,8 @@ export class Viewer {
     let levels;
     try { levels = await readGrey(file, rows, cols); } catch { this.notice(`${file.name} is not a picture that this browser can read. PNG and JPEG work.`); return; }
     this.notice("");
+    this.#own();
+    this.#file = file;
     if (!compensated) { this.pattern.set(levels); this.change(); return; }
     this.say("Computing the pattern\u2026");
     try {
@@ -200,6 +211,8 @@ export class Viewer {
       const { arrays } = await this.source.frame(number);
       // Another one was chosen meanwhile.
       if (number !== +this.field.frame.value) return;
+      this.#own();
+      this.#framed = true;
       this.pattern.set(arrays.levels);
       this.change();
     } catch (error) { this.notice(error.message); }
