@@ -162,7 +162,7 @@ def test_what_a_term_takes_out_is_its_regressor(
     # Sharpening is not linear: the regressor is the change by half its strength.
     numbers = 0.01 * generator.uniform(0.5, 1, shape)
     if name == "sharpening":
-        numbers = np.array([0.5])
+        numbers = np.array([0.5, 0, 0])
     along = "pmk,pk->mk" if term.per_frame else "pmk,p->mk"
     change = np.einsum(along, regressors, numbers)
     wrong = still.astype(np.float64)
