@@ -79,7 +79,8 @@ def _sizes() -> list[Case]:
                 ESTIMATE,
                 (),
                 code=(0, 2, 3),
-                limits=Limits(environment=(("RAYON_NUM_THREADS", value),)),
+                # Room for the stacks of some hundred threads: more are refused, but take long.
+                limits=Limits(memory=1 << 30, environment=(("RAYON_NUM_THREADS", value),)),
             )
             for value in ("2147483648", "-1", "many")
         ),

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 import lightmatrix as lm
 from lightmatrix.errors import DeviceError, FrameTimeoutError
+from lightmatrix.rig import rig_measurements
 from lightmatrix.rig.devices.aravis import AravisCamera, find_aravis, open_aravis
 from lightmatrix.rig.devices.base import Address
 from lightmatrix.rig.devices.window import open_window
@@ -151,6 +152,8 @@ def test_a_capture_over_gige_vision_is_as_good_as_a_simulated_one(
     screen: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
+    # A virtual screen shows pictures sooner than what a first measurement waits for.
+    monkeypatch.setattr(rig_measurements, "FIRST_SETTLE", 0.05)
     known = ProceduralScene(SIDES, SIDES, 0).truth()
     cell = min(SCREEN) // SIDES[0]
     left, top = ((length - SIDES[0] * cell) // 2 for length in SCREEN[::-1])
