@@ -90,8 +90,8 @@ def test_an_unplugged_camera(served: GigECamera) -> None:
     with pytest.raises(DeviceError, match="cannot be reached") as caught:
         camera.get_image(0.1)
     assert not isinstance(caught.value, FrameTimeoutError)
-    # Aravis asks five times for half a second each, also when it gives the camera back: there is one
-    # again, so that this does not take three times as long.
+    # Aravis asks five times for half a second each, also to give the camera back. It can do that at
+    # once if there is a camera again.
     again = GigECamera(_counting(), SHAPE)  # type: ignore[arg-type]
     camera.close()
     again.close()
