@@ -7,6 +7,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.ndimage import shift
 
 import lightmatrix as lm
 from lightmatrix.capture.capture import KnownSamples
@@ -14,7 +17,7 @@ from lightmatrix.capture.correction import Correction
 from lightmatrix.capture.samples import Samples
 from lightmatrix.rig_model.least_squares import Regression
 from lightmatrix.rig_model.model import RigModel
-from lightmatrix.rig_model.prediction import MARGIN, Prediction, slopes
+from lightmatrix.rig_model.prediction import MARGIN, Prediction, displaced, slopes
 from lightmatrix.rig_model.terms import TERMS
 from lightmatrix.simulation.simulate import SimulatedCapture
 
@@ -159,7 +162,7 @@ def test_what_a_term_takes_out_is_its_regressor(
     # Sharpening is not linear: the regressor is the change by half its strength.
     numbers = 0.01 * generator.uniform(0.5, 1, shape)
     if name == "sharpening":
-        numbers = np.array([0.5])
+        numbers = np.array([0.5, 0, 0])
     along = "pmk,pk->mk" if term.per_frame else "pmk,p->mk"
     change = np.einsum(along, regressors, numbers)
     wrong = still.astype(np.float64)
@@ -214,13 +217,21 @@ def test_a_part_of_a_corrected_capture_is_corrected_alike() -> None:
     assert np.array_equal(whole.window(slice(2, 5), slice(1, 4)).samples().values, wanted)
 
 
-def test_slopes_of_a_plane_are_exact() -> None:
-    rows, cols = np.meshgrid(np.arange(12.0), np.arange(14.0), indexing="ij")
+def test_slopes_of_a_plane_are_exact_away_from_its_border() -> None:
+    rows, cols = np.meshgrid(np.arange(32.0), np.arange(34.0), indexing="ij")
     plane = (3 * rows - 2 * cols)[None, :, :, None, None]
     first, second = slopes(plane)
-    assert first.shape == (2, 1, 12 - 2 * MARGIN, 14 - 2 * MARGIN, 1, 1)
-    assert np.allclose(first, np.array([3, -2])[:, None, None, None, None, None])
-    assert np.allclose(second, 0)
+    assert first.shape == (2, 1, 32 - 2 * MARGIN, 34 - 2 * MARGIN, 1, 1)
+    assert np.allclose(first, np.array([3, -2])[:, None, None, None, None, None], atol=2e-3)
+    assert np.allclose(second, 0, atol=2e-3)
+
+
+@given(st.floats(-1, 1), st.floats(-1, 1))
+def test_pictures_are_moved_as_scipy_moves_them(down: float, right: float) -> None:
+    image = np.random.default_rng(0).random((40, 30))
+    here = displaced(image[None, :, :, None, None], np.array([[down], [right]]))[0, :, :, 0, 0]
+    there = shift(image, (down, right), order=3, mode="nearest")[MARGIN:-MARGIN, MARGIN:-MARGIN]
+    assert np.abs(here - there).max() < 2e-3
 
 
 @pytest.mark.filterwarnings("ignore::lightmatrix.errors.LightMatrixWarning")

@@ -15,10 +15,10 @@ from lightmatrix.rig_model.terms import TERMS, allowed_terms
 from lightmatrix.rig_model.torn import torn_rows
 from lightmatrix.transport.matrix import LightTransport, prediction_error
 
-# Two estimates follow the first one, which suffice for six faults at once, and up to four where
-# pictures move by a third of a pixel: as long as each predicts photographs held out better by a
-# tenth, and errs by more than 0.03 there, which estimates on intact rigs do not.
-_ESTIMATES, _MOST_ESTIMATES, _BETTER, _INTACT = 2, 4, 0.9, 0.03
+# Up to six estimates follow the first one. A correction stays if photographs held out are predicted
+# better by two per cent, which chance does not reach, and is followed by another one if by a tenth.
+# Two suffice for six faults at once; pictures that move by a third of a pixel take four.
+_MOST_ESTIMATES, _BETTER, _CLEARLY = 6, 0.98, 0.9
 
 
 def fit_rig(capture: Capture | str | Path, transport: LightTransport | None = None) -> RigModel:
@@ -76,23 +76,33 @@ def corrected(
     if prediction_error(first) is None:
         return model, first
     torn = torn_rows(capture) if "torn" in allowed else None
+    # What a large fault leaves as long as it is not known well looks like others. So others are
+    # looked for at first, and again once those that were found are settled.
+    others = True
     for number in range(_MOST_ESTIMATES):
-        better: RigModel | None = RigModel({"torn": torn}) if torn is not None else None
-        if number or better is None:
-            better = model.refined(now, capture, best, allowed)
-        if better is None:
+        if number == 0 and torn is not None:
+            better: RigModel | None = RigModel({"torn": torn})
+        else:
+            names = allowed if others else tuple(model.values)
+            better = model.refined(now, capture, best, names)
+        left = 1.0
+        if better is not None:
+            without = better.corrected(capture, best)
+            transport = estimate(without)
+            left = _missed(transport) / max(_missed(best), 1e-12)
+            if left <= (_CLEARLY if number and others else _BETTER):
+                model, best, now = better, transport, without
+        if left > _CLEARLY and others:
             break
-        now = better.corrected(capture, best)
-        transport = estimate(now)
-        before, after = prediction_error(best), prediction_error(transport)
-        # Two per cent are chance: such a correction would only move the noise.
-        if before is None or after is None or after > 0.98 * before:
-            break
-        model, best = better, transport
-        if number + 1 >= _ESTIMATES and (after > _BETTER * before or after < _INTACT):
-            break
+        others = left > _CLEARLY or (number == 0 and torn is not None)
     provenance = {**first.provenance, **({RIG: model.as_dict()} if model.names else {})}
     return model, replace(best, provenance=provenance)
+
+
+def _missed(transport: LightTransport) -> float:
+    """The prediction error of photographs held out; infinite if none was."""
+    missed = prediction_error(transport)
+    return float("inf") if missed is None else missed
 
 
 def terms_to_correct(correct: str | Sequence[str]) -> tuple[str, ...]:

@@ -29,11 +29,15 @@ class Limits:
         It explains at least this share of what the first term does, and changes the photographs by
         this share of what was taken out before. A smaller one may be a trace of large ones that are
         not known exactly.
+    alike : float
+        A term with fewer numbers is there in place of one that explains more, if it explains this
+        share of it: light that varies along the rows may vary alike in all of them.
     """
 
     explained: float = 0.01
     chance: float = 25.0
     beside: float = 0.1
+    alike: float = 0.9
 
 
 LIMITS = Limits()
@@ -58,7 +62,7 @@ def choose_terms(
     regressors = {name: each for name, each in every.items() if each is not None}
     per_frame = {name: asked[name].per_frame for name in regressors}
     least = {
-        name: each.least if name in known else max(each.least, LIMITS.beside * largest)
+        name: Term.least if name in known else max(each.least, LIMITS.beside * largest)
         for name, each in asked.items()
     }
     left = seen.left
@@ -85,8 +89,7 @@ def _forward(
     errors: dict[str, Array] = {}
     explained, first = 0.0, 0.0
     while True:
-        best = 0.0
-        candidate = None
+        candidates = []
         for name in regression.numbers:
             if name in chosen or name not in terms:
                 continue
@@ -97,16 +100,22 @@ def _forward(
             least, most = terms[name].between
             if not terms[name].per_frame and not least <= numbers[name].sum() <= most:
                 continue
-            if more < max(LIMITS.explained * rest, LIMITS.beside * first):
+            if score <= 0 or more < max(LIMITS.explained * rest, LIMITS.beside * first):
                 continue
-            if score > best and regression.size(name, numbers[name]) > smallest[name]:
-                best, candidate = score, (name, numbers, stated, together)
+            if regression.size(name, numbers[name]) > smallest[name]:
+                candidates.append((score, name, numbers, stated, together))
+        # Of terms that explain nearly the same, the one with the fewest numbers is there.
+        enough = LIMITS.alike * max((each[0] for each in candidates), default=0.0)
+        alike = [each for each in candidates if each[0] >= enough]
+        candidate = min(
+            alike, key=lambda each: (regression.numbers[each[1]], -each[0]), default=None
+        )
         if candidate is None:
             # Pictures that move are blurred in T, which looks as if the camera sharpened them.
             if "shift" in found and "camera-sharpening" in found:
                 others = {name: each for name, each in terms.items() if name != "camera-sharpening"}
                 return _forward(regression, others, smallest)
             return found, errors
-        name, found, errors, explained = candidate
+        _, name, found, errors, explained = candidate
         chosen.append(name)
         first = first or explained

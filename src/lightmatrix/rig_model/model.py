@@ -14,7 +14,7 @@ from lightmatrix.capture.correction import Correction
 from lightmatrix.patterns.pattern_set import ImagePatterns
 from lightmatrix.resources.threads import one_blas_thread
 from lightmatrix.rig_model.choice import choose_terms
-from lightmatrix.rig_model.prediction import MARGIN, Prediction, predicted_light
+from lightmatrix.rig_model.prediction import MARGIN, Prediction, displaced, predicted_light
 from lightmatrix.rig_model.term import Draft
 from lightmatrix.rig_model.terms import TERMS
 from lightmatrix.transport.matrix import LightTransport
@@ -23,6 +23,8 @@ Array = NDArray[np.float64]
 
 # The entry of a store's provenance that holds what the rig did.
 RIG = "rig"
+# Images (n, rows, cols, ...) without their margins.
+_INNER = (slice(None), slice(MARGIN, -MARGIN), slice(MARGIN, -MARGIN))
 
 
 @dataclass(frozen=True, eq=False)
@@ -124,9 +126,12 @@ class RigModel:
         changed = draft.capture
         if draft.patterns:
             changed = replace(changed, patterns=_changed_patterns(capture, draft))
-        added = _added(changed, transport, draft) if draft.images else None
-        correction = Correction(draft.gain, draft.ambient, draft.profile, added, draft.lag)
-        return replace(changed, correction=correction)
+        correction = Correction(draft.gain, draft.ambient, draft.profile, None, draft.lag)
+        changed = replace(changed, correction=correction)
+        if not draft.images and draft.shift is None:
+            return changed
+        added = _added(changed, transport, draft)
+        return replace(changed, correction=replace(correction, added=added))
 
 
 def _changed_patterns(capture: Capture, draft: Draft) -> ImagePatterns:
@@ -140,17 +145,42 @@ def _changed_patterns(capture: Capture, draft: Draft) -> ImagePatterns:
 
 
 def _added(capture: Capture, transport: LightTransport, draft: Draft) -> NDArray[np.float32]:
-    """What images of the camera have more than they should, (M, K), some frames at a time."""
-    rows, cols = capture.camera_shape[:2]
-    around = ((0, 0), (MARGIN, MARGIN), (MARGIN, MARGIN), (0, 0), (0, 0))
+    """What samples of the camera have more than they should, (M, K).
+
+    A moved photograph is what T predicts at its place, and what T misses there. The first is known
+    where the camera should be, and the second is moved back. So little of a photograph is
+    interpolated once T is nearly right, and T gets right within a few estimates although it was
+    blurred at first.
+    """
+    rows, cols, channels = *capture.camera_shape[:2], int(np.prod(capture.camera_shape[2:]))
+    width, wide = cols * channels, 2 * MARGIN
+    right = np.arange(-wide, cols + wide)
     added = np.empty((capture.rows, capture.count), np.float32)
-    # About ten arrays of 16 MiB, or of one frame.
-    step = max(1, (1 << 21) // capture.rows)
-    for start in range(0, capture.count, step):
-        frames = slice(start, min(start + step, capture.count))
-        some = capture.patterns.subset(np.arange(frames.start, frames.stop))
-        light = predicted_light(transport, slice(None), some)
-        images = np.pad(light.reshape(1, rows, cols, -1, some.count), around, mode="edge")
-        change = sum(each(images, frames) for each in draft.images)
-        added[:, frames] = np.asarray(change).reshape(capture.rows, -1)
+    # Strips of the camera, so that about ten arrays take 16 MiB each and what lies around them.
+    height = max(MARGIN, (1 << 22) // (width * capture.count))
+    for top in range(0, rows, height):
+        stop = min(top + height, rows)
+        first, last = max(0, top - wide), min(rows, stop + wide)
+        down = np.arange(top - wide, stop + wide)
+        # Beyond the camera, pictures go on as they are at its border.
+        inside = np.clip(down, first, last - 1) - first, np.clip(right, 0, cols - 1)
+        around = np.ix_(np.zeros(1, int), *inside)
+        shape = (1, last - first, cols, channels, capture.count)
+        near = slice(first * width, last * width)
+        samples = capture.samples(near.start, near.stop)
+        light = predicted_light(transport, near, capture.patterns).astype(np.float32)
+        light = light.reshape(shape)[around]
+        exact = (samples.counted & ~samples.clipped).reshape(shape)[around][_INNER]
+        places = np.stack(np.meshgrid(down, right, indexing="ij"))[:, *_INNER[1:]]
+        places = (places + 0.5) / np.array([rows, cols])[:, None, None]
+        seen: NDArray[Any] = light[_INNER] if draft.shift is None else displaced(light, draft.shift)
+        for change in draft.images:
+            seen = seen + change(light, places)
+        # Splines swing below zero beside bright places.
+        seen = np.maximum(seen, 0)
+        more = seen[_INNER] - light[_INNER][_INNER]
+        if draft.shift is not None:
+            missed = np.where(exact, samples.values.reshape(shape)[around][_INNER] - seen, 0)
+            more = more + missed[_INNER] - exact[_INNER] * displaced(missed, -draft.shift)
+        added[top * width : stop * width] = more.reshape(-1, capture.count)
     return added

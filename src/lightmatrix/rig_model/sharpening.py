@@ -1,16 +1,36 @@
-"""A projector that sharpens the picture that it is sent."""
+"""A projector that sharpens the picture that it is sent, and a camera that does so."""
 
 from __future__ import annotations
 
-import numpy as np
+from functools import partial
+from typing import Any
 
-from lightmatrix.rig_model.crosstalk import neighbours
-from lightmatrix.rig_model.prediction import Prediction
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import correlate
+
+from lightmatrix.rig_model.prediction import MARGIN, Prediction
 from lightmatrix.rig_model.term import Array, Draft, Term
+
+# The pixels beside a pixel, those at its corners, and those two away. Unsharp masks of a radius of
+# about a pixel are sums of these three rings.
+_RINGS = np.array(
+    [
+        [[0, 0, 0, 0, 0], [0, 0, 1, 0, 0], [0, 1, 0, 1, 0], [0, 0, 1, 0, 0], [0, 0, 0, 0, 0]],
+        [[0, 0, 0, 0, 0], [0, 1, 0, 1, 0], [0, 0, 0, 0, 0], [0, 1, 0, 1, 0], [0, 0, 0, 0, 0]],
+        [[0, 0, 1, 0, 0], [0, 0, 0, 0, 0], [1, 0, 0, 0, 1], [0, 0, 0, 0, 0], [0, 0, 1, 0, 0]],
+    ]
+)
+
+
+def _differences(images: NDArray[Any]) -> NDArray[Any]:
+    """What images (n, rows, cols, ...) differ by from each ring around a pixel, (3, n, ...)."""
+    rings = _RINGS.reshape(3, 1, 5, 5, *[1] * (images.ndim - 3)) / 4
+    return np.stack([images - correlate(images, ring, mode="nearest") for ring in rings])
 
 
 class Sharpening(Term):
-    """The projector adds a times what a pixel differs from its neighbours, within black and white.
+    """The projector adds what a pixel differs from those around it, within black and white.
 
     Without the limits T would hold it. Black and white pixels cannot be sharpened.
     """
@@ -21,17 +41,44 @@ class Sharpening(Term):
     def regressors(self, seen: Prediction) -> Array | None:
         if seen.sent.patterns.as_bits() is not None:
             return None
-        # The change is not linear because of the limits: it is that of half its strength.
-        half = 0.5
-        return seen.under(lambda images, before: (_sharpened(images, half) - images) / half)[None]
+
+        def changed(images: Array, before: Array, ring: int) -> Array:
+            # The change is not linear because of the limits: it is that of half its strength.
+            return np.asarray(2 * (_sharpened(images, np.eye(3)[ring] / 2) - images))
+
+        return np.stack([seen.under(partial(changed, ring=ring)) for ring in range(3)])
 
     def take_out(self, values: Array, draft: Draft) -> None:
-        amount = float(values[0])
-        draft.patterns.append(lambda images, before: _sharpened(images, amount))
+        draft.patterns.append(lambda images, before: _sharpened(images, values))
 
     def sentence(self, values: Array) -> str:
-        return f"the projector sharpens its picture by {100 * values[0]:.0f} %"
+        return f"the projector sharpens its picture by {100 * values.sum():.0f} %"
 
 
-def _sharpened(images: Array, amount: float) -> Array:
-    return np.clip(images + amount * (images - neighbours(images).mean(axis=0)), 0, 1)
+class CameraSharpening(Term):
+    """A photograph holds what a pixel differs from those around it."""
+
+    name = "camera-sharpening"
+    between = (0, np.inf)
+    # T itself errs by this much of what neighbours differ in.
+    least = 0.03
+
+    def regressors(self, seen: Prediction) -> Array:
+        images = seen.around[:, MARGIN:-MARGIN, MARGIN:-MARGIN]
+        rings = _differences(seen.around)[:, :, MARGIN:-MARGIN, MARGIN:-MARGIN]
+        # As above: no photograph is darker than black.
+        return np.stack([seen.inner(2 * (np.maximum(images + r / 2, 0) - images)) for r in rings])
+
+    def take_out(self, values: Array, draft: Draft) -> None:
+        def sharpened(images: NDArray[Any], places: Array) -> NDArray[Any]:
+            inner = slice(MARGIN, -MARGIN)
+            return np.asarray(np.tensordot(values, _differences(images), 1)[:, inner, inner])
+
+        draft.images.append(sharpened)
+
+    def sentence(self, values: Array) -> str:
+        return f"the camera sharpens its photographs by {100 * values.sum():.0f} %"
+
+
+def _sharpened(images: Array, amounts: Array) -> Array:
+    return np.clip(images + np.tensordot(amounts, _differences(images), 1), 0, 1)

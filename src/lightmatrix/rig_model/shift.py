@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from lightmatrix.rig_model.prediction import Prediction, displaced
+from lightmatrix.rig_model.prediction import Prediction
 from lightmatrix.rig_model.term import Array, Draft, Term, deviation
 
 
@@ -20,11 +20,7 @@ class Shift(Term):
         return -seen.slopes
 
     def take_out(self, values: Array, draft: Draft) -> None:
-        def moved(images: Array, frames: slice) -> Array:
-            shift = values[:, frames]
-            return displaced(images, shift) - displaced(images, np.zeros_like(shift))
-
-        draft.images.append(moved)
+        draft.shift = values
 
     def sentence(self, values: Array) -> str:
         # A creep is smooth: frames differ less from the next one than from all others.

@@ -5,7 +5,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,9 +16,9 @@ from lightmatrix.rig_model.prediction import Prediction
 Array = NDArray[np.float64]
 # From patterns as images (n, rows, cols), and those of the frames before, to what is shown.
 PatternChange = Callable[[Array, Array], Array]
-# From images of the camera in some frames, (1, rows, cols, channels, n) with a margin, to what is
-# added to them.
-ImageChange = Callable[[Array, slice], Array]
+# From images of the camera, (1, rows, cols, channels, K) with a margin, and the places of their
+# inner pixels from 0 to 1, (2, rows, cols), to what is added to the inner ones.
+ImageChange = Callable[[NDArray[Any], Array], Array]
 
 
 @dataclass
@@ -32,6 +32,8 @@ class Draft:
     lag: NDArray[np.int64] | None = None
     patterns: list[PatternChange] = field(default_factory=list)
     images: list[ImageChange] = field(default_factory=list)
+    # Where each frame lies, (2, K), in camera pixels down and to the right.
+    shift: Array | None = None
 
 
 class Term(ABC):

@@ -26,14 +26,11 @@ class Zoom(Term):
         return -(_directions(seen.position) * seen.slopes).sum(axis=1)
 
     def take_out(self, values: Array, draft: Draft) -> None:
-        rows, cols = draft.capture.camera_shape[:2]
-        places = (np.indices((rows, cols)) + 0.5) / np.array([rows, cols])[:, None, None]
-        directions = _directions(places)[..., None, None]
-
-        def moved(images: Array, frames: slice) -> Array:
+        def moved(images: Array, places: Array) -> Array:
+            directions = _directions(places)[..., None, None]
             change = 0.0
             for axis, (slope, bend) in enumerate(zip(*slopes(images), strict=True)):
-                step = (directions[:, axis] * values[:, None, None, None, frames]).sum(axis=0)
+                step = (directions[:, axis] * values[:, None, None, None, :]).sum(axis=0)
                 change = change + step**2 / 2 * bend - step * slope
             return np.asarray(change)
 
