@@ -36,9 +36,10 @@ def wrong_frames(prediction: FramePrediction, share: float = WRONG) -> NDArray[n
     spread = robust_deviation(np.log(np.maximum(miss, 1e-12)))
     # A wrong frame misses 4 times what the median frame does, and 3 times what its own rows do in
     # all frames: a few rows that are predicted badly, among few that do not clip, are no reason to
-    # accuse it (by them, intact frames missed up to 2.3 times as much). Where windows explain little of the light, misses of intact frames differ by
-    # factors: it must deviate by 3 robust standard deviations of their logarithms. Of the intact
-    # captures of `benchmarks/honesty.py`, accused frames deviated by 1 to 2.7.
+    # accuse it (by them, intact frames missed up to 2.3 times as much). Where windows explain
+    # little of the light, misses of intact frames differ by factors: it must deviate by 3 robust
+    # standard deviations of their logarithms. Of the intact captures of `benchmarks/honesty.py`,
+    # accused frames deviated by 1 to 2.7.
     least = np.maximum(max(share, usual * max(4.0, float(np.exp(3 * spread)))), 3 * of_rows)
     wrong = (miss > least) & (usual < WRONG)
     dark = lit & (gain < 0.3) & ((1 - gain) * strength > _CERTAIN)
