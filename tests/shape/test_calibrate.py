@@ -15,6 +15,7 @@ from lightmatrix.cli import main
 from lightmatrix.geometry.matches import fit_fundamental, fit_homography, moved, sampson
 from lightmatrix.shape.calibrate import (
     BoardCorners,
+    RigCalibration,
     board_points,
     find_corners,
     fit_stereo,
@@ -103,13 +104,13 @@ def captures() -> list[SimulatedCapture]:
 @pytest.fixture(scope="module")
 def usual(
     captures: list[SimulatedCapture], tmp_path_factory: pytest.TempPathFactory
-) -> tuple[lm.RigCalibration, Path]:
+) -> tuple[RigCalibration, Path]:
     """The calibration from all poses, and its file."""
     file = tmp_path_factory.mktemp("board") / "rig.json"
     return lm.calibrate_rig(captures, BOARD, SQUARE, units="mm", output=file), file
 
 
-def test_a_simulated_board_gives_the_rig(usual: tuple[lm.RigCalibration, Path]) -> None:
+def test_a_simulated_board_gives_the_rig(usual: tuple[RigCalibration, Path]) -> None:
     known = board_rig()
     measured, file = usual
     rig = measured.geometry
@@ -190,7 +191,7 @@ def test_the_command(
 
 
 def test_a_pose_under_random_patterns_has_the_same_corners(
-    captures: list[SimulatedCapture], usual: tuple[lm.RigCalibration, Path]
+    captures: list[SimulatedCapture], usual: tuple[RigCalibration, Path]
 ) -> None:
     rig = board_rig()
     random = lm.BernoulliPatterns(rig.projector_shape, 24, seed=0)
