@@ -63,9 +63,10 @@ types:
 rust-test:
 	cargo test --quiet --package lightmatrix-core --profile quick
 
-# Two processes, because many tests of devices wait; one thread each for numerics.
+# Two processes, because many tests of devices wait; one thread each for numerics. The commands that
+# tests start import compiled bytecode, even where the environment forbids Python to keep it.
 py-test:
-	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 \
+	env -u PYTHONDONTWRITEBYTECODE OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 \
 	  $(BIN)/python -m pytest --numprocesses 2 --dist loadfile --no-loadscope-reorder
 
 test-slow: test-install ## run the tests that are left out of `make test`: experiments, and long ones

@@ -324,6 +324,26 @@ def test_files_that_do_not_fit_together_are_findings(
     assert "more like it" not in str(found[1]["message"])
 
 
+@pytest.mark.parametrize(
+    ("misread", "message"),
+    [
+        (lambda frames: frames.astype(np.float32), "float with levels up to 255"),
+        (lambda frames: (frames / 127.5 - 1).astype(np.float32), "half of the levels"),
+        (lambda frames: (frames * np.uint16(16)).byteswap(), "two bytes of each level are swapped"),
+    ],
+)
+def test_levels_that_estimate_refuses_are_findings(
+    folder: Path, misread: Callable[[Frames], NDArray[np.generic]], message: str
+) -> None:
+    for file in sorted((folder / "images").iterdir()):
+        frame = misread(lm.read_image(file))
+        file.unlink()
+        lm.write_image(file.with_suffix(".tif"), frame)
+    (finding,) = lm.check(patterns=folder / "patterns", images=folder / "images")
+    assert finding.kind == "files"
+    assert message in finding.message
+
+
 def test_no_capture_is_an_error(capsys: pytest.CaptureFixture[str]) -> None:
     for words in ([], ["nowhere"], ["--patterns", "p"], ["c", "--clip", "3"]):
         assert main(["check", *words]) == 2

@@ -67,7 +67,9 @@ def test_a_search_that_settles_where_nothing_is_predicted_is_no_finding() -> Non
     """Faint light in much noise, where only the search from another start settles."""
     linear = WindowPower(1.3, 0.01, settled=False, missed=(0.02, 0.02))
     assert not WindowPower(6.0, 0.004, settled=True, missed=(0.3, 0.37)).right_against(linear)
-    assert WindowPower(2.2, 0.004, settled=True, missed=(0.01, 0.004)).right_against(linear)
+    for missed, right in ((0.0175, True), (0.019, False)):
+        found_elsewhere = WindowPower(2.2, 0.004, settled=True, missed=(0.01, missed))
+        assert found_elsewhere.right_against(linear) == right
     # Whatever is predicted that well is right, whichever power misses a little less.
     exact = WindowPower(1.0, 0.01, settled=False, missed=(0.0008, 0.0008))
     assert WindowPower(2.2, 0.004, settled=True, missed=(0.01, 0.0013)).right_against(exact)

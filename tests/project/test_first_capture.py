@@ -19,11 +19,13 @@ def _blocks(language: str) -> list[str]:
     return re.findall(rf"```{language}\n(.*?)```", PAGE, flags=re.DOTALL)
 
 
-def _without_waiting(text: str) -> str:
+def _quick(text: str) -> str:
+    """The same with a small scene, and without waiting for the virtual devices."""
     text = text.replace("size=32", "size=32,real=0")
-    return text.replace("virtual:l_objects", "virtual:l_objects,real=0")
+    return text.replace("virtual:l_objects", "virtual:l_objects,size=32,real=0")
 
 
+@pytest.mark.usefixtures("small_scenes")
 def test_its_commands_run(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -35,14 +37,14 @@ def test_its_commands_run(
     ]
     assert len(virtual) == len(lines) - 2 >= 9
     for line in virtual:
-        words = shlex.split(_without_waiting(line))
+        words = shlex.split(_quick(line))
         assert words[0] == "lightmatrix"
         assert main(words[1:]) == 0, line
     shown = capsys.readouterr().out
     assert "64 frames in capture" in shown
     assert "the projector's gamma is 2.20" in shown
     (python,) = _blocks("python")
-    exec(compile(_without_waiting(python), "first-capture.md", "exec"), {})
+    exec(compile(_quick(python), "first-capture.md", "exec"), {})
     shown = capsys.readouterr().out
     # Frames that nothing predicts are photographed twice.
     counts = [int(number) for number in re.findall(r"'(?:matched|confirmed)': (\d+)", shown)]

@@ -12,8 +12,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from browser import installed, opened
-from playwright.sync_api import Page
+from playwright.sync_api import Browser, Page
 
 import lightmatrix as lm
 from tests.viewer import hostile, running
@@ -58,16 +57,16 @@ def hosted(page: Page, widget: Any) -> Iterator[Page]:
         page.wait_for_timeout(20)
     settle(page)
     yield page
+    page.close()
     assert not errors
 
 
-@pytest.mark.skipif(not installed(), reason="no Chromium is installed")
 @pytest.mark.parametrize("page_bytes", [1 << 25, 0], ids=["in the page", "in the kernel"])
-def test_brush_row_column_and_layers(page_bytes: int) -> None:
+def test_brush_row_column_and_layers(page_bytes: int, browser: Browser) -> None:
     transport = running.scene()
     widget = lm.view(transport, page_bytes=page_bytes)
     assert bool(widget.matrix) == bool(page_bytes)
-    with opened() as browser, hosted(browser.new_page(), widget) as page:
+    with hosted(browser.new_page(), widget) as page:
 
         def assert_relit() -> None:
             expected = transport.relight(running.pattern(page, transport))

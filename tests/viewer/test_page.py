@@ -9,7 +9,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 from axe_playwright_python.sync_playwright import Axe
-from browser import installed, opened
 from numpy.typing import NDArray
 from PIL import Image
 from playwright.sync_api import Browser, Page
@@ -31,18 +30,11 @@ from tests.viewer.running import (
 )
 
 pytest.importorskip("uvicorn")
-pytestmark = pytest.mark.skipif(not installed(), reason="no Chromium is installed")
 # What the page computes may miss T p by this share of the white image.
 CLOSE = 1e-3
 # Most of this is the browser's, on a machine that runs other tests at the same time. docs/viewer.md
 # has what a quiet machine takes.
 SLOWEST_STROKE_MS = 150
-
-
-@pytest.fixture(scope="module")
-def browser() -> Iterator[Browser]:
-    with opened() as browser:
-        yield browser
 
 
 @pytest.fixture(scope="module")

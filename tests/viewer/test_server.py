@@ -15,11 +15,12 @@ import sys
 import threading
 import time
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from unittest import mock
 
 import pytest
-from browser import installed, opened
+from playwright.sync_api import Browser
 
 import lightmatrix as lm
 from lightmatrix.cli import main
@@ -197,7 +198,9 @@ def test_idle_strangers_do_not_lock_the_owner_out(
         await asyncio.sleep(0.1)
         return [transport.abort.called for transport in transports]
 
-    assert asyncio.run(late()) == [True, False]
+    # In a thread of its own, since the browser's fixture occupies this one.
+    with ThreadPoolExecutor() as threads:
+        assert threads.submit(asyncio.run, late()).result() == [True, False]
 
 
 def test_pings_whose_answers_nobody_reads_are_not_kept(server: running.Server) -> None:
@@ -222,11 +225,10 @@ def test_pings_whose_answers_nobody_reads_are_not_kept(server: running.Server) -
     assert ask(server, f"/{server.token}/").status == 200
 
 
-@pytest.mark.skipif(not installed(), reason="no Chromium is installed")
-def test_a_window_too_many_is_told_so(server: running.Server) -> None:
+def test_a_window_too_many_is_told_so(server: running.Server, browser: Browser) -> None:
     from websockets.exceptions import ConnectionClosed
 
-    with contextlib.ExitStack() as windows, opened() as browser:
+    with contextlib.ExitStack() as windows:
         for _ in range(16):
             windows.enter_context(connect(server))  # type: ignore[arg-type]
         with pytest.raises(ConnectionClosed, match="1013"), connect(server) as extra:  # type: ignore[attr-defined]
@@ -248,8 +250,9 @@ def test_hostile_messages_change_nothing(tmp_path: Path) -> None:
         assert server.stop() == 130
 
 
-@pytest.mark.skipif(not installed(), reason="no Chromium is installed")
-def test_a_page_of_another_site_cannot_connect(server: running.Server, tmp_path: Path) -> None:
+def test_a_page_of_another_site_cannot_connect(
+    server: running.Server, browser: Browser, tmp_path: Path
+) -> None:
     """Even one that knows the token: neither by requests, nor by sockets, nor in a frame."""
     (tmp_path / "index.html").write_text("<!doctype html><title>Another site</title>")
 
@@ -262,35 +265,33 @@ def test_a_page_of_another_site_cannot_connect(server: running.Server, tmp_path:
 
     with http.server.ThreadingHTTPServer(("127.0.0.1", 0), _Quiet) as other:
         threading.Thread(target=other.serve_forever, daemon=True).start()
-        with opened() as browser:
-            page = browser.new_page()
-            page.goto(f"http://127.0.0.1:{other.server_port}/index.html")
-            script = """async (address) => {
-              const fetched = await fetch(address + "matrix.bin").then((a) => a.status, () => "no");
-              const socket = new WebSocket(address.replace("http", "ws") + "socket");
-              const opened = await new Promise((done) => {
-                socket.onopen = () => done("open"); socket.onerror = () => done("no"); });
-              const image = new Image(), script = document.createElement("script");
-              script.src = address + "page.js";
-              const loaded = await new Promise((done) => {
-                script.onload = () => done("loaded"); script.onerror = () => done("no");
-                document.head.append(script); });
-              return [fetched, opened, loaded];
-            }"""
-            assert page.evaluate(script, server.address) == ["no", "no", "no"]
-            # Its own page can, as long as the address is the one that was given.
-            with shown(browser, server.address) as own:
-                own.wait_for_timeout(500)
-                assert own.locator(".notice").is_hidden()
+        page = browser.new_page()
+        page.goto(f"http://127.0.0.1:{other.server_port}/index.html")
+        script = """async (address) => {
+          const fetched = await fetch(address + "matrix.bin").then((a) => a.status, () => "no");
+          const socket = new WebSocket(address.replace("http", "ws") + "socket");
+          const opened = await new Promise((done) => {
+            socket.onopen = () => done("open"); socket.onerror = () => done("no"); });
+          const image = new Image(), script = document.createElement("script");
+          script.src = address + "page.js";
+          const loaded = await new Promise((done) => {
+            script.onload = () => done("loaded"); script.onerror = () => done("no");
+            document.head.append(script); });
+          return [fetched, opened, loaded];
+        }"""
+        assert page.evaluate(script, server.address) == ["no", "no", "no"]
+        # Its own page can, as long as the address is the one that was given.
+        with shown(browser, server.address) as own:
+            own.wait_for_timeout(500)
+            assert own.locator(".notice").is_hidden()
+        page.close()
         other.shutdown()
 
 
-@pytest.mark.skipif(not installed(), reason="no Chromium is installed")
-def test_the_end_is_told_and_frees_the_port(store: Path, tmp_path: Path) -> None:
+def test_the_end_is_told_and_frees_the_port(store: Path, browser: Browser, tmp_path: Path) -> None:
     copy = tmp_path / "copy.zarr"
     shutil.copytree(store, copy)
     with (
-        opened() as browser,
         running.served(copy) as server,
         shown(browser, server.address) as page,
         shown(browser, server.address) as other,

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lightmatrix.capture.capture import Capture, Crop
-from lightmatrix.capture.folder import read_capture, read_folders
+from lightmatrix.capture.folder import check_depth, read_capture, read_folders
 from lightmatrix.capture.frames import CaptureParts
 from lightmatrix.capture.settings import ReadSettings
 from lightmatrix.check.finding import Finding
@@ -103,7 +103,7 @@ def check(
     ['frame 1 and frame 2 look swapped']
     """
     if isinstance(capture, Capture):
-        return check_capture(capture if crop is None else capture.crop(*crop))
+        return _check_read(capture, crop)
     if capture is not None:
         parts = read_capture(capture, counted=False)
     elif patterns is not None and images is not None:
@@ -116,13 +116,23 @@ def check(
         if parts.patterns.count != parts.frames.count:
             return _check_uncounted(parts)
         parts.decoder.check_count(parts.frames.count)
-        whole = Capture(**vars(parts))
-        return check_capture(whole if crop is None else whole.crop(*crop))
+        return _check_read(Capture(**vars(parts)), crop)
     except InputError:
         unread = _unread(parts)
         if unread:
             return unread
         raise
+
+
+def _check_read(whole: Capture, crop: Crop | None) -> list[Finding]:
+    """What is wrong with a capture, of which all frames must be readable."""
+    findings = check_capture(whole if crop is None else whole.crop(*crop))
+    try:
+        check_depth(whole.frames, whole.decoder)
+    except InputError as error:
+        # Nothing else is known as long as levels are misread.
+        return [Finding("files", (), error.message, error.hint or "")]
+    return findings
 
 
 def _check_uncounted(parts: CaptureParts) -> list[Finding]:

@@ -8,7 +8,7 @@ from typing import Any
 
 # Every kind of finding, and what it means.
 KINDS = {
-    "files": "files that cannot be read, or do not fit together",
+    "files": "files that cannot be read, do not fit together, or have levels of an unknown scale",
     "counts": "a photograph too few or too many",
     "interchanged": "patterns and photographs in each other's place",
     "patterns": "patterns from which T cannot be determined everywhere",

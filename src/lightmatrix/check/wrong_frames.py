@@ -26,7 +26,7 @@ _FEWEST_ROWS, _CERTAIN = 20, 5.0
 
 def wrong_frames(prediction: FramePrediction, share: float = WRONG) -> NDArray[np.bool_]:
     """Which frames miss more than a share of their variation, or are much too dark, (K,)."""
-    miss, gain, strength = _misses(prediction)
+    miss, gain, strength, of_rows = _misses(prediction)
     enough = prediction.trusted.sum(axis=0) >= _FEWEST_ROWS
     # Rows that may be compared are often the dark ones of a frame, the others clip.
     typical = np.median(prediction.expected.mean(axis=0))
@@ -34,11 +34,13 @@ def wrong_frames(prediction: FramePrediction, share: float = WRONG) -> NDArray[n
     lit = seen > 0.1 * typical * np.maximum(prediction.trusted.sum(axis=0), 1)
     usual = float(np.median(miss))
     spread = robust_deviation(np.log(np.maximum(miss, 1e-12)))
-    # A wrong frame misses 4 times what the median frame does. Where windows explain little of the
-    # light, misses of intact frames differ by factors: it must deviate by 3 robust standard
-    # deviations of their logarithms. Of the intact captures of `benchmarks/honesty.py`, accused
-    # frames deviated by 1 to 2.7.
-    least = max(share, usual * max(4.0, float(np.exp(3 * spread))))
+    # A wrong frame misses 4 times what the median frame does, and 3 times what its own rows do in
+    # all frames: a few rows that are predicted badly, among few that do not clip, are no reason to
+    # accuse it (by them, intact frames missed up to 2.3 times as much). Where windows explain
+    # little of the light, misses of intact frames differ by factors: it must deviate by 3 robust
+    # standard deviations of their logarithms. Of the intact captures of `benchmarks/honesty.py`,
+    # accused frames deviated by 1 to 2.7.
+    least = np.maximum(max(share, usual * max(4.0, float(np.exp(3 * spread)))), 3 * of_rows)
     wrong = (miss > least) & (usual < WRONG)
     dark = lit & (gain < 0.3) & ((1 - gain) * strength > _CERTAIN)
     return np.asarray(enough & (wrong | dark))
@@ -47,7 +49,8 @@ def wrong_frames(prediction: FramePrediction, share: float = WRONG) -> NDArray[n
 def _misses(prediction: FramePrediction) -> tuple[NDArray[np.float64], ...]:
     """The share of its variation that each frame misses, and its brightness as a share, (K,) each.
 
-    Third comes the light that is expected, in standard errors of its prediction, (K,).
+    Third comes the light that is expected, in standard errors of its prediction, (K,); last what
+    the frame would miss if its rows missed what they do in all frames, (K,).
     Every row counts alike, whatever its albedo and however well it is predicted: the rows that
     reveal a wrong frame are just those that are predicted badly.
     """
@@ -74,7 +77,9 @@ def _misses(prediction: FramePrediction) -> tuple[NDArray[np.float64], ...]:
         np.sqrt(prediction.miss)[:, None] * prediction.observed.std(axis=1)[:, None], 1e-9
     )
     strength = np.sqrt((trusted * (prediction.expected / error) ** 2).sum(axis=0))
-    return miss / np.maximum(variation, max(float(floor), 1e-12)), gain, strength
+    variation = np.maximum(variation, max(float(floor), 1e-12))
+    of_rows = (trusted * (error / scale) ** 2).sum(axis=0) / total
+    return miss / variation, gain, strength, of_rows / variation
 
 
 def check_frames(

@@ -130,8 +130,10 @@ def read_patterns(source: str | Path) -> PatternSet:
     description = _read_description(place / DESCRIPTION) if paths else None
     difference = None
     if description is not None:
+        # Patterns of another size might take all memory.
+        difference = _differing_size(description, paths)
         with errors_naming(place / DESCRIPTION):
-            operator = remake_patterns(description)
+            operator = None if difference else remake_patterns(description)
         if operator is not None:
             difference = _first_difference(operator, paths)
             if difference is None:
@@ -234,6 +236,16 @@ def _read_description(file: Path) -> dict[str, Any] | None:
             hint="remove it to read the patterns from their images",
         )
     return dict(content["description"])
+
+
+def _differing_size(description: dict[str, Any], paths: list[Path]) -> str | None:
+    """How a description differs from the images in count or size, in words; None if it does not."""
+    if description.get("kind") == PatternSet.kind:
+        return None
+    if description.get("count", len(paths)) != len(paths):
+        return f"its {len(paths)} images are not"
+    size = [*read_image(paths[0]).shape[:2]]
+    return None if description.get("shape", size) == size else f"{paths[0].name} is not among"
 
 
 def _first_difference(operator: PatternSet, paths: list[Path]) -> str | None:
