@@ -161,7 +161,7 @@ def test_what_a_term_takes_out_is_its_regressor(
     shape = (len(regressors), 32) if term.per_frame else (len(regressors),)
     # Sharpening is not linear: the regressor is the change by half its strength.
     numbers = 0.01 * generator.uniform(0.5, 1, shape)
-    if name == "sharpening":
+    if name in ("sharpening", "camera-sharpening"):
         numbers = np.array([0.5, 0, 0])
     along = "pmk,pk->mk" if term.per_frame else "pmk,p->mk"
     change = np.einsum(along, regressors, numbers)

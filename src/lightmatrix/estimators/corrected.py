@@ -85,6 +85,8 @@ def corrected(
         else:
             names = allowed if others else tuple(model.values)
             better = model.refined(now, capture, best, names)
+        if better and model.names and others and better.values.keys() == model.values.keys():
+            break
         left = 1.0
         if better is not None:
             without = better.corrected(capture, best)

@@ -179,8 +179,12 @@ def _added(capture: Capture, transport: LightTransport, draft: Draft) -> NDArray
         # Splines swing below zero beside bright places.
         seen = np.maximum(seen, 0)
         more = seen[_INNER] - light[_INNER][_INNER]
-        if draft.shift is not None:
+        if draft.shift is not None or draft.back:
             missed = np.where(exact, samples.values.reshape(shape)[around][_INNER] - seen, 0)
-            more = more + missed[_INNER] - exact[_INNER] * displaced(missed, -draft.shift)
+            shift = np.zeros((2, 1)) if draft.shift is None else draft.shift
+            back = displaced(missed, -shift)
+            for change in draft.back:
+                back = back + change(missed, places[:, *_INNER[1:]])
+            more = more + missed[_INNER] - exact[_INNER] * back
         added[top * width : stop * width] = more.reshape(-1, capture.count)
     return added

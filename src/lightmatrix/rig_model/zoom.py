@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 import numpy as np
 
 from lightmatrix.rig_model.prediction import Prediction, slopes
@@ -26,15 +28,16 @@ class Zoom(Term):
         return -(_directions(seen.position) * seen.slopes).sum(axis=1)
 
     def take_out(self, values: Array, draft: Draft) -> None:
-        def moved(images: Array, places: Array) -> Array:
+        def moved(images: Array, places: Array, sign: int) -> Array:
             directions = _directions(places)[..., None, None]
             change = 0.0
             for axis, (slope, bend) in enumerate(zip(*slopes(images), strict=True)):
-                step = (directions[:, axis] * values[:, None, None, None, :]).sum(axis=0)
+                step = (directions[:, axis] * sign * values[:, None, None, None, :]).sum(axis=0)
                 change = change + step**2 / 2 * bend - step * slope
             return np.asarray(change)
 
-        draft.images.append(moved)
+        draft.images.append(partial(moved, sign=1))
+        draft.back.append(partial(moved, sign=-1))
 
     def sentence(self, values: Array) -> str:
         return f"the picture grew or turned by {deviation(values):.2f} camera pixels at its border"
