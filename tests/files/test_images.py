@@ -24,6 +24,7 @@ from lightmatrix.errors import InputError, OutputError
 from lightmatrix.files import reading
 from lightmatrix.files.images import encode_image, read_grey, read_image, write_image
 from lightmatrix.files.stacks import list_images, nonlinear_tag
+from tests.faults.put import endless_zeros
 from tests.helpers.systems import PIPES
 
 SHAPES = {"grey": (24, 31), "colour": (24, 31, 3)}
@@ -378,20 +379,21 @@ import resource, sys
 resource.setrlimit(resource.RLIMIT_AS, (3 << 30, 3 << 30))
 from lightmatrix.errors import InputError
 from lightmatrix.files.images import read_image
-try:
-    read_image(sys.argv[1])
-except InputError as error:
-    print(error.message)
-# The peak of this program alone; getrusage tells that of the one it was started from.
-status = open('/proc/self/status').read()
-print(status.split('VmHWM:')[1].split()[0])
+for file in sys.argv[1:]:
+    try:
+        read_image(file)
+        message = "read"
+    except InputError as error:
+        message = error.message
+    # The peak so far; getrusage tells that of the program that this one was started from.
+    status = open('/proc/self/status').read()
+    print(status.split('VmHWM:')[1].split()[0], message.replace("\\n", " "))
 """
 
 
 def bombs(folder: Path) -> Iterable[tuple[Path, str]]:
     """Small files that announce, or hold, far more than an image."""
-    deflater = zlib.compressobj(9)
-    zeros = b"".join([deflater.compress(bytes(1 << 20)) for _ in range(600)] + [deflater.flush()])
+    zeros = endless_zeros(600 << 20)
     for bits, colour in ((16, 2), (8, 0)):
         (folder / f"huge{bits}.png").write_bytes(a_png((30000, 30000), bits, colour, zeros))
         yield folder / f"huge{bits}.png", "announces 30000 x 30000"
@@ -430,12 +432,15 @@ def bombs(folder: Path) -> Iterable[tuple[Path, str]]:
 
 
 def test_what_is_too_large_is_refused_before_it_is_inflated(tmp_path: Path) -> None:
-    for file, message in bombs(tmp_path):
-        done = subprocess.run(
-            [sys.executable, "-c", BOMB, str(file)], capture_output=True, text=True, check=False
-        )
-        assert message in done.stdout, (file, done.stdout, done.stderr)
-        peak = int(done.stdout.split()[-1])
+    files, messages = zip(*bombs(tmp_path), strict=True)
+    done = subprocess.run(
+        [sys.executable, "-c", BOMB, *map(str, files)], capture_output=True, text=True, check=False
+    )
+    lines = done.stdout.splitlines()
+    assert len(lines) == len(files), (done.stdout, done.stderr)
+    for file, message, line in zip(files, messages, lines, strict=True):
+        assert message in line, (file, line)
+        peak = int(line.split()[0])
         assert peak < 500 << 10, f"{file.name} took {peak >> 10} MiB"
 
 

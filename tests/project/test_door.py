@@ -6,7 +6,7 @@ import doctest
 import re
 import subprocess
 import sys
-from dataclasses import fields, is_dataclass
+from dataclasses import fields, is_dataclass, replace
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -21,6 +21,7 @@ from lightmatrix.estimators.coherent.estimator import CoherentEstimator
 from lightmatrix.estimators.multiscale import MultiScaleEstimator
 from lightmatrix.estimators.plain import PlainEstimator
 from lightmatrix.patterns import making
+from lightmatrix.rig.devices import registry
 
 HEAVY = ("numpy", "scipy", "matplotlib", "zarr", "rich", "typer", "PIL")
 NAMES = sorted(name for name in dir(lm) if not name.startswith("_"))
@@ -32,6 +33,9 @@ PLAIN |= {"ClusterError", "DeviceError", "FrameTimeoutError"}
 @pytest.fixture(autouse=True)
 def _a_folder_of_its_own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
+    # No example shows cameras, and the search for them takes seconds.
+    cameras = {kind: replace(back, find=None) for kind, back in registry.CAMERAS.items()}
+    monkeypatch.setattr(registry, "CAMERAS", cameras)
 
 
 def _loaded(code: str) -> set[str]:

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 import lightmatrix as lm
 from lightmatrix.errors import DeviceError, FrameTimeoutError
+from lightmatrix.rig import rig_measurements
 from lightmatrix.rig.devices.aravis import AravisCamera, find_aravis, open_aravis
 from lightmatrix.rig.devices.base import Address
 from lightmatrix.rig.devices.window import open_window
@@ -89,7 +90,11 @@ def test_an_unplugged_camera(served: GigECamera) -> None:
     with pytest.raises(DeviceError, match="cannot be reached") as caught:
         camera.get_image(0.1)
     assert not isinstance(caught.value, FrameTimeoutError)
+    # Aravis asks five times for half a second each, also to give the camera back. It can do that at
+    # once if there is a camera again.
+    again = GigECamera(_counting(), SHAPE)  # type: ignore[arg-type]
     camera.close()
+    again.close()
 
 
 @pytest.mark.parametrize(
@@ -147,6 +152,8 @@ def test_a_capture_over_gige_vision_is_as_good_as_a_simulated_one(
     screen: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
+    # A virtual screen shows pictures sooner than what a first measurement waits for.
+    monkeypatch.setattr(rig_measurements, "FIRST_SETTLE", 0.05)
     known = ProceduralScene(SIDES, SIDES, 0).truth()
     cell = min(SCREEN) // SIDES[0]
     left, top = ((length - SIDES[0] * cell) // 2 for length in SCREEN[::-1])
@@ -156,23 +163,23 @@ def test_a_capture_over_gige_vision_is_as_good_as_a_simulated_one(
     try:
         window = open_window(Address("window"))
         # The simulated camera misses one trigger in 20.
-        with Rig(window, open_aravis(address), lambda: open_aravis(address), patience=0.5) as rig:
+        with Rig(window, open_aravis(address), lambda: open_aravis(address), patience=0.2) as rig:
             capture = lm.take_capture(
                 "capture",
                 rig,
-                lm.make_patterns("mix", SIDES, 64),
+                lm.make_patterns("mix", SIDES, 32),
                 settings=lm.CaptureSettings(cell=cell),
             )
     finally:
         served.close()
     assert not served.errors
     provenance = capture.provenance
-    assert (capture.count, provenance["left_out"]) == (64, {})
+    assert (capture.count, provenance["left_out"]) == (32, {})
     # Kept with the rig; a virtual screen has none, or one that changes nothing.
     assert lm.RigMeasurements.load("rig.json").projector["gamma_ramp"] in (None, {"linear": True})
     # A few, near chance, by a second photograph.
     assert set(provenance["checks"]) <= {"matched", "confirmed"}
-    assert provenance["checks"]["matched"] >= 40
+    assert provenance["checks"]["matched"] >= 20
 
     scale = np.float32(provenance["exposure_1_in_seconds"] / UNIT_EXPOSURE)
     truth = replace(
@@ -181,6 +188,6 @@ def test_a_capture_over_gige_vision_is_as_good_as_a_simulated_one(
         direct_data=scale * known.direct_data,
     )
     simulated = lm.simulate(truth, capture.patterns, exposure=1.0, bits=16, noise=NOISE)
-    error = lm.evaluate(lm.estimate(capture), truth).relighting_error
-    expected = lm.evaluate(lm.estimate(simulated), truth).relighting_error
+    error = lm.evaluate(lm.estimate(capture, check=False), truth).relighting_error
+    expected = lm.evaluate(lm.estimate(simulated, check=False), truth).relighting_error
     assert error < 1.05 * expected

@@ -395,7 +395,7 @@ def test_ctrl_c_keeps_the_frames() -> None:
     )
     # The capture must be slow enough to be interrupted on any machine.
     real = QUIET.replace("real=0", "real=1")
-    words = f"capture --rig {real},fps=0 -k 40 --exposure 0.01 --settle 0.5 -o capture"
+    words = f"capture --rig {real},fps=0 -k 40 --exposure 0.01 --settle 0.2 -o capture"
     process = subprocess.Popen(
         [sys.executable, "-c", started, *words.split()], stderr=subprocess.PIPE, text=True
     )
@@ -407,7 +407,7 @@ def test_ctrl_c_keeps_the_frames() -> None:
     assert process.returncode == 130
     assert errors == "stopped; finished frames are kept, run again to continue\n"
     with lm.open_rig(QUIET) as rig:
-        settings = lm.CaptureSettings(exposure=0.01, settle=0.5)
+        settings = lm.CaptureSettings(exposure=0.01, settle=0.2)
         capture = lm.take_capture("capture", rig, count=40, settings=settings)
     assert capture.count == 40
 

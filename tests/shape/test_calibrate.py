@@ -15,6 +15,7 @@ from lightmatrix.cli import main
 from lightmatrix.geometry.matches import fit_fundamental, fit_homography, moved, sampson
 from lightmatrix.shape.calibrate import (
     BoardCorners,
+    RigCalibration,
     board_points,
     find_corners,
     fit_stereo,
@@ -100,9 +101,18 @@ def captures() -> list[SimulatedCapture]:
     return [board_capture(rig, pose, code) for pose in POSES]
 
 
-def test_a_simulated_board_gives_the_rig(captures: list[SimulatedCapture], tmp_path: Path) -> None:
+@pytest.fixture(scope="module")
+def usual(
+    captures: list[SimulatedCapture], tmp_path_factory: pytest.TempPathFactory
+) -> tuple[RigCalibration, Path]:
+    """The calibration from all poses, and its file."""
+    file = tmp_path_factory.mktemp("board") / "rig.json"
+    return lm.calibrate_rig(captures, BOARD, SQUARE, units="mm", output=file), file
+
+
+def test_a_simulated_board_gives_the_rig(usual: tuple[RigCalibration, Path]) -> None:
     known = board_rig()
-    measured = lm.calibrate_rig(captures, BOARD, SQUARE, units="mm", output=tmp_path / "rig.json")
+    measured, file = usual
     rig = measured.geometry
     assert measured.corners >= 135
     assert rig.rms["stereo"] < 0.2
@@ -117,7 +127,7 @@ def test_a_simulated_board_gives_the_rig(captures: list[SimulatedCapture], tmp_p
     assert np.abs(ratio - 1).max() < 0.01
     assert np.abs(rig.depth(found) / 900 - 1).max() < 0.02
     assert rig.baseline == pytest.approx(known.baseline, rel=0.02)
-    again = lm.RigGeometry.load(tmp_path / "rig.json")
+    again = lm.RigGeometry.load(file)
     np.testing.assert_allclose(again.camera_matrix, rig.camera_matrix)
     assert again.units == "mm"
 
@@ -181,15 +191,14 @@ def test_the_command(
 
 
 def test_a_pose_under_random_patterns_has_the_same_corners(
-    captures: list[SimulatedCapture],
+    captures: list[SimulatedCapture], usual: tuple[RigCalibration, Path]
 ) -> None:
     rig = board_rig()
     random = lm.BernoulliPatterns(rig.projector_shape, 24, seed=0)
     measured = lm.calibrate_rig(
         [*captures[:3], board_capture(rig, POSES[3], random)], BOARD, SQUARE, units="mm"
     )
-    usual = lm.calibrate_rig(captures, BOARD, SQUARE, units="mm")
-    one, other = measured.poses[3], usual.poses[3]
+    one, other = measured.poses[3], usual[0].poses[3]
     assert one.used.all()
     assert np.abs(one.camera - other.camera).max() < 0.3
     away = np.linalg.norm(one.projector - other.projector, axis=1)
@@ -285,7 +294,7 @@ def test_flat_scenes_are_refused() -> None:
 
 
 def test_the_command_without_a_board(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    known = lm.truth("corner")
+    known = lm.truth("l_objects")
     assert known.geometry is not None
     known.save(tmp_path / "T.npz")
     words = ["calibrate", str(tmp_path / "T.npz"), "-o", str(tmp_path / "rig.json")]
