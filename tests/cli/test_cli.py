@@ -272,7 +272,7 @@ def test_the_installed_command_runs_without_a_terminal() -> None:
 
 def test_usage_errors_end_with_code_2(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["estimate", "--no-such-option"]) == 2
-    assert "see `lightmatrix estimate --help`" in capsys.readouterr().err
+    assert "see `lightmatrix estimate --help-all`" in capsys.readouterr().err
     assert main(["patterns", "bernouli", "-o", "x"]) == 2
     shown = capsys.readouterr().err
     assert "Traceback" not in shown

@@ -266,7 +266,10 @@ def _usage_error(error: typer.TyperException) -> tuple[str, str]:
     """What is wrong with the arguments; and what the user probably meant, or where to look."""
     message = error.format_message().replace("Value error, ", "")
     context = getattr(error, "ctx", None)
-    hint = f"see `{context.command_path if context else 'lightmatrix'} --help`"
+    hint = f"see `{context.command_path if context else 'lightmatrix'} --help"
+    if context and set(help_sections(context.command, context)) - set(_USUAL):
+        hint += "-all"
+    hint += "`"
     choice = re.search(r"'([^']*)' is not one of (.*)", message)
     if choice:
         near = get_close_matches(choice[1], re.findall(r"'([^']*)'", choice[2]), n=1)

@@ -40,7 +40,7 @@ def view(
     page_memory: Annotated[
         str,
         Option(
-            hidden=True,
+            rich_help_panel="Large matrices",
             help="Largest matrix that the page itself holds, such as 512MiB. Larger ones stay on "
             "disk, with an index of their columns, which is made if it is missing.",
         ),
