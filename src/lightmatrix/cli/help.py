@@ -18,7 +18,7 @@ class Command(TyperCommand):
     """Lists the usual options; those under headings of their own after --help-all."""
 
     def format_options(self, ctx: Any, formatter: Any) -> None:
-        sections = _sections(self, ctx)
+        sections = help_sections(self, ctx)
         shown = [name for name in sections if ctx.find_root().obj or name in _USUAL]
         for heading in shown:
             with formatter.section(heading):
@@ -28,7 +28,7 @@ class Command(TyperCommand):
             formatter.write_text(f"More options: {ctx.command_path} --help-all")
 
 
-def _sections(command: TyperCommand, context: Any) -> dict[str, list[tuple[str, str]]]:
+def help_sections(command: TyperCommand, context: Any) -> dict[str, list[tuple[str, str]]]:
     """The headings of a command's help (`rich_help_panel`), each with names and meanings."""
     sections: dict[str, list[tuple[str, str]]] = {name: [] for name in _USUAL}
     for parameter in command.get_params(context):
