@@ -166,6 +166,22 @@ def test_one_photograph_in_two_formats_is_one_frame(tmp_path: Path) -> None:
     assert ".png" in str(caught.value.hint)
 
 
+@pytest.mark.parametrize("first", ["jpg", "png"])
+def test_pairs_that_are_there_before_are_passed_over(tmp_path: Path, first: str) -> None:
+    def save(number: int, *endings: str) -> None:
+        for ending in endings:
+            Image.new("L", SHAPE, number).save(tmp_path / f"IMG_{number}.{ending}")
+
+    save(1, "jpg", "png")
+    camera = open_camera(f"watch:{tmp_path},exposure=1")
+    save(2, "jpg", "png")
+    camera.flush()
+    save(3, first)
+    assert camera.get_image(60).data[0, 0] == 3
+    with pytest.raises(FrameTimeoutError):
+        camera.get_image(0.15)
+
+
 def test_what_no_camera_takes(tmp_path: Path) -> None:
     camera = open_camera(f"watch:{tmp_path},exposure=1")
     write_image(tmp_path / "a.npy", np.zeros(SHAPE, np.float32))
