@@ -55,5 +55,5 @@ def test_a_black_part_does_not_darken_the_others() -> None:
     drawing = draw_parts({"direct": np.full((8, 8), 0.01), "global": np.zeros((8, 8))})
     assert [axes.get_title() for axes in drawing.axes] == ["Direct light", "Global light"]
     # Light at the common white level is shown white.
-    shown = [float(np.max(axes.images[0].get_array())) for axes in drawing.axes]
+    shown = [float(np.asarray(axes.images[0].get_array()).max()) for axes in drawing.axes]
     assert shown == [1, 0]
