@@ -14,7 +14,8 @@ from typing import Any
 
 import typer
 
-from lightmatrix.cli.app import GROUPS, STAGES, app, help_sections
+from lightmatrix.cli.app import GROUPS, STAGES, app
+from lightmatrix.cli.help import help_sections
 
 ROOT = Path(__file__).parent.parent
 PROGRAM = "lightmatrix"
@@ -68,7 +69,7 @@ def _page(name: str) -> str:
 
 
 def _overview() -> str:
-    lines = ["# Commands", "", f"`{PROGRAM} COMMAND --help` shows the same.", ""]
+    lines = ["# Commands", "", f"`{PROGRAM} COMMAND --help-all` shows the same.", ""]
     every = dict(_all())
     for stage in STAGES:
         lines += [f"## {stage}", "", "| command | what it does |", "|---|---|"]

@@ -59,6 +59,7 @@ def test_slstudio_orders_by_number(tmp_path: Path) -> None:
         ("exposures.json", "[0.25, 1]"),
         ("exposures.csv", "file,exposure\na.png,0.25\nb.png,1\n"),
         ("exposures.csv", "0.25\n1\n"),
+        ("exposures.csv", " a.png , 0.25\n b.png , 1\n"),
     ],
 )
 def test_brackets_repeat_their_pattern_at_every_exposure(
@@ -84,6 +85,7 @@ def test_brackets_repeat_their_pattern_at_every_exposure(
     [("[1, 0]", "not above 0"), ('{"a.png": 1}', "has no exposure"), ("{", "cannot be read"),
      ('{"a.png": "fast"}', "no list"), ("3", "no list"), ("[" * 100_000, "nested too deeply"),
      ("a.png,0,5\nb.png,0,25\n", "one column, or two"), ("a.png,1\na.png,2\n", "twice"),
+     ("1,5\n0,25\n", "decimal commas"), ("exposure\n1,5\n0, 25\n", "decimal commas"),
      ("a.png,1\nb.png\n", "one column, or two"), ("b.png,1\na.png,fast\n", "no list"),
      ("a.png," + "1" * 200_000, "field larger"), ("", "not above 0")],
 )  # fmt: skip

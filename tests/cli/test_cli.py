@@ -198,7 +198,7 @@ KINDS = {
 
 def test_patterns_of_every_kind(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["patterns", "--help"]) == 0
-    offered = re.search(r"KIND <(\S+)>", capsys.readouterr().out)
+    offered = re.search(r"KIND (\S+)\n", capsys.readouterr().out)
     assert offered
     assert set(offered[1].split("|")) == set(KINDS)
     for kind, (options, count) in KINDS.items():
@@ -250,6 +250,19 @@ def test_rare_options_are_shown_on_request(capsys: pytest.CaptureFixture[str]) -
     assert not re.search("<(int|str|path|list)|x>=", long)
 
 
+@pytest.mark.parametrize(
+    ("command", "option"),
+    [("capture", "--patience X"), ("rig settle", "--patience X"), ("view", "--page-memory TEXT")],
+)
+def test_rare_options_of_other_commands(
+    command: str, option: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main([*command.split(), "--help"]) == 0
+    assert option not in capsys.readouterr().out
+    assert main([*command.split(), "--help-all"]) == 0
+    assert option in capsys.readouterr().out
+
+
 def test_every_command_has_help(capsys: pytest.CaptureFixture[str]) -> None:
     assert main([]) == 0
     overview = capsys.readouterr().out
@@ -272,11 +285,11 @@ def test_the_installed_command_runs_without_a_terminal() -> None:
 
 def test_usage_errors_end_with_code_2(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["estimate", "--no-such-option"]) == 2
-    assert "see `lightmatrix estimate --help`" in capsys.readouterr().err
+    assert "see `lightmatrix estimate --help-all`" in capsys.readouterr().err
     assert main(["patterns", "bernouli", "-o", "x"]) == 2
     shown = capsys.readouterr().err
     assert "Traceback" not in shown
     assert "Value error" not in shown
-    assert "did you mean bernoulli? see `lightmatrix patterns --help`" in shown
+    assert "did you mean bernoulli? see `lightmatrix patterns --help-all`" in shown
     assert main(["patrns"]) == 2
     assert "see `lightmatrix --help`" in capsys.readouterr().err

@@ -361,13 +361,21 @@ def test_compensate_on_a_rig(
         (tmp_path / folder).mkdir()
     told = _run(
         f"compensate {tmp_path}/scene.zarr {tmp_path}/wanted.png --rig {rig} --refine 2 "
-        f"--rig-file {tmp_path}/rig.json -o {tmp_path}/shown/x.png",
+        f"--settle 0.2 --rig-file {tmp_path}/rig.json -o {tmp_path}/shown/x.png",
         capsys,
     )
     with lm.open_rig(rig) as opened:
         found = lm.refine_compensation(
-            opened, known, tmp_path / "wanted.png", steps=2, output=tmp_path / "made" / "x.png"
+            opened,
+            known,
+            tmp_path / "wanted.png",
+            steps=2,
+            settle=0.2,
+            output=tmp_path / "made" / "x.png",
         )
+    kept = lm.RigMeasurements.load(tmp_path / "rig.json").settle
+    assert kept is not None
+    assert kept.seconds == 0.2
     _same_files(tmp_path / "shown", tmp_path / "made")
     assert told["photographed_psnr"] == found.as_dict()["photographed_psnr"]
     assert len(told["photographed_psnr"]) == 3
@@ -379,6 +387,7 @@ def test_compensate_on_a_rig(
         ("", "no picture"),
         ("{wanted} --video frames", "both a picture and a video"),
         ("{wanted} --refine 2", "--refine without a rig"),
+        ("{wanted} --settle 1", "--settle without a rig"),
         ("{wanted} --rig virtual:metal --black b.png", "a rig and --black"),
         ("{wanted} --rig virtual:metal --beside x.zarr", "several matrices"),
         ("--video frames --green g.zarr --blue b.zarr", "several matrices"),

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import sys
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -63,6 +64,22 @@ def test_a_curve_makes_a_capture_linear(tmp_path: Path) -> None:
         place / "patterns", place / "images", lm.ReadSettings(response=str(tmp_path / "curve.json"))
     )
     np.testing.assert_array_equal(plain.samples().values, samples.values)
+
+
+def test_a_curve_of_float_photographs_says_what_they_need(tmp_path: Path) -> None:
+    photographs = stack(srgb, TIMES).astype(np.float32)
+    lm.camera_response(photographs, TIMES, clip=255, output=tmp_path / "curve.json")
+    settings = lm.ReadSettings(response=str(tmp_path / "curve.json"))
+    np.save(tmp_path / "p.npy", lm.BernoulliPatterns((8, 8), len(photographs)).images())
+    np.save(tmp_path / "i.npy", photographs)
+    folders = tmp_path / "p.npy", tmp_path / "i.npy"
+    with pytest.raises(lm.InputError, match="up to 255 for images of float32") as caught:
+        lm.Capture.from_folders(*folders, settings)
+    assert "clip=255 if" in str(caught.value.hint)
+    opened = lm.Capture.from_folders(*folders, replace(settings, clip=255))
+    assert 0.9 < opened.samples().values.max() <= 1
+    with pytest.raises(lm.InputError, match="clip is abc"):
+        lm.camera_response(photographs, TIMES, clip="abc")  # type: ignore[arg-type]
 
 
 def test_a_curve_states_the_levels_that_it_was_measured_from(tmp_path: Path) -> None:

@@ -145,6 +145,15 @@ def test_a_file_that_is_written_again_is_a_new_frame(tmp_path: Path) -> None:
 
 
 def test_one_photograph_in_two_formats_is_one_frame(tmp_path: Path) -> None:
+    # Photographs that are there already are passed over in either format.
+    for ending in ("jpg", "png"):
+        Image.fromarray(np.zeros(SHAPE, np.uint8)).save(tmp_path / f"old.{ending}")
+    for first in ("jpg", "png"):
+        camera = open_camera(f"watch:{tmp_path},exposure=1")
+        Image.fromarray(np.full(SHAPE, 7, np.uint8)).save(tmp_path / f"{first}.{first}")
+        assert camera.get_image(60).id == 1
+        with pytest.raises(FrameTimeoutError):
+            camera.get_image(0.15)
     camera = open_camera(f"watch:{tmp_path},exposure=1")
     for number, endings in enumerate((("jpg", "png"), ("jpg", "png"), ("png", "jpg")), 1):
         for ending in endings:
@@ -155,6 +164,22 @@ def test_one_photograph_in_two_formats_is_one_frame(tmp_path: Path) -> None:
     with pytest.raises(FrameTimeoutError) as caught:
         camera.get_image(0.15)
     assert ".png" in str(caught.value.hint)
+
+
+@pytest.mark.parametrize("first", ["jpg", "png"])
+def test_pairs_that_are_there_before_are_passed_over(tmp_path: Path, first: str) -> None:
+    def save(number: int, *endings: str) -> None:
+        for ending in endings:
+            Image.new("L", SHAPE, number).save(tmp_path / f"IMG_{number}.{ending}")
+
+    save(1, "jpg", "png")
+    camera = open_camera(f"watch:{tmp_path},exposure=1")
+    save(2, "jpg", "png")
+    camera.flush()
+    save(3, first)
+    assert camera.get_image(60).data[0, 0] == 3
+    with pytest.raises(FrameTimeoutError):
+        camera.get_image(0.15)
 
 
 def test_what_no_camera_takes(tmp_path: Path) -> None:

@@ -152,15 +152,16 @@ def _exposures(place: Path) -> dict[str, float]:
 
 def _columns(text: str) -> dict[str, str] | list[str]:
     """Names and exposures, or exposures alone, of a table; a ValueError says why it is none."""
-    rows = [row for row in csv.reader(text.splitlines()) if row]
+    rows = [[field.strip() for field in row] for row in csv.reader(text.splitlines()) if row]
     # A first line without a number names the columns.
-    if rows and math.isnan(as_float(rows[0][-1])):
-        del rows[0]
+    heads = rows.pop(0) if rows and math.isnan(as_float(rows[0][-1])) else []
     widths = {len(row) for row in rows}
     if not widths <= {1} and not widths <= {2}:
         raise ValueError("its lines do not all have one column, or two; write 0.5 with a point")
     if widths != {2}:
         return [row[0] for row in rows]
+    if len(heads) < 2 and all(field.isdecimal() for row in rows for field in row):
+        raise ValueError("two columns of whole numbers, or decimal commas: write 0.5 with a point")
     names, values = zip(*rows, strict=True)
     if len(set(names)) < len(names):
         raise ValueError("it names a photograph twice")

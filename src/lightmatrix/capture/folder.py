@@ -14,6 +14,7 @@ Either folder may be replaced by one file of all its images, such as images.tif.
 from __future__ import annotations
 
 import json
+import math
 import os
 import shutil
 from collections.abc import Callable, Iterable, Mapping
@@ -27,7 +28,7 @@ from numpy.typing import NDArray
 from lightmatrix.capture.camera_curve import AUTOMATIC, Response, range_end
 from lightmatrix.capture.clip_level import pile_of_frames
 from lightmatrix.capture.decoder import Decoder
-from lightmatrix.capture.frames import CaptureParts, Frames, level_blocks
+from lightmatrix.capture.frames import CaptureParts, Frames, PixelFrames, level_blocks
 from lightmatrix.capture.packed import FORMAT as PACKED_FORMAT
 from lightmatrix.capture.packed import is_packed, read_packed
 from lightmatrix.capture.samples import Samples
@@ -308,13 +309,16 @@ def make_decoder(stack: ImageStack, settings: ReadSettings) -> Decoder:
     The black level is 0 unless it is stated. It is not taken from the black frame, whose room light
     must not change the unit of the samples.
     """
-    top = range_end(stack.dtype)
     response = _stated_response(settings.response, stack)
     measured, full_scale = response.full_scale, settings.full_scale
+    stated = None if isinstance(settings.clip, str) else settings.clip
+    top = range_end(stack.dtype, stated)
     if measured is not None and measured > top:
+        # Float images may hold such levels, or levels up to 1, which all would be dark.
+        floats = f"; give clip={measured:g} if their levels go up to it"
         raise InputError(
             f"a response of levels up to {measured:g} for images of {stack.dtype}",
-            hint="measure it with images of that kind",
+            hint="measure it with images of that kind" + floats * (stack.dtype.kind == "f"),
         )
     if full_scale is not None and stack.dtype.kind == "u" and full_scale > top:
         raise InputError(
@@ -385,17 +389,24 @@ def check_depth(frames: Frames, decoder: Decoder) -> None:
     A camera of 12 bits clips at 4095. With 65535 in its place no sample would count as clipped: the
     estimate would be wrong without any sign of it.
     """
-    middle = frames.read(frames.count // 2)
+    if frames.dtype == np.uint8:
+        return
+    if isinstance(frames, PixelFrames):
+        # To read one of these frames is to read all.
+        half = math.prod(frames.shape) // 2
+        middle = frames.levels(half, min(half + 4096, math.prod(frames.shape)))
+    else:
+        middle = frames.read(frames.count // 2)
     dark = float(np.median(middle))
     # Noise around a dark frame that was subtracted is far smaller.
     if dark < -0.05 * np.min(decoder.clip):
         raise InputError(
-            f"half of the levels of a photograph are below {dark:g}",
+            f"half of the levels that were looked at are below {dark:g}",
             hint="scale the images so that 0 is no light",
         )
-    # One frame may lack some bits by chance.
+    # One frame may lack some bits by chance, and a few levels without noise all may.
     swapped = frames.dtype == np.uint16 and have_swapped_bytes([middle])
-    if swapped and have_swapped_bytes(level_blocks(frames)):
+    if swapped and len(np.unique(middle)) > 16 and have_swapped_bytes(level_blocks(frames)):
         raise InputError(
             "the two bytes of each level are swapped: the bits that all levels use have a gap",
             hint="write the images in the byte order that their format or header states",

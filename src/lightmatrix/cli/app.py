@@ -19,7 +19,7 @@ from difflib import get_close_matches
 from typing import Annotated, Any, TextIO
 
 import typer
-from typer.core import TyperCommand, TyperGroup
+from typer.core import TyperGroup
 
 import lightmatrix as lm
 from lightmatrix.cli.calibrate import calibrate
@@ -33,6 +33,7 @@ from lightmatrix.cli.demo import demo
 from lightmatrix.cli.estimate import estimate
 from lightmatrix.cli.evaluate import evaluate
 from lightmatrix.cli.export import export
+from lightmatrix.cli.help import Command
 from lightmatrix.cli.info import info
 from lightmatrix.cli.pack import pack
 from lightmatrix.cli.patterns import patterns
@@ -86,47 +87,6 @@ class _Group(TyperGroup):
                 formatter.write_dl(lines)
 
 
-class _Command(TyperCommand):
-    """Lists the usual options; those under headings of their own after --help-all."""
-
-    def format_options(self, ctx: Any, formatter: Any) -> None:
-        sections = help_sections(self, ctx)
-        shown = [name for name in sections if ctx.find_root().obj or name in _USUAL]
-        for heading in shown:
-            with formatter.section(heading):
-                formatter.write_dl(sections[heading])
-        if len(shown) < len(sections):
-            formatter.write_paragraph()
-            formatter.write_text(f"More options: {ctx.command_path} --help-all")
-
-
-# The headings of every command. Other options are rarely needed.
-_USUAL = ("Arguments", "Options")
-# What a reader writes for a type, as the help names it.
-_WORDS = {"int": "N", "int range": "N", "float": "X", "float range": "X", "str": "TEXT"}
-_WORDS |= {"path": "PATH", "list[Path]": "PATH"}
-
-
-def help_sections(command: TyperCommand, context: Any) -> dict[str, list[tuple[str, str]]]:
-    """The headings of a command's help (`rich_help_panel`), each with names and meanings."""
-    sections: dict[str, list[tuple[str, str]]] = {name: [] for name in _USUAL}
-    for parameter in command.get_params(context):
-        record = parameter.get_help_record(context)
-        if record is not None:
-            words, meaning = record
-            words = re.sub("<([^<>]*)>", lambda found: _WORDS.get(found[1], found[1]), words)
-            # Limits are left to the messages; and Typer puts a default that is text into brackets.
-            meaning = re.sub(r"(; |\[)[^\]\[;]*x[<>]=?[^\]\[;]*\]$", r"\1]", meaning)
-            meaning = meaning.replace("; ]", "]").removesuffix("[]").rstrip()
-            meaning = re.sub(r"\[default: \((.*)\)\]$", r"[default: \1]", meaning)
-            usual = _USUAL[parameter.param_type_name != "argument"]
-            if usual == "Arguments":
-                words = words.removesuffix(" PATH").removesuffix(" TEXT")
-            heading = getattr(parameter, "rich_help_panel", None) or usual
-            sections.setdefault(heading, []).append((words, meaning))
-    return {heading: records for heading, records in sections.items() if records}
-
-
 app = typer.Typer(
     name="lightmatrix",
     cls=_Group,
@@ -137,7 +97,7 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
 )
 for command in (member for members in STAGES.values() for member in members):
-    app.command(command.__name__, cls=_Command)(command)
+    app.command(command.__name__, cls=Command)(command)
 for groups in GROUPS.values():
     for name, group in groups.items():
         app.add_typer(group, name=name)
@@ -266,7 +226,9 @@ def _usage_error(error: typer.TyperException) -> tuple[str, str]:
     """What is wrong with the arguments; and what the user probably meant, or where to look."""
     message = error.format_message().replace("Value error, ", "")
     context = getattr(error, "ctx", None)
-    hint = f"see `{context.command_path if context else 'lightmatrix'} --help`"
+    path = context.command_path if context else "lightmatrix"
+    full = context is not None and isinstance(context.command, Command)
+    hint = f"see `{path} --help{'-all' if full else ''}`"
     choice = re.search(r"'([^']*)' is not one of (.*)", message)
     if choice:
         near = get_close_matches(choice[1], re.findall(r"'([^']*)'", choice[2]), n=1)

@@ -38,9 +38,7 @@ def compensate(
     resize: Annotated[bool, Option("--resize", help="Resize the picture to the camera.")] = False,
     exposure: Annotated[
         float,
-        Option(
-            help="Brightness factor at which samples are counted that clip; 1 is the unit of T."
-        ),
+        Option(help="Exposure at which clipped camera pixels are counted; T is for exposure 1."),
     ] = 1.0,
     projector_response: Annotated[
         str | None,
@@ -75,6 +73,7 @@ def compensate(
     rig: options.RigName = None,
     projector: options.ProjectorName = None,
     camera: options.CameraName = None,
+    settle: options.Settle = None,
     patience: options.Patience = USUAL_PATIENCE,
     rig_file: options.RigFile = Path(RIG_FILE),
     overwrite: options.Overwrite = False,
@@ -105,9 +104,10 @@ def compensate(
     elif (wanted is None) == (video is None):
         both = "both a picture and a video" if wanted else "no picture"
         raise InputError(both, hint="give the wanted picture, or --video and a folder of frames")
-    elif refine is not None and not with_rig:
+    elif (refine is not None or settle is not None) and not with_rig:
         raise InputError(
-            "--refine without a rig", hint="add --rig virtual:SCENE, or --projector and --camera"
+            f"--{'settle' if refine is None else 'refine'} without a rig",
+            hint="add --rig virtual:SCENE, or --projector and --camera",
         )
     elif several and (video is not None or with_rig):
         raise InputError(
@@ -147,7 +147,13 @@ def compensate(
                 common["steps"] = refine
             assert wanted is not None
             refined = lm.refine_compensation(
-                opened, scene, wanted, keep=rig_file, measuring=shown.measured, **common
+                opened,
+                scene,
+                wanted,
+                keep=rig_file,
+                settle=settle,
+                measuring=shown.measured,
+                **common,
             )
         summary |= refined.as_dict()
     else:

@@ -53,9 +53,10 @@ Settle = Annotated[
     float | None,
     Option(help="Seconds to wait after showing a picture.", show_default="as measured"),
 ]
-# Only slow cameras need it, so the help does not show it.
+# The heading of options that few need, which only --help-all shows.
+RARE = "Rarely needed"
 Patience = Annotated[
-    float, Option(hidden=True, help="Seconds to wait for a frame after its exposure.")
+    float, Option(rich_help_panel=RARE, help="Seconds to wait for a frame after its exposure.")
 ]
 RigFile = Annotated[
     Path, Option("--rig-file", help="The file that keeps the measurements of the rig.")

@@ -5,11 +5,12 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import typer
 
 import lightmatrix as lm
+from lightmatrix.cli.help import Command
 from lightmatrix.cli.options import (
     CameraName,
     Json,
@@ -17,7 +18,6 @@ from lightmatrix.cli.options import (
     ProjectorName,
     RigFile,
     RigName,
-    Settle,
 )
 from lightmatrix.cli.terminal import say, show_json, stages
 from lightmatrix.defaults import RIG_FILE, USUAL_PATIENCE
@@ -30,7 +30,7 @@ app = typer.Typer(
 )
 
 
-@app.command("list")
+@app.command("list", cls=Command)
 def list_(as_json: Json = False) -> None:
     """List projectors and cameras, and what is not installed."""
     back_ends = lm.list_devices()
@@ -61,7 +61,9 @@ _PARTS = {
 
 def _lines(name: str, part: Mapping[str, Any]) -> Iterator[str]:
     """What was measured of a part, in words."""
-    if name == "settle":
+    if name == "settle" and not part["changes"]:
+        yield f"stated: {part['seconds']:g} s"
+    elif name == "settle":
         yield (
             f"settled after {1000 * part['seconds']:.1f} ms; {part['late']} of {part['changes']} "
             "changes came later"
@@ -87,12 +89,18 @@ def _lines(name: str, part: Mapping[str, Any]) -> Iterator[str]:
 
 
 def _add_command(part: str) -> None:
-    @app.command(part, help=_PARTS[part])
+    @app.command(part, cls=Command, help=_PARTS[part])
     def command(
         rig: RigName = None,
         projector: ProjectorName = None,
         camera: CameraName = None,
-        settle: Settle = None,
+        settle: Annotated[
+            float | None,
+            typer.Option(
+                help="Seconds to wait after showing a picture; the rig file keeps them.",
+                show_default="as measured",
+            ),
+        ] = None,
         patience: Patience = USUAL_PATIENCE,
         rig_file: RigFile = Path(RIG_FILE),
         as_json: Json = False,

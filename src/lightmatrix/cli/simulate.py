@@ -103,7 +103,7 @@ def simulate(
     """Photograph a scene under patterns.
 
     The command writes a capture folder, with the true T beside the frames as truth.npz. The scene
-    `procedural` has any --camera-size and --size.
+    `procedural` has any --camera-size and --size that fit into memory.
     """
     packed = output.suffix.lower() == ".zarr"
     claim(output, PACKED_CAPTURE if packed else CAPTURE, overwrite=overwrite)

@@ -10,7 +10,7 @@ from typing import Annotated, Any
 from typer import Option
 
 import lightmatrix as lm
-from lightmatrix.cli.options import USUAL_PAGE_MEMORY, Overwrite, Store
+from lightmatrix.cli.options import RARE, USUAL_PAGE_MEMORY, Overwrite, Store
 from lightmatrix.cli.terminal import progress, say
 from lightmatrix.errors import InputError
 from lightmatrix.resources.memory import memory_bytes
@@ -40,7 +40,7 @@ def view(
     page_memory: Annotated[
         str,
         Option(
-            hidden=True,
+            rich_help_panel=RARE,
             help="Largest matrix that the page itself holds, such as 512MiB. Larger ones stay on "
             "disk, with an index of their columns, which is made if it is missing.",
         ),

@@ -166,14 +166,15 @@ def draw_dual(transport: LightTransport) -> Picture:
 
 def draw_parts(images: Mapping[str, NDArray[Any]]) -> Picture:
     """Parts of one photograph by name, faint ones brightened by a power of two."""
-    whole = max(map(white_level, images.values()))
+    # Of all parts together, since a black part has no level of its own.
+    whole = white_level(np.stack(list(images.values())))
     with mpl.rc_context(STYLE):
         drawing = Picture(figsize=(3.4 * len(images), 3.6), layout="constrained")
         for axes, (name, image) in zip(
             drawing.subplots(1, len(images)), images.items(), strict=True
         ):
-            # Not more than 64 times, as a part may be black.
-            factor = 2.0 ** min(np.floor(np.log2(whole / white_level(image))), 6)
+            # Not more than 64 times, and not darker, as a part may be black.
+            factor = 2.0 ** np.clip(np.floor(np.log2(whole / white_level(image))), 0, 6)
             title = f"{name.capitalize()} light"
             title += f", {factor:g} times as bright" if factor > 1 else ""
             panel(axes, display(image, whole / factor), title)

@@ -90,11 +90,18 @@ def recommendations(facts: Facts) -> tuple[str, ...]:
             "light and that the camera did not move. If so, take twice the patterns "
             f"({2 * count}), or average projector pixels (bin_projector=2)."
         )
-    if facts.errors is not None and facts.errors.relative_error_diffuse > 2 * GOOD:
+    mixed = bool(np.any(facts.capture.patterns.kinds))
+    errors = facts.errors
+    if errors is not None and errors.relative_error_diffuse > 2 * GOOD and not mixed:
         sentences.append(
             f"Rows of diffuse light, which hardly see direct light, have an error of "
-            f"{percent(facts.errors.relative_error_diffuse)}. More coarse patterns resolve them "
-            "(`lightmatrix patterns mix`)."
+            f"{percent(errors.relative_error_diffuse)}. Coarse patterns among the fine ones "
+            "resolve them (`lightmatrix patterns mix`)."
+        )
+    elif transport.background_share > 0.3 and not mixed:
+        sentences.append(
+            f"{percent(transport.background_share)} of the light is in the faint background. A few "
+            "coarse patterns among the fine ones resolve it (`lightmatrix patterns mix`)."
         )
     unfinished = 1 - float(np.mean(diagnostics.get("converged", True)))
     if unfinished > 0.01:
@@ -115,11 +122,6 @@ def recommendations(facts: Facts) -> tuple[str, ...]:
                 f"Footprints cover {size:.0f} projector pixels (median). Focus the projector, or "
                 "take more patterns."
             )
-    if transport.background_share > 0.3 and not np.any(facts.capture.patterns.kinds):
-        sentences.append(
-            f"{percent(transport.background_share)} of the light is in the faint background. A few "
-            "coarse patterns among the fine ones resolve it (`lightmatrix patterns mix`)."
-        )
     return tuple(sentences) or (
         "Nothing needs to change: use the same exposure, patterns and number of photographs.",
     )

@@ -379,6 +379,7 @@ def camera_response(
             f"{steps[-1]:g}",
             hint="take 3 exposures at least, better 7, each twice the one before",
         )
+    check_positive(clip=clip)
     end = range_end(frames.dtype, clip)
     top = end if clip is None else as_float(clip)
     dark = (

@@ -96,6 +96,7 @@ def refine_compensation(
     resize: bool = False,
     response: str = "linear",
     keep: str | Path | None = None,
+    settle: float | None = None,
     output: str | Path | None = None,
     overwrite: bool = False,
     progress: Callable[[int, int], None] | None = None,
@@ -123,6 +124,8 @@ def refine_compensation(
         The camera's response; see `Response.parse`.
     keep : str or Path, optional
         File of the rig's measurements; see `measure_rig`.
+    settle : float, optional
+        Seconds to wait after showing a picture; measured by default.
     output : str or Path, optional
         Image file to write the best pattern to, as `compensate` does.
     overwrite : bool
@@ -165,7 +168,7 @@ def refine_compensation(
     samples = wanted_samples(wanted, shared.light.camera_shape, gamma=gamma, resize=resize)
     if brightness is None:
         brightness = shared.automatic_brightness(samples)
-    loop = _ClosedLoop.begin(rig, shared, curve, keep, measuring)
+    loop = _ClosedLoop.begin(rig, shared, curve, keep, settle, measuring)
     target = np.float32(brightness) * samples * shared.white_point
     asked, found = target, shared.reaching(target, brightness)
     # Samples that no pattern reaches would pull their neighbours further with every step.
@@ -211,10 +214,12 @@ class _ClosedLoop:
         shared: Compensator,
         curve: Response,
         keep: str | Path | None,
+        settle: float | None,
         measuring: Callable[[str, int, int], None] | None,
     ) -> _ClosedLoop:
         """Measure the rig, choose an exposure, and compare white with what T says of it."""
-        known = measure_rig(rig, ("flicker", "response"), keep=keep, progress=measuring)
+        parts = "flicker", "response"
+        known = measure_rig(rig, parts, keep=keep, settle=settle, progress=measuring)
         assert known.settle is not None
         assert known.flicker is not None
         photographer = Photographer(rig, known.settle.seconds)

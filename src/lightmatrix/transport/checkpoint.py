@@ -24,7 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lightmatrix.errors import ClusterError, InputError, LightMatrixError, OutputError
-from lightmatrix.files.kinds import PARTIAL, STORE, read_object
+from lightmatrix.files.kinds import PARTIAL, STORE
 from lightmatrix.files.numpy_files import read_npz
 from lightmatrix.files.running import RunningResults, write_whole
 from lightmatrix.files.writing import claimed
@@ -271,12 +271,6 @@ def _digest(name: str, token: str, arrays: Mapping[str, NDArray[Any]]) -> NDArra
         hasher.update(repr((key, values.shape, values.dtype.str)).encode())
         hasher.update(values.tobytes())
     return np.frombuffer(hasher.digest(), np.uint8)
-
-
-def fingerprint_token(folder: Path) -> str | None:
-    """The token that marks the tiles of a folder of running results; None if there is none."""
-    fingerprint = read_object(folder / _FINGERPRINT)
-    return None if fingerprint is None else _token(fingerprint)
 
 
 def _token(fingerprint: Mapping[str, Any]) -> str:

@@ -135,17 +135,16 @@ class WatchedFolder(Camera):
             raise self._error(
                 f"the folder cannot be read ({error.strerror})", "check its name and permissions"
             ) from error
-        states = {file: state for file in files if (state := _size_and_time(file)) is not None}
-        # Cameras may write one photograph in two formats, under one name.
-        best: dict[str, Path] = {}
-        for file in sorted(states, key=lambda file: READABLE.index(file.suffix.lower())):
-            best.setdefault(file.stem, file)
-        return {file: states[file] for file in best.values()}
+        return {file: state for file in files if (state := _size_and_time(file)) is not None}
 
     def _new_files(self) -> list[tuple[Path, tuple[int, int]]]:
         """Files that are new or written again, the oldest first; those of one moment by name."""
         new = [item for item in self._states().items() if self._seen.get(item[0]) != item[1]]
-        return sorted(new, key=lambda item: (item[1][1], item[0].name))
+        # Cameras may write one photograph in two formats, under one name.
+        best: dict[str, tuple[Path, tuple[int, int]]] = {}
+        for item in sorted(new, key=lambda item: READABLE.index(item[0].suffix.lower())):
+            best.setdefault(item[0].stem, item)
+        return sorted(best.values(), key=lambda item: (item[1][1], item[0].name))
 
     def _frame(self, file: Path, image: NDArray[Any], state: tuple[int, int]) -> Frame:
         self._seen[file] = state
