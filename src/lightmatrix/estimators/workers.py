@@ -104,6 +104,8 @@ class Job:
     # Hash of the packed estimate; `token` is the fingerprint of the running results.
     digest: str
     token: str
+    # Those of the process that hands out tiles; workers may join after it has checked the others.
+    versions: dict[str, str]
 
 
 # ---- in the process that hands out tiles
@@ -201,7 +203,9 @@ class DaskPool:
             data = pack_work(work)
             checkpoint.keep(_JOB_FILE, data)
             digest = hashlib.sha256(data).hexdigest()
-            self._jobs[checkpoint] = Job(str(checkpoint.folder), digest, checkpoint.token)
+            self._jobs[checkpoint] = Job(
+                str(checkpoint.folder), digest, checkpoint.token, versions()
+            )
         return self._jobs[checkpoint]
 
 
@@ -214,6 +218,10 @@ def _tile_error(future: Any, status: str, span: Span) -> Exception:
     if status != "error":
         return ClusterError(_NO_SCHEDULER, hint=_CONTINUE)
     error = future.exception()
+    if isinstance(error, InputError):
+        # This process has read the capture before.
+        hint = "put the capture on a file system that all workers share, by the same path"
+        return ClusterError(f"a worker: {error.message}", hint=f"{error.hint or _CONTINUE}; {hint}")
     if isinstance(error, LightMatrixError):
         return error
     if type(error).__name__ == "KilledWorker":
@@ -234,6 +242,17 @@ def _worker_error(address: str, error: BaseException) -> ClusterError:
             f"{address}: does not have this version of lightmatrix ({error})", hint=_SAME_VERSIONS
         )
     return ClusterError(f"{address}: {_words(error)}", hint=_CONTINUE)
+
+
+def _compare(address: str, found: Mapping[str, str], wanted: Mapping[str, str]) -> None:
+    """Refuse a worker of other versions."""
+    differing = [
+        f"{name} {found.get(name)}, not {own}"
+        for name, own in wanted.items()
+        if found.get(name) != own
+    ]
+    if differing:
+        raise ClusterError(f"{address}: has {', '.join(differing)}", hint=_SAME_VERSIONS)
 
 
 def _words(error: BaseException) -> str:
@@ -270,13 +289,7 @@ def dask_pool(workers: int | None = None, cluster: str | None = None) -> Iterato
             if isinstance(answer, BaseException):
                 # Dask may wrap the ImportError of a worker into another exception.
                 raise _worker_error(address, ImportError(_words(answer)))
-            differing = [
-                f"{name} {answer.get(name)}, not {own}"
-                for name, own in versions().items()
-                if answer.get(name) != own
-            ]
-            if differing:
-                raise ClusterError(f"{address}: has {', '.join(differing)}", hint=_SAME_VERSIONS)
+            _compare(address, answer, versions())
         stack.callback(client.run, close_job, on_error="ignore")
         yield DaskPool(client)
 
@@ -487,6 +500,7 @@ def _work(job: Job) -> Work:
     """The estimate, which is read once."""
     if _open_job.job != job or _open_job.work is None:
         vars(_open_job).update(vars(_OpenJob()))
+        _compare("a worker", versions(), job.versions)
         file = Path(job.folder) / _JOB_FILE
 
         def packed() -> bytes | None:
@@ -512,7 +526,7 @@ def _read_step(job: Job, step: str, spans: list[Span]) -> SparseRows:
         file = Path(job.folder) / tile_name(step, (start, stop))
         part = _wait_for(partial(read_tile, file, job.token, stop - start))
         if part is None:
-            raise InputError(
+            raise ClusterError(
                 f"{file}: is missing or damaged",
                 hint="run the same estimate again; it computes that tile anew",
             )

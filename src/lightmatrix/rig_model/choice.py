@@ -31,13 +31,14 @@ class Limits:
         not known exactly.
     alike : float
         A term with fewer numbers is there in place of one that explains more, if it explains this
-        share of it: light that varies along the rows may vary alike in all of them.
+        share of it: light that varies along the rows may vary alike in all of them, and a curve
+        changes frames of several exposures as their light does.
     """
 
     explained: float = 0.01
     chance: float = 25.0
     beside: float = 0.1
-    alike: float = 0.9
+    alike: float = 0.75
 
 
 LIMITS = Limits()
@@ -102,6 +103,9 @@ def _forward(
                 continue
             if score <= 0 or more < max(LIMITS.explained * rest, LIMITS.beside * first):
                 continue
+            # A term that takes the place of a chosen one cannot be told from it.
+            if any(_total(numbers[n]) < _total(found[n]) / 2 for n in chosen):
+                continue
             if regression.size(name, numbers[name]) > smallest[name]:
                 candidates.append((score, name, numbers, stated, together))
         # Of terms that explain nearly the same, the one with the fewest numbers is there.
@@ -119,3 +123,8 @@ def _forward(
         _, name, found, errors, explained = candidate
         chosen.append(name)
         first = first or explained
+
+
+def _total(numbers: Array) -> float:
+    """How strong a term is: the size of its numbers, or of the sum of those that frames share."""
+    return float(np.std(numbers) if numbers.ndim > 1 else abs(numbers.sum()))
