@@ -504,6 +504,14 @@ def test_rig(part: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> N
     }  # fmt: skip
 
 
+def test_a_stated_settle_time_is_called_stated(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    rig = "rig settle --rig virtual:procedural,size=16,real=0 --settle 0.5"
+    assert main([*rig.split(), "--rig-file", str(tmp_path / "rig.json")]) == 0
+    assert capsys.readouterr().out == "stated: 0.5 s\n"
+
+
 @pytest.mark.parametrize("device", ["camera", "projector"])
 def test_response(device: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     if device == "camera":
