@@ -54,7 +54,6 @@ def small_scenes() -> Iterator[None]:
 _TOGETHER = {
     "tests/rig/test_aravis.py": "gige",
     "tests/rig/test_devices.py": "gige",
-    "tests/rig/test_gige_capture.py": "gige",
 }
 
 

@@ -12,20 +12,15 @@ from scipy.ndimage import correlate
 from lightmatrix.rig_model.prediction import MARGIN, Prediction
 from lightmatrix.rig_model.term import Array, Draft, Term
 
-# The pixels beside a pixel, those at its corners, and those two away. Unsharp masks of a radius of
-# about a pixel are sums of these three rings.
-_RINGS = np.array(
-    [
-        [[0, 0, 0, 0, 0], [0, 0, 1, 0, 0], [0, 1, 0, 1, 0], [0, 0, 1, 0, 0], [0, 0, 0, 0, 0]],
-        [[0, 0, 0, 0, 0], [0, 1, 0, 1, 0], [0, 0, 0, 0, 0], [0, 1, 0, 1, 0], [0, 0, 0, 0, 0]],
-        [[0, 0, 1, 0, 0], [0, 0, 0, 0, 0], [1, 0, 0, 0, 1], [0, 0, 0, 0, 0], [0, 0, 1, 0, 0]],
-    ]
-)
+# The four pixels beside a pixel, at its corners, and two away, by the squares of their distances.
+# Unsharp masks of a radius of about a pixel are sums of these three rings.
+_SQUARES = np.arange(-2, 3) ** 2
+_RINGS = np.stack([np.add.outer(_SQUARES, _SQUARES) == square for square in (1, 2, 4)]) / 4
 
 
 def _differences(images: NDArray[Any]) -> NDArray[Any]:
     """What images (n, rows, cols, ...) differ by from each ring around a pixel, (3, n, ...)."""
-    rings = _RINGS.reshape(3, 1, 5, 5, *[1] * (images.ndim - 3)) / 4
+    rings = _RINGS.reshape(3, 1, 5, 5, *[1] * (images.ndim - 3))
     return np.stack([images - correlate(images, ring, mode="nearest") for ring in rings])
 
 
