@@ -151,3 +151,15 @@ def test_other_orders_are_recognised(order: NDArray[np.int64], words: str) -> No
     (finding,) = relation(mixed)
     assert words in finding.message
     assert "same order" in finding.advice
+
+
+def test_a_curve_under_two_exposures_is_no_other_series() -> None:
+    patterns = lm.BernoulliPatterns((64, 64), 32, seed=1)
+    capture = lm.simulate(
+        "metal",
+        patterns,
+        exposure="0.587:0.75,0.146:0.25",
+        noise=0.003,
+        faults={"camera-curve": 2.2},
+    )
+    assert "unrelated" not in [each.kind for each in lm.check(capture)]

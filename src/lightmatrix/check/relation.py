@@ -155,7 +155,13 @@ class Relation:
         least = _LIMITS.contrast_levels * one_level(survey)
         least = np.maximum(_LIMITS.contrast * known.highest[rows], least)
         rows = np.sort(np.random.default_rng(0).permutation(rows)[: _LIMITS.most_samples // count])
-        samples = _standardised(survey.samples(rows).values[:, :count])
+        values = survey.samples(rows).values[:, :count].copy()
+        # Frames of one exposure are alike where a curve of the camera is not declared.
+        exposures = np.broadcast_to(survey.decoder.exposure, survey.count)[:count]
+        levels = np.unique(exposures)
+        for level in levels if 3 * len(levels) < count else ():
+            values[:, exposures == level] = _standardised(values[:, exposures == level])
+        samples = _standardised(values)
         # Tiles hold an even number of rows, and come in their order from the top.
         odd = rows // np.prod(survey.grid[2:]) % 2 == 1
         bands = np.stack([rows < len(survey.raw) / 2, odd])
