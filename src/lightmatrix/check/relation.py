@@ -156,7 +156,8 @@ class Relation:
         least = np.maximum(_LIMITS.contrast * known.highest[rows], least)
         rows = np.sort(np.random.default_rng(0).permutation(rows)[: _LIMITS.most_samples // count])
         values = survey.samples(rows).values[:, :count].copy()
-        # Frames of one exposure are alike where a curve of the camera is not declared.
+        # Under a curve that is not declared, frames differ most by their exposure. The frames of
+        # each exposure are therefore standardised by themselves first.
         exposures = np.broadcast_to(survey.decoder.exposure, survey.count)[:count]
         levels = np.unique(exposures)
         for level in levels if 3 * len(levels) < count else ():

@@ -166,7 +166,7 @@ def draw_dual(transport: LightTransport) -> Picture:
 
 def draw_parts(images: Mapping[str, NDArray[Any]]) -> Picture:
     """Parts of one photograph by name, faint ones brightened by a power of two."""
-    # Of all parts together, since a black part has no level of its own.
+    # The level is that of all parts together, since a black part has none of its own.
     whole = white_level(np.stack(list(images.values())))
     with mpl.rc_context(STYLE):
         drawing = Picture(figsize=(3.4 * len(images), 3.6), layout="constrained")

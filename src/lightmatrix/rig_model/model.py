@@ -14,7 +14,7 @@ from lightmatrix.capture.correction import Correction
 from lightmatrix.patterns.pattern_set import ImagePatterns
 from lightmatrix.resources.threads import one_blas_thread
 from lightmatrix.rig_model.choice import choose_terms
-from lightmatrix.rig_model.prediction import MARGIN, Prediction, displaced, predicted_light
+from lightmatrix.rig_model.prediction import INNER, MARGIN, Prediction, displaced, predicted_light
 from lightmatrix.rig_model.term import Draft
 from lightmatrix.rig_model.terms import TERMS
 from lightmatrix.transport.matrix import LightTransport
@@ -23,8 +23,6 @@ Array = NDArray[np.float64]
 
 # The entry of a store's provenance that holds what the rig did.
 RIG = "rig"
-# Images (n, rows, cols, ...) without their margins.
-_INNER = (slice(None), slice(MARGIN, -MARGIN), slice(MARGIN, -MARGIN))
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,7 +37,8 @@ class RigModel:
         exposure 1. shift: camera pixels down and to the right. rows: shares of a sine and a cosine
         along the rows. previous: share of the picture before. camera-curve and projector-curve: the
         undeclared gamma less 1. crosstalk: share lost across and down. sharpening,
-        camera-sharpening: strength. dynamic-contrast: change of the light from black to white.
+        camera-sharpening: strength of three rings around a pixel. dynamic-contrast: change of the
+        light from black to white.
     errors : mapping of str to array
         Their standard errors, of the same shapes.
 
@@ -170,21 +169,21 @@ def _added(capture: Capture, transport: LightTransport, draft: Draft) -> NDArray
         samples = capture.samples(near.start, near.stop)
         light = predicted_light(transport, near, capture.patterns).astype(np.float32)
         light = light.reshape(shape)[around]
-        exact = (samples.counted & ~samples.clipped).reshape(shape)[around][_INNER]
-        places = np.stack(np.meshgrid(down, right, indexing="ij"))[:, *_INNER[1:]]
+        exact = (samples.counted & ~samples.clipped).reshape(shape)[around][INNER]
+        places = np.stack(np.meshgrid(down, right, indexing="ij"))[:, *INNER[1:]]
         places = (places + 0.5) / np.array([rows, cols])[:, None, None]
-        seen: NDArray[Any] = light[_INNER] if draft.shift is None else displaced(light, draft.shift)
+        seen: NDArray[Any] = light[INNER] if draft.shift is None else displaced(light, draft.shift)
         for change in draft.images:
             seen = seen + change(light, places)
         # Splines swing below zero beside bright places.
         seen = np.maximum(seen, 0)
-        more = seen[_INNER] - light[_INNER][_INNER]
+        more = seen[INNER] - light[INNER][INNER]
         if draft.shift is not None or draft.back:
-            missed = np.where(exact, samples.values.reshape(shape)[around][_INNER] - seen, 0)
+            missed = np.where(exact, samples.values.reshape(shape)[around][INNER] - seen, 0)
             shift = np.zeros((2, 1)) if draft.shift is None else draft.shift
             back = displaced(missed, -shift)
             for change in draft.back:
-                back = back + change(missed, places[:, *_INNER[1:]])
-            more = more + missed[_INNER] - exact[_INNER] * back
+                back = back + change(missed, places[:, *INNER[1:]])
+            more = more + missed[INNER] - exact[INNER] * back
         added[top * width : stop * width] = more.reshape(-1, capture.count)
     return added

@@ -22,6 +22,8 @@ Array = NDArray[np.float64]
 # Camera pixels around each patch, whose prediction tells how an image changes when it moves. The
 # border of a patch changes the splines five pixels within by a thousandth.
 MARGIN = 7
+# Images (n, rows, cols, ...) without their margins.
+INNER = (slice(None), slice(MARGIN, -MARGIN), slice(MARGIN, -MARGIN))
 # Samples of the regression: ten thousand rows of 32 patterns. Twice as many change the
 # numbers of the faults in the third digit.
 _SAMPLES = 320_000
@@ -64,7 +66,7 @@ class Prediction:
     def of(cls, capture: Capture, sent: Capture, transport: LightTransport) -> Prediction:
         """The prediction of rows of patches that are spread over the whole camera."""
         places = _patches(capture.camera_shape, _SAMPLES // capture.count)
-        inner = places[:, MARGIN:-MARGIN, MARGIN:-MARGIN].reshape(-1)
+        inner = places[INNER].reshape(-1)
         samples = samples_of_rows(capture, inner)
         spread = np.where(samples.counted, samples.values, 0).std(axis=1)
         usable = capture.valid[inner] & (samples.clipped.mean(axis=1) <= 0.3) & (spread > 0)
@@ -94,7 +96,7 @@ class Prediction:
     @cached_property
     def rows(self) -> NDArray[np.int64]:
         """The row of T of each sample, (m,)."""
-        return self.places[:, MARGIN:-MARGIN, MARGIN:-MARGIN].reshape(-1)[self.chosen]
+        return self.places[INNER].reshape(-1)[self.chosen]
 
     @cached_property
     def slopes(self) -> Array:
@@ -104,7 +106,7 @@ class Prediction:
     @cached_property
     def predicted(self) -> Array:
         """T p of the samples, (m, K)."""
-        return self.inner(self.around[:, MARGIN:-MARGIN, MARGIN:-MARGIN])
+        return self.inner(self.around[INNER])
 
     @cached_property
     def position(self) -> Array:

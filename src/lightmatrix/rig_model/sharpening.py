@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import correlate
 
-from lightmatrix.rig_model.prediction import MARGIN, Prediction
+from lightmatrix.rig_model.prediction import INNER, MARGIN, Prediction
 from lightmatrix.rig_model.term import Array, Draft, Term
 
 # The four pixels beside a pixel, at its corners, and two away, by the squares of their distances.
@@ -51,7 +51,7 @@ class Sharpening(Term):
 
 
 class CameraSharpening(Term):
-    """A photograph holds what a pixel differs from those around it."""
+    """The camera adds what a pixel differs from those around it, and ends at black."""
 
     name = "camera-sharpening"
     between = (0, np.inf)
@@ -59,15 +59,14 @@ class CameraSharpening(Term):
     least = 0.03
 
     def regressors(self, seen: Prediction) -> Array:
-        images = seen.around[:, MARGIN:-MARGIN, MARGIN:-MARGIN]
+        images = seen.around[INNER]
         rings = _differences(seen.around)[:, :, MARGIN:-MARGIN, MARGIN:-MARGIN]
         # As above: no photograph is darker than black.
         return np.stack([seen.inner(2 * (np.maximum(images + r / 2, 0) - images)) for r in rings])
 
     def take_out(self, values: Array, draft: Draft) -> None:
         def sharpened(images: NDArray[Any], places: Array) -> NDArray[Any]:
-            inner = slice(MARGIN, -MARGIN)
-            return np.asarray(np.tensordot(values, _differences(images), 1)[:, inner, inner])
+            return np.asarray(np.tensordot(values, _differences(images), 1)[INNER])
 
         draft.images.append(sharpened)
 

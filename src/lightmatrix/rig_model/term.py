@@ -32,8 +32,8 @@ class Draft:
     lag: NDArray[np.int64] | None = None
     patterns: list[PatternChange] = field(default_factory=list)
     images: list[ImageChange] = field(default_factory=list)
-    # Where each frame lies, (2, K), in camera pixels down and to the right; and what further moves
-    # images back.
+    # `shift` says where each frame lies, (2, K), in camera pixels down and to the right. `back`
+    # moves images back by what else moved them.
     shift: Array | None = None
     back: list[ImageChange] = field(default_factory=list)
 
