@@ -53,7 +53,7 @@ def test_places_are_right_to_a_tenth_of_a_pixel(found: lm.ProjectorMap) -> None:
     assert found.reverse is not None
     assert found.reverse.place.shape == (*CAMERA, 2)
     row, col = np.rint(found.place[inside]).astype(int).reshape(-1, 2).T
-    own = np.stack(np.indices(PROJECTOR), axis=-1)[inside].reshape(-1, 2)
+    own = np.moveaxis(np.indices(PROJECTOR), 0, -1)[inside].reshape(-1, 2)
     assert np.abs(found.reverse.place[row, col] - own).max() < 0.6
 
 
@@ -64,7 +64,7 @@ def test_a_finer_camera_sees_larger_spots() -> None:
     noisy = matrix.copy()
     noisy.data += 0.01 * np.random.default_rng(0).random(matrix.nnz, np.float32)
     found = lm.map_projector(lm.LightTransport.from_matrix(noisy, (48, 48), (8, 8)))
-    expected = 6 * np.stack(np.indices((8, 8)), axis=-1) + 2.5
+    expected = 6 * np.moveaxis(np.indices((8, 8)), 0, -1) + 2.5
     np.testing.assert_allclose(found.place, expected, atol=0.1)
 
 

@@ -169,10 +169,16 @@ def _write_axis(found: ProjectorMap, part: Path, place: Path) -> None:
 
 def _write_remap(found: ProjectorMap, part: Path, _: Path) -> None:
     row, col = np.moveaxis(np.nan_to_num(found.place, nan=-1.0), -1, 0)
-    shape = np.array(found.source_shape)
-    arrays = {"map_x": col, "map_y": row, "weight": found.weight, "confidence": found.confidence}
+    arrays: dict[str, Any] = {
+        # First, because it tells that the file is ours.
+        kinds.NUMBERS_MARK: np.array(found.source_shape),
+        "map_x": col,
+        "map_y": row,
+        "weight": found.weight,
+        "confidence": found.confidence,
+    }
     with part.open("wb") as stream:
-        np.savez_compressed(stream, **{kinds.NUMBERS_MARK: shape}, **arrays)
+        np.savez_compressed(stream, **arrays)
 
 
 def _write_mpcdi(found: ProjectorMap, part: Path, _: Path) -> None:
