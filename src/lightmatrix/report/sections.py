@@ -214,7 +214,7 @@ def relighting(facts: Facts) -> Section:
         assert facts.row_errors is not None
         caption = "Error of each camera pixel's rows of T, relative to their size."
         errors = Gallery((image_of_map(error_map(facts.row_errors), caption),))
-        values = {"relative_error": facts.relative_error}
+        values = {"relative_error": facts.relative_error or 0.0}
         if facts.errors is not None:
             values = facts.errors.as_dict()
         rows = tuple((name, shown_value(value)) for name, value in labelled(values).items())
