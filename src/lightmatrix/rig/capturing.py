@@ -28,12 +28,13 @@ from lightmatrix.estimators.estimate import estimate
 from lightmatrix.files.images import is_grey
 from lightmatrix.files.kinds import LIVE_CAPTURE
 from lightmatrix.files.writing import claimed
-from lightmatrix.judgement.judgement import OwnError, percent
+from lightmatrix.judgement.judgement import OwnError
 from lightmatrix.judgement.metrics import row_energies
 from lightmatrix.patterns.folder import read_patterns
 from lightmatrix.patterns.making import make_patterns
 from lightmatrix.patterns.pattern_set import PatternSet
 from lightmatrix.ranges import as_float, whole
+from lightmatrix.reprs import percent
 from lightmatrix.rig.devices.base import exposure_limits
 from lightmatrix.rig.photograph import Photographer, take_references
 from lightmatrix.rig.rig import ProjectedPatterns, Rig
