@@ -87,9 +87,9 @@ def measure_settle(rig: Rig, whites: WhiteAndBlack, report: _Report) -> SettleTi
             set_exposure(rig.camera, asked)
         elif len(seen):
             starts, settled = seen[:, 0] - shown, abs(seen[:, 1] - change % 2) < tolerance
-            last = float(max(starts[~settled], default=-np.inf))
+            latest = float(max(starts[~settled], default=-np.inf))
             if settled[-1]:
-                looks.append((last, float(starts[starts > last].min())))
+                looks.append((latest, float(starts[starts > latest].min())))
         report(change + 1, total)
     # A quarter of the changes may end without a settled frame, and a seventh may be late or seen by
     # a bad frame without being part of the settle time. Both are well above the 2 % of late images
