@@ -23,6 +23,7 @@ from lightmatrix.files.kinds import PACKED_CAPTURE
 from lightmatrix.files.writing import atomic_folder, check_output
 from lightmatrix.files.zarr_arrays import create_array, write_parts
 from lightmatrix.patterns.pattern_set import PatternSet
+from lightmatrix.ranges import as_path
 from lightmatrix.reprs import jsonable
 from lightmatrix.resources.disk import check_disk_space, scratch_array
 
@@ -83,7 +84,7 @@ def pack(
     """
     check_output(output, PACKED_CAPTURE, overwrite=overwrite)
     opened = open_capture(capture)
-    source = None if isinstance(capture, Capture) else Path(capture)
+    source = None if isinstance(capture, Capture) else as_path(capture)
 
     def copy_truth(part: Path) -> None:
         for name in (TRUTH, GEOMETRY, DEPTH):
@@ -119,7 +120,7 @@ def pack_capture(
             "in capture.json; or, in Python, pack "
             "lm.find_projector_response(capture).applied_to(capture)",
         )
-    frames, output = capture.frames, Path(output)
+    frames, output = capture.frames, as_path(output)
     size = frames.count * math.prod(frames.shape) * frames.dtype.itemsize
     # The place of cropped photographs is part of their description.
     crop = capture.description.get("crop")
