@@ -389,7 +389,7 @@ def test_a_colour_jpeg_of_a_phone_is_seen_upright_in_its_luminance(
     ],
 )
 def test_the_ways_to_fit_a_picture(fit: str, expected: list[list[int]]) -> None:
-    picture = np.arange(1, 9, dtype=np.float32).reshape(2, 4) / 8
+    picture = np.arange(1, 9, dtype=np.float32).reshape(2, 4) / np.float32(8)
     one = fitted(picture, (4, 4), fit)
     # Enlarging is smooth: rows and columns in between are mixtures.
     np.testing.assert_allclose(one, np.array(expected) / 8, atol=0.2 if fit != "contain" else 1e-6)
