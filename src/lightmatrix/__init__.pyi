@@ -132,6 +132,10 @@ from .uses.compensation import (
     compensate_video as compensate_video,
 )
 from .rig.closed_loop import refine_compensation as refine_compensation
+from .uses.projector_map import (
+    ProjectorMap as ProjectorMap,
+    map_projector as map_projector,
+)
 from .uses.probing import (
     max_min as max_min,
     probe as probe,

@@ -465,12 +465,11 @@ def test_the_advised_patterns_are_those_of_the_advised_command(
         ("-k 20 --seed 4", {"count": 20, "seed": 4}),
         (
             "-k 18 --density 0.3 --exposure 0.01 --settle 0.06 --cell 2 --no-check "
-            "--reference-every 5 --response gamma:1.1",
+            "--response gamma:1.1",
             {
                 "count": 18, "density": 0.3,
                 "settings": lm.CaptureSettings(
                     cell=2, exposure=0.01, settle=0.06, response="gamma:1.1", check=False,
-                    reference_every=5,
                 ),
             },
         ),

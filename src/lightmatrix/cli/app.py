@@ -35,6 +35,7 @@ from lightmatrix.cli.evaluate import evaluate
 from lightmatrix.cli.export import export
 from lightmatrix.cli.help import Command
 from lightmatrix.cli.info import info
+from lightmatrix.cli.map import map
 from lightmatrix.cli.pack import pack
 from lightmatrix.cli.patterns import patterns
 from lightmatrix.cli.plan import plan
@@ -62,8 +63,8 @@ STAGES: dict[str, tuple[Callable[..., None], ...]] = {
     "Prepare": (plan, patterns),
     "Photograph": (capture, convert, response, calibrate),
     "Measure and use": (
-        check, pack, estimate, decode, info, show, view, relight, separate, compensate, triangulate,
-        evaluate, export,
+        check, pack, estimate, decode, info, show, view, relight, separate, compensate, map,
+        triangulate, evaluate, export,
     ),
     "Simulate": (scenes, render, simulate),
     "Show": (demo,),
@@ -76,7 +77,7 @@ class _Group(TyperGroup):
     """Lists the commands under the headings of `STAGES`."""
 
     def format_commands(self, ctx: Any, formatter: Any) -> None:
-        width = max(map(len, self.commands))
+        width = max(len(name) for name in self.commands)
         for stage, members in STAGES.items():
             with formatter.section(stage):
                 lines = []

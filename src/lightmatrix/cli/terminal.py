@@ -110,7 +110,7 @@ class Stages:
 
     def photographed(self, step: Any) -> None:
         """Progress of a capture after a frame, a `lightmatrix.rig.session.Step`."""
-        note = f"{100 * step.clipped:.1f} % clipped, {step.check}"
+        note = f"{100 * step.clipped:.1f} % clipped"
         self._update("photographing", "frames", step.done, step.total, note)
 
     def _update(self, title: str, unit: str, done: int, total: int, note: str = "") -> None:

@@ -70,10 +70,10 @@ def read_exr(file: Path) -> NDArray[Any]:
 
 
 def write_exr(file: Path, pixels: NDArray[np.float32]) -> None:
-    """Write an image, (rows, cols) or (rows, cols, 3), as 32-bit float without loss."""
+    """Write an image, (rows, cols) or (rows, cols, 3 or 4), as 32-bit float without loss."""
     library = load_extra("OpenEXR", "EXR files need the OpenEXR library", "exr")
     header = {"compression": library.ZIP_COMPRESSION, "type": library.scanlineimage}
-    names = ("Y",) if pixels.ndim == 2 else _EXR_COLOURS
+    names = ("Y",) if pixels.ndim == 2 else (*_EXR_COLOURS, _EXR_ALPHA)[: pixels.shape[2]]
     planes = pixels[..., None] if pixels.ndim == 2 else pixels
     channels = {
         name: np.ascontiguousarray(planes[..., k], np.float32) for k, name in enumerate(names)
