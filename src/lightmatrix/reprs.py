@@ -88,8 +88,15 @@ def text_table(title: str, rows: Mapping[str, Any]) -> str:
 
 
 def shown_value(value: Any) -> str:
-    """A value as text, numbers with four digits."""
-    return f"{value:.4g}" if isinstance(value, float) else str(value)
+    """A value as text, numbers with three digits."""
+    return f"{value:.3g}" if isinstance(value, float) else str(value)
+
+
+def percent(share: float) -> str:
+    """A share in per cent, rounded to two digits or to whole per cent."""
+    value = 100 * share
+    digits = "0" if value == 0 else f"{value:.0f}" if value >= 9.95 else f"{value:.2g}"
+    return f"{digits} %"
 
 
 def jsonable(value: Any) -> Any:
@@ -115,11 +122,11 @@ def _size(shape: tuple[int, ...]) -> str:
 
 
 def labelled(values: Mapping[str, Any], *, main_only: bool = False) -> dict[str, Any]:
-    """The values with labels for keys and shares in per cent; about ten lines if `main_only`."""
+    """The values by labels, shares and errors in per cent; about ten lines if `main_only`."""
     keys = [key for key in _MAIN if key in values] if main_only else list(values)
     return {
-        _LABELS.get(key, key.replace("_", " ")): f"{100 * values[key]:.1f} %"
-        if key in _SHARES
+        _LABELS.get(key, key.replace("_", " ")): percent(values[key])
+        if key in _SHARES or key.startswith(("relative_error", "relighting_error"))
         else values[key]
         for key in keys
     }

@@ -14,7 +14,7 @@
 ==================  ==============================================================================
 
 The checks share three foundations: ``survey`` reads the samples that they look at; ``pursuit``
-predicts frames for the judgement of their order (also in the live rig); ``prediction`` predicts
-them more exactly, for everything else. ``finding`` is what they return. What the rig did in the
-course of the capture (light, curves, shake) takes an estimate of T: see `rig_model/`.
+predicts frames for the judgement of their order; ``prediction`` predicts them more exactly, for
+everything else. ``finding`` is what they return. What the rig did in the course of the capture
+(light, curves, shake) takes an estimate of T: see `rig_model/`.
 """

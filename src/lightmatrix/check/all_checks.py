@@ -29,7 +29,7 @@ from lightmatrix.check.levels import (
 )
 from lightmatrix.check.motion import check_motion
 from lightmatrix.check.prediction import predict
-from lightmatrix.check.relation import check_relation
+from lightmatrix.check.relation import check_relation, check_unseen
 from lightmatrix.check.survey import Survey, high_variance_rows
 from lightmatrix.check.wrong_frames import (
     LIKELY,
@@ -158,9 +158,12 @@ def _check(capture: Capture) -> list[Finding]:
     findings = check_interchanged(survey)
     if findings:
         return findings
-    # What follows judges by the level at which the photographs do clip.
+    # What follows judges by the level at which the photographs do clip, and by the pixels that see.
     of_clip, survey = check_clip_level(survey)
-    return of_clip + _check_surveyed(survey, capture)
+    unseen, survey = check_unseen(survey)
+    if capture.whole is not capture:
+        unseen, _ = check_unseen(_survey(capture))
+    return of_clip + unseen + _check_surveyed(survey, capture)
 
 
 def _check_surveyed(survey: Survey, capture: Capture) -> list[Finding]:
@@ -262,8 +265,7 @@ def _check_by_pairs(
     findings += of_pairs
     if any(each.kind == "motion" for each in of_pairs):
         return findings
-    gains, frames = pair_gains(corrected, rows, pairs, doubted)
-    return findings + check_gains(gains, frames, names)
+    return findings + check_gains(*pair_gains(corrected, rows, pairs, doubted), names)
 
 
 def _check_by_prediction(

@@ -35,9 +35,11 @@ from lightmatrix.cli.evaluate import evaluate
 from lightmatrix.cli.export import export
 from lightmatrix.cli.help import Command
 from lightmatrix.cli.info import info
+from lightmatrix.cli.map import map
 from lightmatrix.cli.pack import pack
 from lightmatrix.cli.patterns import patterns
 from lightmatrix.cli.plan import plan
+from lightmatrix.cli.project import project
 from lightmatrix.cli.relight import relight
 from lightmatrix.cli.render import render
 from lightmatrix.cli.response import response
@@ -62,8 +64,8 @@ STAGES: dict[str, tuple[Callable[..., None], ...]] = {
     "Prepare": (plan, patterns),
     "Photograph": (capture, convert, response, calibrate),
     "Measure and use": (
-        check, pack, estimate, decode, info, show, view, relight, separate, compensate, triangulate,
-        evaluate, export,
+        check, pack, estimate, decode, info, show, view, relight, separate, compensate,
+        project, map, triangulate, evaluate, export,
     ),
     "Simulate": (scenes, render, simulate),
     "Show": (demo,),
@@ -76,7 +78,7 @@ class _Group(TyperGroup):
     """Lists the commands under the headings of `STAGES`."""
 
     def format_commands(self, ctx: Any, formatter: Any) -> None:
-        width = max(map(len, self.commands))
+        width = max(len(name) for name in self.commands)
         for stage, members in STAGES.items():
             with formatter.section(stage):
                 lines = []

@@ -11,13 +11,7 @@ import lightmatrix as lm
 from lightmatrix.cli import options
 from lightmatrix.cli.claims import claim, say_what_is_kept
 from lightmatrix.cli.terminal import progress, say, show_json, stages
-from lightmatrix.defaults import (
-    MOST_FRAMES,
-    RIG_FILE,
-    USUAL_FRAMES,
-    USUAL_PATIENCE,
-    USUAL_REFERENCE,
-)
+from lightmatrix.defaults import MOST_FRAMES, RIG_FILE, USUAL_FRAMES, USUAL_PATIENCE
 from lightmatrix.files.kinds import LIVE_CAPTURE, STORE
 
 
@@ -61,11 +55,8 @@ def capture(
     patience: options.Patience = USUAL_PATIENCE,
     rig_file: options.RigFile = Path(RIG_FILE),
     check: Annotated[
-        bool, Option(help="Keep only frames that are proved to show their pattern.")
+        bool, Option(help="Photograph each pattern twice, and keep frames that agree.")
     ] = True,
-    reference_every: Annotated[
-        int, Option(help="Frames between two looks at black and white; 0 for none.")
-    ] = USUAL_REFERENCE,
     until: Annotated[
         str | None,
         Option(
@@ -85,9 +76,8 @@ def capture(
 ) -> None:
     """Photograph patterns with a rig; interrupted runs go on.
 
-    The rig is measured first: settle time, exposures, flicker and response. Later
-    captures only check these by a short look. Frames that are late, torn, lost or copied are taken
-    again.
+    The rig is measured first: settle time and flicker, which the rig file keeps, and the exposures
+    that the scene needs. Frames that are late, torn, lost or copied are taken again.
     """
     settings = lm.CaptureSettings(
         cell=cell,
@@ -95,7 +85,6 @@ def capture(
         settle=settle,
         response=response,
         check=check,
-        reference_every=reference_every,
         until=until,
     )
     if count is None:
@@ -137,9 +126,8 @@ def capture(
 
 
 def _show(summary: dict[str, Any]) -> None:
-    checks = ", ".join(f"{number} {check}" for check, number in summary["checks"].items())
     say(
-        f"{summary['frames']} frames in {summary['output']} ({checks}), "
+        f"{summary['frames']} frames in {summary['output']}, "
         f"{100 * summary['clipped_share']:.1f} % of the samples clipped"
     )
     until = summary["until"]

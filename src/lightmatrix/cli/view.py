@@ -53,10 +53,9 @@ def view(
     page is reachable from this machine only.
     """
     if export is not None:
-        for name, given in (("--port", port), ("--capture", capture)):
-            if given:
-                raise InputError(f"{name} with --export", hint="a page that is written needs none")
-        lm.export_viewer(export, scene, geometry=geometry, overwrite=overwrite)
+        if port:
+            raise InputError("--port with --export", hint="a page that is written needs none")
+        lm.export_viewer(export, scene, capture=capture, geometry=geometry, overwrite=overwrite)
         say(f"{export}: open it in a browser")
         return
     shown = ExitStack()

@@ -115,7 +115,7 @@ def estimate(
         their number. Needs the extra cluster. None: this process.
     cluster : str, optional
         Address of a scheduler of Dask, such as tcp://10.0.0.1:8786, whose workers solve rows (see
-        docs/clusters.md). They read the capture, and write beside the output, by their paths.
+        docs/clusters.md). They read the capture by its path.
     output : str or Path, optional
         A store (.zarr) to write as well. Finished tiles are kept beside it, so that an interrupted
         run continues where it stopped.
@@ -179,7 +179,6 @@ def estimate(
         workers,
         cluster,
     )
-    settings.check_cluster_output(output)
     allowed = terms_to_correct(correct)
     capture = open_capture(capture)
     if isinstance(capture.patterns, ColourPatterns):

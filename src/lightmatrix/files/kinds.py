@@ -20,6 +20,7 @@ from pathlib import Path
 from typing import Any
 
 from lightmatrix.errors import OutputError
+from lightmatrix.ranges import as_path
 
 MARKER, FORMAT = ".lightmatrix", "lightmatrix-output"
 ANOTHER_NAME = "choose another name for the output"
@@ -37,6 +38,8 @@ TRANSPORT_MARK, TRUTH_MARK, PACKED_MARK, NUMBERS_MARK, CORRESPONDENCE_MARK = (
 MAT_MARK = "MATLAB 5.0 MAT-file, written by lightmatrix"
 # How a page of the viewer tells that it is one, within its first 1024 bytes.
 PAGE_MARK = '<meta name="generator" content="lightmatrix viewer">'
+# How an MPCDI file tells that it is ours: the name of its first member.
+MPCDI_MARK = "lightmatrix.pfm"
 # How a point cloud tells that it is ours, in its header.
 PLY_MARK = "comment written by lightmatrix"
 RIG_FORMAT, RESPONSE_FORMAT = "lightmatrix-rig", "lightmatrix-response"
@@ -226,7 +229,6 @@ CAPTURE = FolderKind("capture")
 LIVE_CAPTURE = FolderKind("capture", running=PARTIAL)
 STORE = FolderKind("light transport matrix", (".zarr",), running=PARTIAL)
 COLOUR_STORES = FolderKind("light transport matrix of a colour projector")
-PACKED_CAPTURE = FolderKind("packed capture", (".zarr",))
 PICTURES = FolderKind("folder of pictures")
 SEPARATION = FolderKind("separation")
 DEMO = FolderKind("demo report")
@@ -241,6 +243,8 @@ PAGE = FileKind("page of the viewer", (".html",), lambda file: _holds_early(file
 CORRESPONDENCE = FileKind(
     "correspondence", (".npz",), lambda file: holds_member(file, CORRESPONDENCE_MARK)
 )
+MAP_FOLDER = FolderKind("projector map")
+MPCDI = FileKind("MPCDI file", (".mpcdi",), lambda file: _holds_early(file, MPCDI_MARK))
 CLOUD = FileKind("point cloud", (".ply",), lambda file: _holds_early(file, PLY_MARK))
 # Depth maps do not say who wrote them, like images.
 DEPTH = FileKind("depth map", (".tif", ".tiff", ".npy"), lambda file: _begins_with(file, *_IMAGES))
@@ -255,7 +259,7 @@ PICTURE = FileKind("picture", (".png",), lambda file: _begins_with(file, _IMAGES
 
 def export_kind(path: str | Path) -> FileKind:
     """The kind of file that `export` writes at a path: npz or mat, by its ending."""
-    suffix = Path(path).suffix
+    suffix = as_path(path).suffix
     for kind in (NPZ, MAT):
         if suffix.lower() in kind.suffixes:
             return kind

@@ -22,7 +22,7 @@ from scipy.ndimage import rank_filter
 
 from lightmatrix.judgement.metrics import row_energies, unclipped_rows
 from lightmatrix.ranges import check_type
-from lightmatrix.reprs import html_table
+from lightmatrix.reprs import html_table, percent
 from lightmatrix.transport.matrix import LightTransport, prediction_error
 from lightmatrix.transport.operator import HOW_TO_GIVE, TransportOperator
 
@@ -340,13 +340,6 @@ def stored_findings(transport: LightTransport) -> tuple[str, ...]:
         return ()
     kinds = (each.get("kind") for each in kept if isinstance(each, Mapping))
     return tuple(kind for kind in kinds if isinstance(kind, str))
-
-
-def percent(share: float) -> str:
-    """A share in per cent, rounded to two digits or to whole per cent."""
-    value = 100 * share
-    digits = "0" if value == 0 else f"{value:.0f}" if value >= 9.95 else f"{value:.2g}"
-    return f"{digits} %"
 
 
 @dataclass(frozen=True, eq=False)

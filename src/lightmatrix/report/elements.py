@@ -73,6 +73,8 @@ class Table:
     title: str
     heads: tuple[str, ...]
     rows: tuple[tuple[str, ...], ...]
+    # Whether only the title is seen until a reader opens it.
+    folded: bool = False
     kind: ClassVar[str] = "table"
 
 

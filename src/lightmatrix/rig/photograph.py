@@ -2,7 +2,7 @@
 
 A `Photographer` shows an image, waits, and grabs a frame. It rejects frames that are stale, lost,
 handed out twice or partly copied from an earlier one, and exposures that another program changed.
-Whether a frame shows its pattern is a question for `pattern_match`. The `References` are the black
+Whether a frame shows its pattern is a question for `session`. The `References` are the black
 and white frames at the start of a capture: they show whether two photographs have the same light,
 and whether the rig has changed since.
 """
@@ -28,8 +28,6 @@ TRIES = 4
 # Seconds to wait after showing an image while the settle time is not known; a rig that takes longer
 # needs to have it stated.
 FIRST_SETTLE = 0.4
-# The standard deviation of normal noise is this many times its median distance from the mean.
-MEDIAN_TO_DEVIATION = 1.48
 
 
 class UntrustedFrameError(DeviceError):
@@ -278,11 +276,6 @@ class WhiteAndBlack:
         return np.asarray(self.white.mean - self.black.mean)
 
     @property
-    def brightness(self) -> float:
-        """Mean light per second of exposure, as a share of the clip level."""
-        return float(self.light.mean()) / self.white.clip_level / self.exposure
-
-    @property
     def lit(self) -> NDArray[np.bool_]:
         """Samples that the projector lights well and that do not clip."""
         return lit_samples(self.white.mean, self.black.mean, self.white.clip_level)
@@ -290,11 +283,6 @@ class WhiteAndBlack:
     def level(self, frame: NDArray[np.generic]) -> float:
         """How far a frame is from black (0) to white (1), over the lit samples."""
         return share_of_white(frame, self.white.mean, self.black.mean, self.lit)
-
-
-def robust_deviation(levels: NDArray[np.float64]) -> float:
-    """Standard deviation by medians, since one of the frames may be torn or a copy."""
-    return MEDIAN_TO_DEVIATION * float(np.median(np.abs(levels - np.median(levels))))
 
 
 def plain_images(rig: Rig) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
@@ -376,6 +364,36 @@ class References:
         """Standard deviation of a sample from frame to frame, in raw levels."""
         return max(self.black.noise, self.white.noise)
 
+    def dark_at(self, exposure: float) -> NDArray[np.float32]:
+        """The black frame at an exposure in seconds."""
+        long, short = self.black.exposure, self.white.exposure
+        share = (exposure - short) / (long - short) if long != short else 1.0
+        return np.asarray(self.dark + share * (self.black.mean - self.dark), np.float32)
+
+    def change(self, white: NDArray[np.floating], black: NDArray[np.floating]) -> str | None:
+        """What differs most in a white and a black frame of before; None if little does.
+
+        Both are raw levels at the same exposures.
+        """
+        top = self.white.clip_level
+        free = (white < top) & (self.white.mean < top)
+        now = np.where(free, self.light, 0.0)
+        room = (self.black.mean - black) / top
+        share = self.white.exposure / self.black.exposure
+        before = np.where(free, white - self.dark + share * room * top, 0.0)
+        power = max(float((before**2).sum()), 1e-9)
+        gain = float((now * before).sum()) / power
+        # The squared difference contains the noise of both averages.
+        noise = free.sum() * self.white.noise**2 * 0.5
+        rest = np.sqrt(max(0.0, float(((now - gain * before) ** 2).sum()) - noise) / power)
+        if rest > 0.05:
+            return f"the picture changed by {100 * rest:.0f} %: did something move?"
+        if abs(gain - 1) > 0.03:
+            return f"the light is {100 * gain:.0f} % of what it was"
+        if abs(room.mean()) > 0.01:
+            return f"the room's light changed by {100 * room.mean():.1f} % of the clip level"
+        return None
+
     def agree(
         self,
         one: NDArray[Any],
@@ -445,44 +463,3 @@ def take_references(photographer: Photographer, seconds: NDArray[np.float64]) ->
             "nor is dark",
         )
     return references
-
-
-@dataclass(frozen=True)
-class Drift:
-    """How far a rig is from its state at the start."""
-
-    # Its light now, as a share of that at the start.
-    gain: float
-    # What remains after that, relative to the light (L2): the scene, camera or projector moved.
-    change: float
-    # Change of the room's light, as a share of the clip level.
-    room: float
-
-    def warning(self) -> str | None:
-        """The largest concern in words; None if the drift is small."""
-        if self.change > 0.05:
-            return f"the picture changed by {100 * self.change:.0f} %: did something move?"
-        if abs(self.gain - 1) > 0.03:
-            return f"the light is {100 * self.gain:.0f} % of what it was at the start"
-        if abs(self.room) > 0.01:
-            return f"the room's light changed by {100 * self.room:.1f} % of the clip level"
-        return None
-
-
-def measure_drift(
-    start: References, white: NDArray[np.floating], black: NDArray[np.floating]
-) -> Drift:
-    """Compare a white and a black frame (raw levels, same exposures) with those of the start."""
-    top = start.white.clip_level
-    free = (white < top) & (start.white.mean < top)
-    before = np.where(free, start.light, 0.0)
-    room = (np.asarray(black, np.float64) - start.black.mean) / (top or 1.0)
-    share = start.white.exposure / start.black.exposure
-    now = np.where(free, white - start.dark - share * room * top, 0.0)
-    power = max(float((before**2).sum()), 1e-9)
-    gain = float((now * before).sum()) / power
-    # The squared difference contains the noise of the new frame, and half as much of the averaged
-    # references.
-    noise = free.sum() * start.white.noise**2 * 1.5
-    rest = max(0.0, float(((now - gain * before) ** 2).sum()) - noise)
-    return Drift(gain, float(np.sqrt(rest / power)), float(room.mean()))
