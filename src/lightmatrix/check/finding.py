@@ -71,8 +71,8 @@ class Finding:
     --------
     >>> import lightmatrix as lm
     >>> from lightmatrix.check.finding import Finding
-    >>> Finding("flicker", (), "the light varies by 5 %", "use a steady lamp").kind
-    'flicker'
+    >>> Finding("gain", (), "the light varied by 5 %", "use a steady lamp").kind
+    'gain'
     """
 
     kind: str

@@ -199,12 +199,16 @@ def check_gains(
     advice = (
         "expose for whole periods of the mains and of the projector (1/50 or 1/60 s and "
         "multiples), turn automatic exposure and dynamic contrast off, and let lamps warm up; "
-        "if the exposures differed, state them"
+        "if the exposures differed, or the camera has a gamma, state them"
     )
     # A standard deviation of the light of up to 1.2 % does no harm.
     if usual > 0.012 and certain.mean() > 0.3:
         spread = 100 * float(np.sqrt(np.mean(np.clip(change, -4 * usual, 4 * usual) ** 2)))
-        message = f"the light varies from frame to frame by {spread:.1f} % (standard deviation)"
+        # Sums of pairs that are not linear in light look like changes of the light.
+        message = (
+            f"the light varies from frame to frame by {spread:.1f} % (standard deviation), or the "
+            "photographs are not linear in light"
+        )
         return [Finding("gain", (), message, advice)]
     odd = np.flatnonzero(certain & (np.abs(change) > max(0.04, 6 * usual)))
     if not len(odd):

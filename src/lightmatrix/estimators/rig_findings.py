@@ -106,7 +106,7 @@ def rig_findings(
     if "jpeg" in kinds:
         # JPEG rounds dark and bright samples by different steps, which looks like a curve.
         terms = [each for each in terms if each != "camera-curve"]
-    part = window_of_levels(capture.whole, 45)
+    part = window_of_levels(capture, 45)
     # A curve that is to be found is no fault.
     unknown = {"projector-curve"} if capture.projector_unknown else set[str]()
     if part.decoder.response.name == AUTOMATIC:
