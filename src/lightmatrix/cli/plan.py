@@ -28,7 +28,7 @@ def plan(
     ] = None,
     frames: Annotated[
         int | None,
-        Option("-k", "--count", help="Number of frames; otherwise --error decides.", min=2),
+        Option("-k", "--count", help="Number of patterns.", show_default="as --error needs", min=2),
     ] = None,
     error: Annotated[
         float, Option(help="Relative error of T to aim for; decides the number of frames.")

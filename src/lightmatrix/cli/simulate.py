@@ -82,7 +82,6 @@ def simulate(
     primary: Annotated[
         Literal["red", "green", "blue"] | None,
         typer.Option(
-            "--colour",
             help="Primary of a colour projector that shows the patterns; the camera then has "
             "three channels.",
             show_default="white",
