@@ -17,6 +17,7 @@ from lightmatrix.files.extras import load_opencv
 from lightmatrix.files.kinds import GEOMETRY, GEOMETRY_FORMAT
 from lightmatrix.files.reading import parse_json, read_json, read_text
 from lightmatrix.files.writing import atomic_file
+from lightmatrix.ranges import as_path
 from lightmatrix.reprs import jsonable, short_repr
 
 Shape = tuple[int, int]
@@ -735,7 +736,7 @@ class RigGeometry:
         MissingExtraError
             If a file of OpenCV is read and OpenCV is not installed.
         """
-        file = Path(path)
+        file = as_path(path)
         content = read_geometry(file, camera_shape, projector_shape)
         try:
             if "rotation" in content:
