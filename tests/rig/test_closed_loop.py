@@ -36,6 +36,30 @@ def test_photographs_correct_a_wrong_matrix(tmp_path: Path) -> None:
     assert lm.read_image(tmp_path / "shown.png").shape == (64, 64)
 
 
+def test_the_picture_is_held_while_the_light_changes() -> None:
+    """After five photographs a lamp is switched on beside the scene, and later off again."""
+    seen: list[float] = []
+    with lm.open_rig("virtual:procedural,size=16,real=0") as rig:
+        assert rig.truth is not None
+        room = rig.projector._light.room  # type: ignore[attr-defined]
+        lamp = 0.08 * np.median(rig.truth.matrix.sum(axis=1))
+
+        def go_on(decibels: float) -> bool:
+            seen.append(decibels)
+            room[:] += {5: lamp, 14: -lamp}.get(len(seen), 0.0)
+            return len(seen) < 22
+
+        wanted = np.full((16, 16), 0.6)
+        found = lm.refine_compensation(
+            rig, rig.truth.transport(), wanted, brightness=0.7, keep=None, live=go_on
+        )
+    assert len(found.photographed_psnr) == 22
+    for changed in (5, 14):
+        # The first photograph after the change is wrong; the loop brings the picture back.
+        assert seen[changed] < min(seen[:5]) - 3
+        assert max(seen[changed + 4 : changed + 8]) > min(seen[:5]) - 1
+
+
 def test_a_matrix_of_another_rig_is_refused() -> None:
     other = lm.ProceduralScene((16, 16), (64, 64)).truth().transport()
     with lm.open_rig(RIG) as rig, pytest.raises(lm.InputError, match="camera of shape"):

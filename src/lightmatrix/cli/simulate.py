@@ -15,7 +15,7 @@ from lightmatrix.cli.options import USUAL_SIZE, Json, Overwrite, Seed, described
 from lightmatrix.cli.terminal import progress, say, show_json
 from lightmatrix.defaults import EXPOSURES_EXAMPLE, PROCEDURAL, USUAL_COUNT, USUAL_NOISE
 from lightmatrix.errors import InputError
-from lightmatrix.files.kinds import CAPTURE, PACKED_CAPTURE
+from lightmatrix.files.kinds import CAPTURE
 
 if TYPE_CHECKING:
     from lightmatrix import PatternSet
@@ -83,8 +83,7 @@ def simulate(
     The command writes a capture folder, with the true T beside the frames as truth.npz. The scene
     `procedural` has any --camera-size and --size that fit into memory.
     """
-    packed = output.suffix.lower() == ".zarr"
-    claim(output, PACKED_CAPTURE if packed else CAPTURE, overwrite=overwrite)
+    claim(output, CAPTURE, overwrite=overwrite)
     common: dict[str, Any] = {
         "exposure": exposure,
         "bits": bits,

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import importlib
 import warnings
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -179,6 +180,30 @@ def orientation(path: str | Path) -> int:
     # Image libraries raise nearly anything on damaged files.
     except Exception:
         return 1
+
+
+def upright(path: str | Path, image: NDArray[Any]) -> NDArray[Any]:
+    """A picture, (rows, cols[, channels]), turned and mirrored as viewers show it."""
+    turned = {2: image[:, ::-1], 3: image[::-1, ::-1], 4: image[::-1]}
+    across = image.swapaxes(0, 1)
+    turned |= {5: across, 6: across[:, ::-1], 7: across[::-1, ::-1], 8: across[::-1]}
+    return turned.get(orientation(path), image)
+
+
+def video_frames(path: str | Path) -> Iterator[NDArray[np.float32]]:
+    """The frames of a video file, (rows, cols, 3) in [0, 1], which FFmpeg decodes.
+
+    An InputError says that it is none.
+    """
+    library = load_extra("av", "video files need PyAV", "video")
+    try:
+        with library.open(str(path)) as opened:
+            for frame in opened.decode(video=0):
+                yield frame.to_ndarray(format="rgb24") / np.float32(255)
+    except (OSError, ValueError, IndexError) as error:
+        raise InputError(
+            f"{path}: cannot be read as a video ({error})", hint="export it again, such as to .mp4"
+        ) from error
 
 
 def exposure_time(path: str | Path) -> float | None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -30,13 +31,12 @@ from lightmatrix.rig.rig_measurements import RigMeasurements, measure_rig
 from lightmatrix.uses.compensation import (
     Compensation,
     Compensator,
-    Picture,
     check_brightness,
     compensator,
-    wanted_samples,
     write_shown,
 )
 from lightmatrix.uses.loading import Transport
+from lightmatrix.uses.wanted import Picture, wanted_samples
 
 USUAL_STEPS = 3
 # Frames that are averaged for each photograph, and for white and black.
@@ -91,9 +91,10 @@ def refine_compensation(
     *,
     steps: int = USUAL_STEPS,
     mask: Picture | None = None,
+    projector_mask: Picture | None = None,
     brightness: float | None = None,
-    gamma: float = 1.0,
-    resize: bool = False,
+    gamma: float | None = None,
+    fit: str | None = None,
     response: str = "linear",
     keep: str | Path | None = None,
     settle: float | None = None,
@@ -101,6 +102,7 @@ def refine_compensation(
     overwrite: bool = False,
     progress: Callable[[int, int], None] | None = None,
     measuring: Callable[[str, int, int], None] | None = None,
+    live: Callable[[float], bool] | None = None,
 ) -> RefinedCompensation:
     """Project a compensation, photograph it, and correct what is left, step by step.
 
@@ -118,7 +120,7 @@ def refine_compensation(
         The picture, as in `compensate`.
     steps : int
         Corrections, 0 to 100.
-    mask, brightness, gamma, resize
+    mask, projector_mask, brightness, gamma, fit
         As in `compensate`.
     response : str
         The camera's response; see `Response.parse`.
@@ -134,6 +136,9 @@ def refine_compensation(
         Called with (done, total) photographs.
     measuring : callable, optional
         Called with (part, done, total) while the rig is measured.
+    live : callable, optional
+        Called with the PSNR of each photograph; while it returns True, corrections go on, however
+        many, and hold the scene right while its light changes. The last pattern is returned then.
 
     Returns
     -------
@@ -163,9 +168,9 @@ def refine_compensation(
     curve = Response.parse(response)
     if output is not None:
         check_output(output, IMAGE, overwrite=overwrite)
-    shared = compensator(transport, mask=mask)
+    shared = compensator(transport, mask=mask, projector_mask=projector_mask)
     shared.light.check_single()
-    samples = wanted_samples(wanted, shared.light.camera_shape, gamma=gamma, resize=resize)
+    samples = wanted_samples(wanted, shared.light.camera_shape, gamma=gamma, fit=fit)
     if brightness is None:
         brightness = shared.automatic_brightness(samples)
     loop = _ClosedLoop.begin(rig, shared, curve, keep, settle, measuring)
@@ -175,7 +180,7 @@ def refine_compensation(
     counted = found.reachable.ravel() if found.reachable.any() else shared.lit
     best: tuple[Compensation, NDArray[np.float32]] | None = None
     errors: list[float] = []
-    for step in range(steps + 1):
+    for step in range(steps + 1) if live is None else itertools.count():
         if step:
             start = np.concatenate([pattern.ravel() for pattern in found.patterns])
             found = shared.reaching(target, brightness, start=start, asked=asked)
@@ -183,9 +188,12 @@ def refine_compensation(
         missed = np.where(counted, target - seen, 0)
         mean_square = float(np.mean((missed[counted] / found.scale) ** 2))
         errors.append(-10 * float(np.log10(max(mean_square, 1e-12))))
-        if best is None or errors[-1] == max(errors):
+        if best is None or live is not None or errors[-1] == max(errors):
             best = found, seen
-        asked = asked + missed
+        # What no pattern reaches must not pile up, or it would take as long to fade again.
+        asked = np.clip(asked + missed, target - found.scale, target + found.scale)
+        if live is not None and not live(errors[-1]):
+            break
         if progress is not None:
             progress(step + 1, steps + 1)
     assert best is not None
