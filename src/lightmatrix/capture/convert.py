@@ -20,7 +20,7 @@ from lightmatrix.files.images import READABLE, read_image
 from lightmatrix.files.reading import parse_json, read_text
 from lightmatrix.files.stacks import list_images, natural_order
 from lightmatrix.patterns.pattern_set import ImagePatterns
-from lightmatrix.ranges import as_float
+from lightmatrix.ranges import as_float, as_path
 
 # Folders of other programs that hold patterns and photographs, and how they lie in them.
 #
@@ -44,7 +44,7 @@ class Layout:
 
 def find_layout(folder: str | Path) -> Layout:
     """How patterns and frames lie in a folder; an InputError if in no known way, or some lack."""
-    place = Path(folder)
+    place = as_path(folder)
     if not place.is_dir():
         raise InputError(f"{place}: no such folder", hint="check the name")
     for read in (_compennet, _slstudio, _brackets):

@@ -39,6 +39,7 @@ from lightmatrix.cli.map import map
 from lightmatrix.cli.pack import pack
 from lightmatrix.cli.patterns import patterns
 from lightmatrix.cli.plan import plan
+from lightmatrix.cli.project import project
 from lightmatrix.cli.relight import relight
 from lightmatrix.cli.render import render
 from lightmatrix.cli.response import response
@@ -63,8 +64,8 @@ STAGES: dict[str, tuple[Callable[..., None], ...]] = {
     "Prepare": (plan, patterns),
     "Photograph": (capture, convert, response, calibrate),
     "Measure and use": (
-        check, pack, estimate, decode, info, show, view, relight, separate, compensate, map,
-        triangulate, evaluate, export,
+        check, pack, estimate, decode, info, show, view, relight, separate, compensate,
+        project, map, triangulate, evaluate, export,
     ),
     "Simulate": (scenes, render, simulate),
     "Show": (demo,),

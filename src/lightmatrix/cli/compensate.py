@@ -19,6 +19,7 @@ from lightmatrix.cli.terminal import (
 )
 from lightmatrix.defaults import RIG_FILE, USUAL_PATIENCE
 from lightmatrix.errors import InputError
+from lightmatrix.files.extras import VIDEOS
 
 
 class Fit(StrEnum):
@@ -124,7 +125,7 @@ def compensate(
     share = _brightness(brightness)
     with_rig = rig is not None or projector is not None or camera is not None
     several = bool(green or blue or beside)
-    video = wanted is not None and (wanted.is_dir() or wanted.suffix.lower() in options.VIDEOS)
+    video = wanted is not None and (wanted.is_dir() or wanted.suffix.lower() in VIDEOS)
     if cancel_global:
         other = several or video or with_rig or refine is not None or live or black or mask
         if other or projector_mask or share is not None or gamma is not None:

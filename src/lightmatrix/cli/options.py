@@ -79,8 +79,6 @@ Settle = Annotated[
     float | None,
     Option(help="Seconds to wait after showing a picture.", show_default="as measured"),
 ]
-# Endings of video files.
-VIDEOS = (".mp4", ".mov", ".m4v", ".mkv", ".webm", ".avi")
 # The heading of options that few need, which only --help-all shows.
 RARE = "Rarely needed"
 Patience = Annotated[

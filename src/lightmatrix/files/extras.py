@@ -10,6 +10,7 @@ from __future__ import annotations
 import importlib
 import warnings
 from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +23,8 @@ from lightmatrix.files.reading import check_image_size
 
 # Endings of raw camera files.
 RAW = (".dng", ".cr2", ".cr3", ".nef", ".arw", ".raf", ".orf", ".rw2")
+# Endings of video files.
+VIDEOS = (".mp4", ".mov", ".m4v", ".mkv", ".webm", ".avi")
 _EXR_COLOURS, _EXR_ALPHA = ("R", "G", "B"), "A"
 
 
@@ -195,11 +198,23 @@ def video_frames(path: str | Path) -> Iterator[NDArray[np.float32]]:
 
     An InputError says that it is none.
     """
+    with _video(path) as opened:
+        for frame in opened.decode(video=0):
+            yield frame.to_ndarray(format="rgb24") / np.float32(255)
+
+
+def video_rate(path: str | Path) -> float:
+    """Frames of a video file in a second; 25 if it does not say."""
+    with _video(path) as opened:
+        return float(opened.streams.video[0].average_rate or 25)
+
+
+@contextmanager
+def _video(path: str | Path) -> Iterator[Any]:
     library = load_extra("av", "video files need PyAV", "video")
     try:
         with library.open(str(path)) as opened:
-            for frame in opened.decode(video=0):
-                yield frame.to_ndarray(format="rgb24") / np.float32(255)
+            yield opened
     except (OSError, ValueError, IndexError) as error:
         raise InputError(
             f"{path}: cannot be read as a video ({error})", hint="export it again, such as to .mp4"

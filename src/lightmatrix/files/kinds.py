@@ -20,6 +20,7 @@ from pathlib import Path
 from typing import Any
 
 from lightmatrix.errors import OutputError
+from lightmatrix.ranges import as_path
 
 MARKER, FORMAT = ".lightmatrix", "lightmatrix-output"
 ANOTHER_NAME = "choose another name for the output"
@@ -258,7 +259,7 @@ PICTURE = FileKind("picture", (".png",), lambda file: _begins_with(file, _IMAGES
 
 def export_kind(path: str | Path) -> FileKind:
     """The kind of file that `export` writes at a path: npz or mat, by its ending."""
-    suffix = Path(path).suffix
+    suffix = as_path(path).suffix
     for kind in (NPZ, MAT):
         if suffix.lower() in kind.suffixes:
             return kind

@@ -17,7 +17,7 @@ from lightmatrix.files.extras import load_opencv
 from lightmatrix.files.kinds import GEOMETRY, GEOMETRY_FORMAT
 from lightmatrix.files.reading import parse_json, read_json, read_text
 from lightmatrix.files.writing import atomic_file
-from lightmatrix.ranges import check_sides
+from lightmatrix.ranges import as_path, check_sides
 from lightmatrix.regions import Region
 from lightmatrix.reprs import jsonable, short_repr
 
@@ -687,7 +687,7 @@ class RigGeometry:
         MissingExtraError
             If a file of OpenCV is read and OpenCV is not installed.
         """
-        file = Path(path)
+        file = as_path(path)
         content = read_geometry(file, camera_shape, projector_shape)
         try:
             return cls.from_intrinsics(**content) if "rotation" in content else cls(**content)

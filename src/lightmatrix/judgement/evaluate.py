@@ -22,7 +22,7 @@ from lightmatrix.judgement.metrics import (
     unclipped_rows,
     unseen_patterns,
 )
-from lightmatrix.ranges import check_number
+from lightmatrix.ranges import as_path, check_number
 from lightmatrix.reprs import html_table, labelled, text_table
 from lightmatrix.simulation import library
 from lightmatrix.simulation.colour import is_of_all_primaries, of_primary
@@ -224,7 +224,7 @@ def evaluate_colour(
         estimates = list(colour_paths(estimates))
     if isinstance(truths, Truth | str | Path):
         # The truths of one capture in colour, or of a folder for each primary.
-        folders = [] if isinstance(truths, Truth) else [Path(truths) / one for one in COLOURS]
+        folders = [] if isinstance(truths, Truth) else [as_path(truths) / one for one in COLOURS]
         if folders and all(folder.is_dir() for folder in folders):
             truths = folders
         else:

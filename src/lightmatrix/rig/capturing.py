@@ -270,7 +270,14 @@ def take_capture(
         parts += ["exposure"] if settings.exposure is None else []
         parts += ["response"] if patterns is not None and patterns.as_bits() is None else []
         if parts or settings.settle is not None:
-            known = measure_rig(rig, parts, keep=keep, settle=settings.settle, progress=measuring)
+            known = measure_rig(
+                rig,
+                parts,
+                keep=keep,
+                settle=settings.settle,
+                response=settings.response,
+                progress=measuring,
+            )
         if patterns is None:
             if density is None:
                 density = 0.5 if known.exposure is None else known.exposure.density

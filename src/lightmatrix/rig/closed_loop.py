@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -95,7 +95,7 @@ def refine_compensation(
     brightness: float | None = None,
     gamma: float | None = None,
     fit: str | None = None,
-    response: str = "linear",
+    response: str | None = None,
     keep: str | Path | None = None,
     settle: float | None = None,
     output: str | Path | None = None,
@@ -122,8 +122,8 @@ def refine_compensation(
         Corrections, 0 to 100.
     mask, projector_mask, brightness, gamma, fit
         As in `compensate`.
-    response : str
-        The camera's response; see `Response.parse`.
+    response : str, optional
+        The camera's response; see `Response.parse`. None: that of T's capture.
     keep : str or Path, optional
         File of the rig's measurements; see `measure_rig`.
     settle : float, optional
@@ -165,11 +165,14 @@ def refine_compensation(
     if not hasattr(steps, "__index__") or not 0 <= steps <= 100:
         raise InputError(f"{steps} corrections", hint="use 0 to 100, such as 3")
     check_brightness(brightness)
-    curve = Response.parse(response)
     if output is not None:
         check_output(output, IMAGE, overwrite=overwrite)
     shared = compensator(transport, mask=mask, projector_mask=projector_mask)
     shared.light.check_single()
+    if response is None:
+        captured = shared.light.matrices[0].provenance.get("capture_description")
+        response = captured.get("response") if isinstance(captured, Mapping) else None
+    curve = response or "linear"
     samples = wanted_samples(wanted, shared.light.camera_shape, gamma=gamma, fit=fit)
     if brightness is None:
         brightness = shared.automatic_brightness(samples)
@@ -220,14 +223,16 @@ class _ClosedLoop:
         cls,
         rig: Rig,
         shared: Compensator,
-        curve: Response,
+        curve: str,
         keep: str | Path | None,
         settle: float | None,
         measuring: Callable[[str, int, int], None] | None,
     ) -> _ClosedLoop:
         """Measure the rig, choose an exposure, and compare white with what T says of it."""
         parts = "flicker", "response"
-        known = measure_rig(rig, parts, keep=keep, settle=settle, progress=measuring)
+        known = measure_rig(
+            rig, parts, keep=keep, settle=settle, response=curve, progress=measuring
+        )
         assert known.settle is not None
         assert known.flicker is not None
         photographer = Photographer(rig, known.settle.seconds)
@@ -237,7 +242,8 @@ class _ClosedLoop:
             exposure = max(1, round(exposure / period)) * period
         exposure = set_exposure(rig.camera, exposure)
         whites = rig.persistently(lambda: take_white_and_black(photographer, exposure, _FRAMES))
-        loop = cls(photographer, known, curve, whites, 1.0)
+        camera = Response.parse(curve)
+        loop = cls(photographer, known, camera, whites, 1.0)
         light = loop.light(whites.white)
         if light.size != shared.light.white.size:
             raise InputError(
@@ -254,7 +260,7 @@ class _ClosedLoop:
                 "the white photograph has nothing in common with the matrix",
                 hint="give the matrix that this rig measured of this scene",
             )
-        return cls(photographer, known, curve, whites, unit)
+        return cls(photographer, known, camera, whites, unit)
 
     def light(self, frame: AveragedFrame) -> NDArray[np.float32]:
         """Light of the projector in a frame, (M,), in the units of T."""

@@ -178,6 +178,10 @@ class Projector(ABC):
         """Show no light; return when."""
         return self.show(np.zeros(self.shape, np.uint8))
 
+    def asked_to_end(self) -> bool:
+        """Whether somebody pressed a key in its window, if it has one."""
+        return False
+
     @abstractmethod
     def close(self) -> None:
         """Give the device back; may be called twice."""
