@@ -61,6 +61,7 @@ from .rig.devices.registry import (
     open_projector as open_projector,
 )
 from .rig.rig import open_rig as open_rig
+from .rig.showing import project as project
 
 # Geometry of a rig.
 from .shape.calibrate import (

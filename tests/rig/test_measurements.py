@@ -69,6 +69,13 @@ def test_the_projectors_gamma_is_found(gamma: float) -> None:
     np.testing.assert_allclose(shown, wanted, atol=0.012)
 
 
+def test_the_projectors_gamma_is_found_through_that_of_a_webcam() -> None:
+    with lm.open_rig("virtual:procedural,size=16,real=0,bits=8,black=0,camera_gamma=2.2") as rig:
+        known = lm.measure_rig(rig, ["response"], response="gamma:2.2")
+    assert known.response is not None
+    assert known.response.gamma == pytest.approx(2.2, abs=0.1)
+
+
 def test_a_response_that_is_no_power() -> None:
     levels = tuple(range(0, 256, 15))
     light = np.array(levels) / 255

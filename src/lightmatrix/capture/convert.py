@@ -18,7 +18,7 @@ from lightmatrix.files.images import READABLE, read_image
 from lightmatrix.files.reading import read_text
 from lightmatrix.files.stacks import list_images, natural_order
 from lightmatrix.patterns.pattern_set import ImagePatterns
-from lightmatrix.ranges import as_float
+from lightmatrix.ranges import as_float, as_path
 
 
 class Layout(NamedTuple):
@@ -174,7 +174,7 @@ def convert(
     """
     if channel not in COLOURS:
         raise InputError(f"a channel {channel!r}", hint=f"use one of {', '.join(COLOURS)}")
-    layout, number = find_layout(Path(folder)), COLOURS.index(channel)
+    layout, number = find_layout(as_path(folder)), COLOURS.index(channel)
     shown: dict[Path, NDArray[np.float32]] = {}
     for file in layout.patterns:
         if file not in shown:

@@ -52,6 +52,7 @@ from lightmatrix.patterns.colour import ColourPatterns
 from lightmatrix.patterns.folder import fill_pattern_folder, read_patterns
 from lightmatrix.patterns.pattern_set import PatternSet
 from lightmatrix.patterns.projector_curve import ProjectorResponse
+from lightmatrix.ranges import as_path
 from lightmatrix.reprs import jsonable
 
 
@@ -67,7 +68,7 @@ def read_capture(
     folder: str | Path, *, allow_outside: bool = False, counted: bool = True
 ) -> CaptureParts:
     """Read a capture folder, with outside files only if `allow_outside`."""
-    place = Path(folder)
+    place = as_path(folder)
     if not place.is_dir():
         problem = "is a file, not a capture folder" if place.exists() else "no such folder"
         raise InputError(f"{place}: {problem}", hint="give a folder with patterns/ and images/")
@@ -523,7 +524,7 @@ def _stated_response(response: Response | str | None, stack: Frames) -> Response
 
 def read_white_frame(path: str | Path, settings: ReadSettings) -> Samples:
     """The M samples of a photograph that do not clip without light, (M, 1), at exposure 1."""
-    file = Path(path)
+    file = as_path(path)
     if not file.exists() or file.is_dir():
         problem = "is a folder" if file.is_dir() else "no such file"
         raise InputError(

@@ -29,7 +29,7 @@ from lightmatrix.files.kinds import IMAGE
 from lightmatrix.files.numpy_files import as_float32, read_npy
 from lightmatrix.files.reading import MOST_VALUES, check_image_size, read_bytes, regular_file
 from lightmatrix.files.writing import atomic_file
-from lightmatrix.ranges import real_array
+from lightmatrix.ranges import as_path, real_array
 
 # The endings of files that are read, and their formats in words.
 JPEG = (".jpg", ".jpeg")
@@ -88,7 +88,7 @@ def read_image(path: str | Path, *, mosaic: bool = False) -> NDArray[Any]:
     >>> lm.read_image("image.png")[0]
     array([1, 0, 0], dtype=uint8)
     """
-    file = Path(path)
+    file = as_path(path)
     _check_file(file)
     suffix = file.suffix.lower()
     with as_image_error(str(file)):

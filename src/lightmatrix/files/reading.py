@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from lightmatrix.errors import InputError
+from lightmatrix.ranges import as_path
 
 # Bytes of the longest text that is read, far more than any description or curve of ours takes.
 MOST_TEXT = 16 << 20
@@ -26,7 +27,7 @@ MOST_VALUES = 1 << 28
 
 def regular_file(path: str | Path) -> Path:
     """The path, if it names a regular file or a link to one."""
-    file = Path(path)
+    file = as_path(path)
     try:
         mode = file.stat().st_mode
     except (OSError, ValueError) as error:

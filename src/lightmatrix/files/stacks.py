@@ -34,6 +34,7 @@ from lightmatrix.files.images import (
 )
 from lightmatrix.files.numpy_files import map_npy, read_npz
 from lightmatrix.files.reading import check_image_size, regular_file
+from lightmatrix.ranges import as_path
 from lightmatrix.reprs import short_repr
 
 # Endings of files that may hold several images, and their formats in words.
@@ -169,7 +170,7 @@ def list_images(folder: str | Path) -> list[Path]:
 
     Hidden files and others are ignored; broken links, pipes and devices with image names refused.
     """
-    place = Path(folder)
+    place = as_path(folder)
     if not place.exists():
         raise InputError(f"{place}: no such folder", hint="check the name")
     if not place.is_dir():
@@ -197,7 +198,7 @@ def list_images(folder: str | Path) -> list[Path]:
 
 def list_entries(source: str | Path) -> list[Path | Page]:
     """The images of a folder in natural order, or those of a file (or a folder's only file)."""
-    place = Path(source)
+    place = as_path(source)
     if is_stack(place) and not place.is_dir():
         return list(pages(place))
     files = list_images(place)

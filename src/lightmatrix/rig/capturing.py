@@ -270,7 +270,14 @@ def take_capture(
         parts += ["exposure"] if settings.exposure is None else []
         parts += ["response"] if patterns is not None and patterns.as_bits() is None else []
         if parts or settings.settle is not None:
-            known = measure_rig(rig, parts, keep=keep, settle=settings.settle, progress=measuring)
+            known = measure_rig(
+                rig,
+                parts,
+                keep=keep,
+                settle=settings.settle,
+                response=settings.response,
+                progress=measuring,
+            )
         if patterns is None:
             if density is None:
                 density = 0.5 if known.exposure is None else known.exposure.density
@@ -330,7 +337,6 @@ def _begin(
         record.save()
     photographer = Photographer(rig, known.settle.seconds)
     references = rig.persistently(lambda: take_references(photographer, seconds))
-    photographer.changing = references.black.changing
     black, white = record.read_image(_BLACK), record.read_image(_WHITE)
     if black is None or white is None or not record.state.frames:
         record.keep_image(_BLACK, references.black.without_noise)

@@ -19,6 +19,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from lightmatrix.capture.camera_curve import Response
+from lightmatrix.capture.exposures import share_of_white
 from lightmatrix.check.survey import robust_deviation
 from lightmatrix.errors import FrameTimeoutError, InputError
 from lightmatrix.files.kinds import RIG, RIG_FORMAT
@@ -31,7 +33,7 @@ from lightmatrix.planning.exposure_advice import (
     advise_exposures,
     clipped_share,
 )
-from lightmatrix.ranges import check_number
+from lightmatrix.ranges import as_path, check_number
 from lightmatrix.rig.devices.base import exposure_limits, same_exposure, set_exposure
 from lightmatrix.rig.photograph import (
     FIRST_SETTLE,
@@ -308,16 +310,20 @@ def _possible(
 
 
 def measure_response(
-    rig: Rig, whites: WhiteAndBlack, settle: float, report: _Report
+    rig: Rig, whites: WhiteAndBlack, settle: float, report: _Report, camera: Response
 ) -> ProjectorResponse:
-    """Measure how much light the projector gives for each grey value."""
+    """Measure how much light the projector gives for each grey value, by a camera's response."""
     photographer = Photographer(rig, settle)
     # A smooth curve is known between 17 grey values.
     levels = np.rint(np.linspace(0, 255, 17)).astype(int)
     light = np.empty(len(levels))
     for k, level in enumerate(levels):
         image = np.full(rig.projector.shape, level, np.uint8)
-        light[k] = whites.level(take_average(photographer, image, whites.exposure, 3).mean)
+        frame = take_average(photographer, image, whites.exposure, 3)
+        means: list[NDArray[Any]] = [frame.mean, whites.white.mean, whites.black.mean]
+        if camera.levels is not None:
+            means = [camera.linearise(mean / frame.clip_level) for mean in means]
+        light[k] = share_of_white(means[0], means[1], means[2], whites.lit)
         report(k + 1, len(levels))
     return ProjectorResponse.of_light(levels, light)
 
@@ -444,6 +450,7 @@ def measure_rig(
     *,
     keep: str | Path | None = None,
     settle: float | None = None,
+    response: str = "linear",
     progress: Callable[[str, int, int], None] | None = None,
 ) -> RigMeasurements:
     """Measure a rig, or some of it, and what that needs.
@@ -458,6 +465,8 @@ def measure_rig(
         another rig is replaced.
     settle : float, optional
         Seconds to wait after a picture is shown, instead of measuring them.
+    response : str
+        The camera's response, by which the projector's is measured; see `Response.parse`.
     progress : callable, optional
         Called with (part, done, total).
 
@@ -490,7 +499,8 @@ def measure_rig(
     if settle is not None:
         check_number("a settle time", settle, most=60, hint="give seconds, such as 0.1")
     before = kept_measurements(rig, keep)
-    known = rig.persistently(lambda: _measured(rig, before, parts, settle, progress))
+    camera = Response.parse(response)
+    known = rig.persistently(lambda: _measured(rig, before, parts, settle, camera, progress))
     if keep is not None:
         known.save(keep)
     return known
@@ -498,7 +508,7 @@ def measure_rig(
 
 def kept_measurements(rig: Rig, keep: str | Path | None) -> RigMeasurements:
     """What a file holds of this rig; nothing but the names of its devices if it is of another."""
-    if keep is not None and Path(keep).exists():
+    if keep is not None and as_path(keep).exists():
         kept = RigMeasurements.load(keep)
         if kept.of_rig(rig):
             return kept
@@ -510,6 +520,7 @@ def _measured(
     known: RigMeasurements,
     parts: Sequence[str],
     settle: float | None,
+    camera: Response,
     progress: Callable[[str, int, int], None] | None,
 ) -> RigMeasurements:
     def report(part: str) -> _Report:
@@ -537,6 +548,6 @@ def _measured(
     if "exposure" in parts:
         known = replace(known, exposure=measure_exposure(rig, whites, wait, period))
     if "response" in parts:
-        response = measure_response(rig, whites, wait, report("response"))
+        response = measure_response(rig, whites, wait, report("response"), camera)
         known = replace(known, response=response)
     return known

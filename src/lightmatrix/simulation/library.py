@@ -16,6 +16,7 @@ from lightmatrix.capture.settings import TRUTH
 from lightmatrix.defaults import USUAL_SAMPLES
 from lightmatrix.errors import InputError, OutputError, warn
 from lightmatrix.files.numpy_files import read_npz
+from lightmatrix.ranges import as_path
 from lightmatrix.simulation.renderer import Progress, render
 from lightmatrix.simulation.scenes import Scene, names, scene
 from lightmatrix.simulation.truth import Truth, view_geometry
@@ -109,8 +110,8 @@ def truth(
     if isinstance(name, Truth):
         return name
     if str(name).lower().endswith(".npz"):
-        return Truth.load(Path(name))
-    if Path(name).is_dir() and not (isinstance(name, str) and name in names()):
+        return Truth.load(as_path(name))
+    if as_path(name).is_dir() and not (isinstance(name, str) and name in names()):
         if (Path(name) / TRUTH).is_file():
             return Truth.load(Path(name) / TRUTH)
         raise InputError(

@@ -9,7 +9,7 @@ uniform highp sampler2D image; uniform sampler2D colours, behind;
 uniform vec4 place; uniform vec2 size; uniform vec3 paper; uniform float canvasHeight;
 uniform float low, high, gain, gamma; uniform bool grey, coloured, logarithmic, marked, backed;
 out vec4 shown;
-const vec3 CLIPPED = vec3(0.90, 0.10, 0.12), UNKNOWN = vec3(0.7), DIM = vec3(0.20, 0.27, 0.40);
+const vec3 CLIPPED = vec3(0.90, 0.10, 0.12), UNKNOWN = vec3(0.7), DIM = vec3(0.26, 0.34, 0.48);
 void main() {
   vec2 at = (vec2(gl_FragCoord.x, canvasHeight - gl_FragCoord.y) - place.xy) / place.zw;
   if (any(lessThan(at, vec2(0.0))) || any(greaterThanEqual(at, size))) { shown = vec4(paper, 1.0); return; }
