@@ -27,7 +27,9 @@ from lightmatrix.defaults import FEWEST_MIXED, USUAL_NOISE
         help="Photograph under a white pattern; or a scene or a truth file to simulate.",
     ),
     shape=Option("--size", help="Rows x columns of the projector.", show_default=USUAL_SIZE),
-    frames=Option("-k", "--count", help="Number of frames; otherwise --error decides.", min=2),
+    frames=Option(
+        "-k", "--count", help="Number of patterns.", show_default="as --error needs", min=2
+    ),
     error="Relative error of T to aim for; decides the number of frames.",
     noise="Noise of a sample, as a share of the clip level.",
     exposure=Option(

@@ -45,7 +45,6 @@ if TYPE_CHECKING:
     ambient="Room light, as a share of the mean white image.",
     vignetting="Share of the light lost in the camera's corners.",
     primary=typer.Option(
-        "--colour",
         help="Primary of a colour projector that shows the patterns; the camera then has "
         "three channels.",
         show_default="white",

@@ -17,6 +17,7 @@ from lightmatrix.defaults import USUAL_SAMPLES
 from lightmatrix.errors import InputError, OutputError, warn
 from lightmatrix.files.numpy_files import read_npz
 from lightmatrix.ranges import as_path
+from lightmatrix.reprs import html_table
 from lightmatrix.simulation.renderer import Progress, render
 from lightmatrix.simulation.scenes import Scene, names, scene
 from lightmatrix.simulation.truth import Truth, view_geometry
@@ -142,7 +143,16 @@ class SceneSummary(NamedTuple):
     bundled: bool
 
 
-def scenes() -> tuple[SceneSummary, ...]:
+class Scenes(tuple[SceneSummary, ...]):
+    """The scenes of the simulator; a table in a notebook."""
+
+    __slots__ = ()
+
+    def _repr_html_(self) -> str:
+        return html_table("Scenes", {scene.name: scene.description for scene in self})
+
+
+def scenes() -> Scenes:
     """The scenes of the simulator.
 
     Returns
@@ -157,7 +167,7 @@ def scenes() -> tuple[SceneSummary, ...]:
     >>> [scene.name for scene in lm.scenes() if scene.bundled]
     ['l_objects', 'gripper', 'metal', 'corner']
     """
-    return tuple(SceneSummary(name, scene(name).description, name in BUNDLED) for name in names())
+    return Scenes(SceneSummary(name, scene(name).description, name in BUNDLED) for name in names())
 
 
 def cache_folder() -> Path:
