@@ -10,7 +10,6 @@ from __future__ import annotations
 import hashlib
 import json
 import math
-import zipfile
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
@@ -26,7 +25,7 @@ from zarr.codecs import BloscCodec
 
 from lightmatrix.errors import InputError
 from lightmatrix.files.colours import COLOURS, colour_paths
-from lightmatrix.files.kinds import COLOUR_STORES, CORRESPONDENCE_MARK, PARTIAL, STORE, holds_member
+from lightmatrix.files.kinds import COLOUR_STORES, CORRESPONDENCE, PARTIAL, STORE
 from lightmatrix.files.reading import read_bytes
 from lightmatrix.files.writing import atomic_folder
 from lightmatrix.files.zarr_arrays import (
@@ -231,9 +230,9 @@ def open_matches(
         return source
     path = as_path(source)
     if path.suffix.lower() == ".npz" and path.is_file():
-        # Damaged files are left to the reader of T to name.
-        with suppress(zipfile.BadZipFile, OSError):
-            if holds_member(path, CORRESPONDENCE_MARK):
+        # Files that cannot be read are left to the reader of T to name.
+        with suppress(OSError):
+            if CORRESPONDENCE.recognize(path):
                 return read_correspondence(path)
     return open(path)
 
