@@ -6,7 +6,6 @@ A whole capture goes all the way: window, virtual screen, GigE Vision, capture, 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -179,11 +178,7 @@ def test_a_capture_over_gige_vision_is_as_good_as_a_simulated_one(
     # Kept with the rig; a virtual screen has none, or one that changes nothing.
     assert lm.RigMeasurements.load("rig.json").projector["gamma_ramp"] in (None, {"linear": True})
     scale = np.float32(provenance["exposure_1_in_seconds"] / UNIT_EXPOSURE)
-    truth = replace(
-        known,
-        matrix=known.with_data(scale * known.matrix.data),
-        direct_data=scale * known.direct_data,
-    )
+    truth = known.scaled(scale)
     simulated = lm.simulate(truth, capture.patterns, exposure=1.0, bits=16, noise=NOISE)
     error = lm.evaluate(lm.estimate(capture, check=False), truth).relighting_error
     expected = lm.evaluate(lm.estimate(simulated, check=False), truth).relighting_error
