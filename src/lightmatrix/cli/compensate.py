@@ -11,6 +11,7 @@ from typer import Argument, Option
 import lightmatrix as lm
 from lightmatrix.cli import options
 from lightmatrix.cli.terminal import (
+    Stages,
     enter_was_pressed,
     progress,
     say,
