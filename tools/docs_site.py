@@ -93,7 +93,9 @@ def viewer_page() -> str:
 
 
 def on_page_content(text: str, **_: Any) -> str:
-    """Turn formulas into MathML (MkDocs calls it)."""
+    """Turn formulas into MathML, and empty heads of tables into cells (MkDocs calls it)."""
+    # A head without words says nothing to a blind reader.
+    text = re.sub(r"<th([^>]*)></th>", r"<td\1></td>", text)
     inline = re.sub(
         r'<span class="arithmatex">\\\((.*?)\\\)</span>',
         lambda match: convert(html.unescape(match[1])),
@@ -102,7 +104,11 @@ def on_page_content(text: str, **_: Any) -> str:
     )
     return re.sub(
         r'<div class="arithmatex">\s*\\\[(.*?)\\\]\s*</div>',
-        lambda match: f"<p>{convert(html.unescape(match[1]), display='block')}</p>",
+        # Whoever has no mouse scrolls a long formula by the keyboard.
+        lambda match: (
+            '<p class="formula" tabindex="0">'
+            f"{convert(html.unescape(match[1]), display='block')}</p>"
+        ),
         inline,
         flags=re.DOTALL,
     )

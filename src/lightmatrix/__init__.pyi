@@ -61,6 +61,7 @@ from .rig.devices.registry import (
     open_projector as open_projector,
 )
 from .rig.rig import open_rig as open_rig
+from .rig.showing import project as project
 
 # Geometry of a rig.
 from .shape.calibrate import (
@@ -132,6 +133,10 @@ from .uses.compensation import (
     compensate_video as compensate_video,
 )
 from .rig.closed_loop import refine_compensation as refine_compensation
+from .uses.projector_map import (
+    ProjectorMap as ProjectorMap,
+    map_projector as map_projector,
+)
 from .uses.probing import (
     max_min as max_min,
     probe as probe,

@@ -23,8 +23,6 @@ FEWEST_MIXED = 64
 
 # Patterns that `capture` photographs, and the most where it stops at an accuracy.
 USUAL_FRAMES, MOST_FRAMES = 64, 256
-# Patterns between two photographs of the reference frames.
-USUAL_REFERENCE = 32
 # The file that keeps the measurements of a rig.
 RIG_FILE = "rig.json"
 # Seconds to wait for a frame beyond its exposure.

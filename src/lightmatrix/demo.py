@@ -21,7 +21,6 @@ from lightmatrix.estimators.plain import PlainEstimator
 from lightmatrix.estimators.settings import EstimateSettings
 from lightmatrix.files.kinds import DEMO
 from lightmatrix.files.writing import atomic_folder
-from lightmatrix.judgement.judgement import percent
 from lightmatrix.judgement.metrics import (
     relative_error,
     relighting_error,
@@ -35,6 +34,7 @@ from lightmatrix.pictures.style import display, figure, mark_clipped, panel, sav
 from lightmatrix.report.elements import Gallery, Section, Table, image_of_file
 from lightmatrix.report.facts import Estimator, Facts, validate
 from lightmatrix.report.make import write_page
+from lightmatrix.reprs import percent
 from lightmatrix.simulation import library
 from lightmatrix.simulation.simulate import simulate
 from lightmatrix.simulation.truth import binned

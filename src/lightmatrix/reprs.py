@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import base64
 import html
 from collections.abc import Mapping
 from dataclasses import fields
@@ -70,14 +71,18 @@ def short_repr(self: Any) -> str:
     return f"{type(self).__name__}({', '.join(values)})"
 
 
-def html_table(title: str, rows: Mapping[str, Any]) -> str:
-    """Names and values as a small table of HTML, for ``_repr_html_``."""
+def html_table(title: str, rows: Mapping[str, Any], picture: bytes = b"") -> str:
+    """Names and values as a small table of HTML, for ``_repr_html_``, below a PNG if given."""
     lines = "".join(
         f"<tr><td style='text-align:left'>{html.escape(name)}</td>"
         f"<td style='text-align:left'>{html.escape(shown_value(value))}</td></tr>"
         for name, value in rows.items()
     )
-    return f"<table><caption><b>{html.escape(title)}</b></caption><tbody>{lines}</tbody></table>"
+    caption = f"<b>{html.escape(title)}</b>"
+    if picture:
+        source = f"data:image/png;base64,{base64.b64encode(picture).decode()}"
+        caption += f"<br><img alt='' width=256 src='{source}'>"
+    return f"<table><caption>{caption}</caption><tbody>{lines}</tbody></table>"
 
 
 def text_table(title: str, rows: Mapping[str, Any]) -> str:
@@ -88,8 +93,15 @@ def text_table(title: str, rows: Mapping[str, Any]) -> str:
 
 
 def shown_value(value: Any) -> str:
-    """A value as text, numbers with four digits."""
-    return f"{value:.4g}" if isinstance(value, float) else str(value)
+    """A value as text, numbers with three digits."""
+    return f"{value:.3g}" if isinstance(value, float) else str(value)
+
+
+def percent(share: float) -> str:
+    """A share in per cent, rounded to two digits or to whole per cent."""
+    value = 100 * share
+    digits = "0" if value == 0 else f"{value:.0f}" if value >= 9.95 else f"{value:.2g}"
+    return f"{digits} %"
 
 
 def jsonable(value: Any) -> Any:
@@ -115,11 +127,11 @@ def _size(shape: tuple[int, ...]) -> str:
 
 
 def labelled(values: Mapping[str, Any], *, main_only: bool = False) -> dict[str, Any]:
-    """The values with labels for keys and shares in per cent; about ten lines if `main_only`."""
+    """The values by labels, shares and errors in per cent; about ten lines if `main_only`."""
     keys = [key for key in _MAIN if key in values] if main_only else list(values)
     return {
-        _LABELS.get(key, key.replace("_", " ")): f"{100 * values[key]:.1f} %"
-        if key in _SHARES
+        _LABELS.get(key, key.replace("_", " ")): percent(values[key])
+        if key in _SHARES or key.startswith(("relative_error", "relighting_error"))
         else values[key]
         for key in keys
     }

@@ -21,6 +21,7 @@ from lightmatrix.check.levels import (
     check_plain_frames,
     check_two_levels,
 )
+from lightmatrix.check.relation import check_unseen
 from lightmatrix.check.survey import Survey, high_variance_rows
 from lightmatrix.files.images import decode_image, encode_image
 from lightmatrix.judgement.judgement import Verdict
@@ -43,7 +44,8 @@ def survey(frames: NDArray[np.generic], decoder: lm.Decoder = CAMERA) -> Survey:
 
 
 def kinds(frames: NDArray[np.uint8], decoder: lm.Decoder = CAMERA) -> list[str]:
-    return [each.kind for each in check_light_level(survey(frames, decoder))]
+    taken = survey(frames, decoder)
+    return [each.kind for each in check_light_level(taken) + check_unseen(taken)[0]]
 
 
 def random_frames(top: int = 200) -> NDArray[np.uint8]:

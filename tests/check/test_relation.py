@@ -9,12 +9,13 @@ import pytest
 from numpy.typing import NDArray
 
 import lightmatrix as lm
-from benchmarks.synthetic_captures import PATTERNS, SCENES, draw
+from benchmarks.synthetic_captures import PATTERNS, SCENES, draw, scene_matrix
 from lightmatrix.check.all_checks import check_capture
 from lightmatrix.check.finding import Finding
 from lightmatrix.check.relation import (
     Relation,
     check_relation,
+    check_unseen,
 )
 from lightmatrix.check.survey import Survey
 from lightmatrix.errors import InputError
@@ -101,6 +102,27 @@ def test_a_camera_that_sees_a_part_of_the_projector_is_not_accused(scene: str, s
     for seen, kinds in ((patterns, []), (replace(patterns, seed=seed + 100), ["unrelated"])):
         found = relation(lm.Capture.from_arrays(seen, frames, lm.Sensor(1.0, 0.0, 0.003)))
         assert [each.kind for each in found] == kinds
+
+
+@pytest.mark.parametrize("ground", [0.0, 0.02, 0.04])
+def test_a_dark_ground_around_bright_dots_sees_the_projector(ground: float) -> None:
+    """Its noise is no dark photograph of white, and no light that changes either."""
+    size, generator = (32, 32), np.random.default_rng(1)
+    codes = lm.make_patterns("graycode", size, inverse=True)
+    albedo = np.where(generator.random(1024) < 0.07, 1, ground)[:, None]
+    for patterns, scene, noise in (
+        (lm.BernoulliPatterns(size, 32, seed=1), "own pixels", 0.003),
+        (codes, "broad", 0.01),
+    ):
+        matrix = scene_matrix(scene, 32, generator) * albedo
+        light = matrix @ patterns.rows(0, patterns.count).T
+        sensor = lm.Sensor(0.9 / light.max(), 0.0, noise)
+        frames = sensor.expose(light.astype(np.float32), seed=1).T.reshape(-1, *size)
+        capture = lm.Capture.from_arrays(patterns, np.ascontiguousarray(frames), sensor)
+        found, seeing = check_unseen(Survey.take(patterns, capture.frames, capture.decoder))
+        assert [each.kind for each in found] == ([] if ground else ["unseen"])
+        assert (seeing.valid.mean() < 0.1) == (ground == 0)
+    assert {each.kind for each in check_capture(capture)} - {"unseen"} == {"stripes"}
 
 
 # ---- the parts

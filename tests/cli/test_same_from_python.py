@@ -16,7 +16,7 @@ from lightmatrix.cli import main
 from lightmatrix.cli import patterns as patterns_command
 from lightmatrix.cli.app import STAGES
 from lightmatrix.estimators import settings as estimate_settings
-from lightmatrix.judgement.judgement import verdict
+from lightmatrix.judgement.judgement import verdicts
 from lightmatrix.patterns import making
 from lightmatrix.planning.plan import Advice
 from lightmatrix.rig.rig_measurements import PARTS
@@ -191,7 +191,7 @@ def test_estimate_from_two_binned_folders(
 def test_info(work: Path, capsys: pytest.CaptureFixture[str]) -> None:
     printed = _run(f"info {work}/scene.zarr", capsys)
     transport = lm.open(work / "scene.zarr")
-    judged = verdict(transport)
+    judged = verdicts(transport).transport
     assert printed == {
         "verdict": judged.level, "sentence": judged.sentence,
         "verdicts": lm.verdicts(transport).as_dict(),
@@ -331,7 +331,7 @@ def test_compensate_a_video(work: Path, tmp_path: Path, capsys: pytest.CaptureFi
     picture = lm.read_image(_wanted(work))
     for k in range(3):
         lm.write_image(frames / f"{k}.png", np.roll(picture, k, axis=1))
-    told = _run(f"compensate {scene} --video {frames} -o {tmp_path}/shown", capsys)
+    told = _run(f"compensate {scene} {frames} -o {tmp_path}/shown", capsys)
     video = lm.compensate_video(scene, frames, output=tmp_path / "made")
     _same_files(tmp_path / "shown", tmp_path / "made")
     assert told == {"output": f"{tmp_path}/shown", **video.as_dict()}
@@ -385,12 +385,15 @@ def test_compensate_on_a_rig(
     ("words", "reason"),
     [
         ("", "no picture"),
-        ("{wanted} --video frames", "both a picture and a video"),
+        ("{wanted} --live", "--live without a rig"),
+        ("{wanted} --rig virtual:metal --projector-response linear", "a rig and --projector-resp"),
+        (". --rig virtual:metal", "a rig and a video"),
+        ("{wanted} --brightness 70", "give a share of the light of white, such as 0.7 for 70 %"),
         ("{wanted} --refine 2", "--refine without a rig"),
         ("{wanted} --settle 1", "--settle without a rig"),
         ("{wanted} --rig virtual:metal --black b.png", "a rig and --black"),
         ("{wanted} --rig virtual:metal --beside x.zarr", "several matrices"),
-        ("--video frames --green g.zarr --blue b.zarr", "several matrices"),
+        (". --green g.zarr --blue b.zarr", "several matrices"),
         ("{wanted} --brightness bright", "a brightness of 'bright'"),
         ("{wanted} --green g.zarr", "--blue is missing"),
         ("--cancel-global --rig virtual:metal", "--cancel-global with options"),
@@ -465,12 +468,11 @@ def test_the_advised_patterns_are_those_of_the_advised_command(
         ("-k 20 --seed 4", {"count": 20, "seed": 4}),
         (
             "-k 18 --density 0.3 --exposure 0.01 --settle 0.06 --cell 2 --no-check "
-            "--reference-every 5 --response gamma:1.1",
+            "--response gamma:1.1",
             {
                 "count": 18, "density": 0.3,
                 "settings": lm.CaptureSettings(
                     cell=2, exposure=0.01, settle=0.06, response="gamma:1.1", check=False,
-                    reference_every=5,
                 ),
             },
         ),

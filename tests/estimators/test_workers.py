@@ -34,7 +34,6 @@ from lightmatrix.estimators.work import LEAST_TILE, cut_rows
 from lightmatrix.estimators.workers import dask_pool, pack_work
 from lightmatrix.solvers import ActiveSet
 from lightmatrix.transport import store
-from lightmatrix.transport.checkpoint import Checkpoint
 from lightmatrix.transport.matrix import LightTransport
 from tests.helpers.systems import SIGNALS
 
@@ -75,7 +74,7 @@ def capture(tmp_path_factory: pytest.TempPathFactory) -> lm.Capture:
 def place_of(capture: lm.Capture) -> Path:
     """The folder of a packed capture."""
     assert isinstance(capture.frames, PackedFrames)
-    return capture.frames.array.place.parent
+    return capture.frames.array.place.parents[1]
 
 
 def same(one: LightTransport, other: LightTransport) -> bool:
@@ -312,28 +311,11 @@ def test_a_capture_that_workers_do_not_see(
     assert "all workers share" in str(error.hint)
 
 
-def test_an_output_that_workers_do_not_see(
-    capture: lm.Capture, cluster: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(Checkpoint, "folder", Path("/elsewhere/s.zarr.partial"))
-    cluster_client = distributed.Client(cluster, set_as_default=False)
-    with cluster_client:
-        cluster_client.run(_impatient)
-    error = refused(cluster.scheduler_address, capture, tmp_path / "s.zarr")
-    assert "does not find the estimate in /elsewhere" in str(error)
-
-
-def _impatient() -> None:
-    workers_module.PATIENCE = replace(workers_module.PATIENCE, file=0.1)
-
-
 def test_settings_that_exclude_one_another(
     capture: lm.Capture, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     with pytest.raises(InputError, match="workers here and a cluster"):
         lm.EstimateSettings(workers=2, cluster="tcp://127.0.0.1:9")
-    with pytest.raises(InputError, match="needs an output"):
-        lm.estimate(capture, cluster="tcp://127.0.0.1:9")
     with pytest.raises(InputError, match="workers is 0"):
         lm.EstimateSettings(workers=0)
     monkeypatch.setitem(sys.modules, "distributed", None)

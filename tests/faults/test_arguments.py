@@ -22,7 +22,7 @@ ESTIMATE = "estimate capture --no-coherent -o new.zarr"
 PATTERNS = "patterns bernoulli -k 4 --size 8x8 -o new"
 TWO = "patterns bernoulli -k 2 --size 8x8 -o"
 RELIGHT = "relight scene.zarr shown.png -o new.png"
-COMPENSATE = "compensate scene.zarr shown.png --resize -o new.png"
+COMPENSATE = "compensate scene.zarr shown.png -o new.png"
 PLAN = "plan white.png --size 8x8"
 FOLDERS = "estimate --patterns projected --images photos --no-coherent -o new.zarr"
 
@@ -154,13 +154,13 @@ def _first_wrong_then_right() -> list[Case]:
             "black8.png|no such file",
             "relight scene.zarr shown.png -o deep/new.png",
         ),
-        "a wanted picture of another size": (
-            "compensate scene.zarr wide.npy -o new.png",
+        "a mask of another size": (
+            f"{COMPENSATE} --mask wide.npy",
             "wide.npy has shape",
             COMPENSATE,
         ),
         "a wanted picture that is all black": (
-            "compensate scene.zarr dark.npy -o new.png --resize",
+            "compensate scene.zarr dark.npy -o new.png",
             "dark.npy is all black",
             COMPENSATE,
         ),

@@ -14,6 +14,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 import typer
+from axe_playwright_python.sync_playwright import Axe
+from browser import opened
 
 import lightmatrix as lm
 from lightmatrix.cli import main
@@ -131,3 +133,18 @@ def _in_colour(capture: SimulatedCapture) -> None:
     colourful = lm.Capture.from_folders("patterns", "photos")
     lm.estimate(colourful, coherent=False, check=False, output="scene.zarr", overwrite=True)
     lm.write_image("picture.png", np.random.default_rng(0).random((32, 32, 3)))
+
+
+def test_tables_fit_a_telephone_and_a_page_is_accessible(site: Path) -> None:
+    """The pages with the widest tables, at 390 pixels; one with formulas, code and tables."""
+    fits = "(e) => e.scrollWidth <= e.clientWidth"
+    with opened() as browser:
+        page = browser.new_page(viewport={"width": 390, "height": 844})
+        for name in ("response", "simulation", "viewer", "mathematics"):
+            page.goto((site / f"{name}.html").as_uri())
+            wraps = page.locator(".md-typeset__scrollwrap").all()
+            assert wraps
+            assert all(wrap.evaluate(fits) for wrap in wraps), name
+        violations = {each["id"] for each in Axe().run(page).response["violations"]}
+        # The theme's buttons that copy code are marked as places of their own.
+        assert violations <= {"landmark-unique"}

@@ -65,13 +65,6 @@ def _stop_after(frames: int, **arguments: Any) -> None:
         _capture(progress=progress, **arguments)
 
 
-def _are_trusted(checks: dict[str, int], count: int = 32) -> None:
-    """Most frames match their prediction; a second photograph confirms the others."""
-    assert set(checks) <= {"matched", "confirmed"}
-    assert checks["matched"] >= 0.6 * count
-    assert sum(checks.values()) == count
-
-
 def test_a_measured_curve_goes_with_the_capture(tmp_path: Path) -> None:
     curve = tmp_path / "curve.txt"
     curve.write_text("0 0\n1 1\n")
@@ -102,14 +95,16 @@ def test_a_capture_states_how_it_was_taken() -> None:
     assert description["clip"] == 4095
     assert description["black_level"] == pytest.approx(64, abs=1)
     assert description["exposure"] == description["black"]["exposure"] == 1
-    _are_trusted(capture.provenance["checks"])
+    assert capture.provenance["checked"]
     assert capture.provenance["photographed_again"] == {}
     assert not Path("capture.partial").exists()
     assert not [path for path in Path().iterdir() if path.name.startswith(".")]
-    # The rig is known now, so a short look suffices.
-    before = Path("rig.json").read_text()
-    _capture(overwrite=True)
-    assert Path("rig.json").read_text() == before
+    # The rig is known now, and only the exposures of the scene are measured again.
+    before = lm.RigMeasurements.load("rig.json")
+    _capture(",seed=1", overwrite=True)
+    after = lm.RigMeasurements.load("rig.json")
+    assert after.exposure != before.exposure
+    assert replace(after, exposure=before.exposure) == before
 
 
 def test_grey_patterns_are_shown_as_their_light() -> None:
@@ -126,7 +121,6 @@ def test_cells_are_shown_in_the_middle_of_the_screen() -> None:
     capture = _capture(",size=16", cell=3)
     assert capture.projector_shape == (5, 5)
     assert not Path("capture/truth.npz").exists()
-    assert set(capture.provenance["checks"]) <= {"matched", "confirmed"}
     with pytest.raises(lm.InputError, match="for a projector of 16 x 16"):
         _capture(",size=16", patterns=lm.BernoulliPatterns((16, 16), 20), cell=2, overwrite=True)
 
@@ -151,7 +145,6 @@ def test_a_camera_whose_exposure_is_set_by_hand(monkeypatch: pytest.MonkeyPatch)
     )
     capture = _capture(",unit=0.014")
     assert capture.provenance["exposure_1_in_seconds"] == 0.007
-    _are_trusted(capture.provenance["checks"])
 
 
 # ---- faults
@@ -174,7 +167,6 @@ def test_faults_are_noticed_and_frames_repeated(fault: str, least: int) -> None:
     provenance = _capture(fault, settle=0.05).provenance
     assert not provenance["left_out"]
     assert provenance["frames"] == provenance["patterns"]
-    assert set(provenance["checks"]) <= {"matched", "confirmed"}
     assert sum(provenance["photographed_again"].values()) >= least
     _right_frames(fault)
 
@@ -184,13 +176,11 @@ def _right_frames(words: str) -> None:
     assert wrong_frames(lm.Capture.open("capture"), faulty_rig(QUIET + words)) == []
 
 
-@pytest.mark.parametrize("count", [8, 14, 16])
-def test_what_predicts_nothing_is_confirmed_one_by_one(count: int) -> None:
-    # Few frames, and patterns of single pixels.
+@pytest.mark.parametrize("count", [2, 9, 16])
+def test_few_and_similar_patterns(count: int) -> None:
     blocks = lm.make_patterns("blocks", (24, 24), block=(6, 6)) if count == 16 else None
     fault = ",late=0.15,fps=0,seed=2"
-    capture = _capture(fault, count=count, patterns=blocks)
-    assert capture.provenance["checks"] == {"confirmed": count}
+    assert _capture(fault, count=count, patterns=blocks).count == count
     _right_frames(fault)
 
 
@@ -213,35 +203,13 @@ def test_patterns_that_always_fail_are_named_and_left_out(monkeypatch: pytest.Mo
     assert lm.Capture.open("capture").count == 30
 
 
-def test_several_failures_in_a_row_end_the_session(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_several_failures_in_a_row_end_the_session() -> None:
     _stop_after(10)
-    with monkeypatch.context() as patched:
-        patched.setattr("lightmatrix.rig.photograph.copied_rows", lambda data, *_: len(data))
-        with pytest.raises(lm.DeviceError, match=r"4 patterns in a row.*is a copy of") as caught:
-            _capture()
+    with pytest.raises(lm.DeviceError, match=r"32 photographs in a row.* differ") as caught:
+        # Each picture comes later than was measured.
+        _capture(",delay=20,fps=0")
     assert "the frames so far are kept" in str(caught.value.hint)
     assert _capture().count == 32
-
-
-@pytest.mark.parametrize(
-    ("what", "words"), [("room", "the room's light changed"), ("lamp", "the light is 90 % of")]
-)
-def test_changing_light_is_named(what: str, words: str) -> None:
-    with faulty_rig(QUIET + ",fps=0,dropped=0.2") as rig:
-        light: Any = rig.camera._light  # type: ignore[attr-defined]
-
-        def change(step: Step) -> None:
-            if step.done == 12 and what == "room":
-                light.room = light.room + 0.05
-            elif step.done == 12:
-                matrix = light.truth.with_data(np.float32(0.9) * light.truth.matrix.data)
-                light.truth = replace(light.truth, matrix=matrix)
-
-        settings = lm.CaptureSettings(reference_every=8)
-        with pytest.warns(lm.LightMatrixWarning, match=f"after 15 frames, {words}"):
-            lm.take_capture("capture", rig, count=32, settings=settings, progress=change)
-    looks = lm.Capture.open("capture").provenance["drift"]
-    assert [look["frames"] for look in looks] == [7, 15, 23, 31]
 
 
 def test_a_room_whose_light_varies_is_named() -> None:
@@ -283,9 +251,7 @@ def test_a_capture_that_was_stopped_goes_on() -> None:
     capture = _capture(progress=lambda step: steps.append(step.done))
     assert steps[0] == 21
     assert capture.count == 32
-    same = [Path("capture/images", name).read_bytes() == kept[name] for name in kept]
-    # The others judge a few of them wrong.
-    assert sum(same) >= 15
+    assert all(Path("capture/images", name).read_bytes() == kept[name] for name in kept)
     assert not Path("capture.partial").exists()
 
 
@@ -295,8 +261,7 @@ def test_a_damaged_frame_is_taken_again() -> None:
     file.write_bytes(file.read_bytes()[:100])
     steps: list[int] = []
     assert _capture(progress=lambda step: steps.append(step.done)).count == 32
-    # The others judge a few of them wrong.
-    assert 13 <= len(steps) < 18
+    assert len(steps) == 13
     _right_frames("")
 
 
@@ -354,7 +319,6 @@ def test_a_capture_that_failed_at_once_leaves_nothing() -> None:
         (f"--rig {QUIET} --settle nan", "a settle time of nan"),
         (f"--rig {QUIET} --cell 0", "a cell of 0"),
         (f"--rig {QUIET} --cell 99", "99"),
-        (f"--rig {QUIET} --reference-every -1", "a reference every -1"),
         (f"--rig {QUIET} --patterns nowhere", "nowhere"),
         (f"--rig {QUIET} --response gama", "gama"),
         (f"--rig {QUIET} --density 2", "density"),
@@ -376,7 +340,7 @@ def test_one_command_photographs_and_estimates(capsys: pytest.CaptureFixture[str
     line = f"capture --rig {QUIET} -k 32 -o capture --estimate scene.zarr --json"
     assert main(line.split()) == 0
     summary = json.loads(capsys.readouterr().out)
-    _are_trusted(summary["checks"])
+    assert summary["frames"] == 32
     assert summary["estimate"]["output"] == "scene.zarr"
     assert main(["evaluate", "scene.zarr", "--truth", "capture/truth.npz"]) == 0
     assert main(line.split()) == 2
@@ -438,7 +402,7 @@ def test_a_capture_goes_on_when_a_full_disk_has_room_again(
         assert not list(tmp_path.glob("*partial*"))
 
 
-@pytest.mark.parametrize("values", [{"exposure": "fast"}, {"cell": 1.5}, {"reference_every": None}])
+@pytest.mark.parametrize("values", [{"exposure": "fast"}, {"cell": 1.5}])
 def test_settings_of_another_type_are_refused(values: Any) -> None:
-    with pytest.raises(lm.InputError, match=r"fast|1\.5|None"):
+    with pytest.raises(lm.InputError, match=r"fast|1\.5"):
         lm.CaptureSettings(**values)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -34,6 +35,40 @@ def test_photographs_correct_a_wrong_matrix(tmp_path: Path) -> None:
     assert apart.mean() < 0.01
     assert apart.max() < 0.1
     assert lm.read_image(tmp_path / "shown.png").shape == (64, 64)
+
+
+def test_a_webcam_with_a_gamma_is_read_as_the_capture_of_t_was() -> None:
+    with lm.open_rig("virtual:procedural,size=16,real=0,bits=8,black=0,camera_gamma=2.2") as rig:
+        assert rig.truth is not None
+        capture = {"capture_description": {"response": "gamma:2.2"}}
+        known = replace(rig.truth.transport(), provenance=capture)
+        wanted = np.tile(np.linspace(0.3, 1, 16), (16, 1))
+        found = lm.refine_compensation(rig, known, wanted, steps=1, brightness=0.5)
+    assert found.photographed_psnr.max() > 30
+
+
+def test_the_picture_is_held_while_the_light_changes() -> None:
+    """After five photographs a lamp is switched on beside the scene, and later off again."""
+    seen: list[float] = []
+    with lm.open_rig("virtual:procedural,size=16,real=0") as rig:
+        assert rig.truth is not None
+        room = rig.projector._light.room  # type: ignore[attr-defined]
+        lamp = 0.08 * np.median(rig.truth.matrix.sum(axis=1))
+
+        def go_on(decibels: float) -> bool:
+            seen.append(decibels)
+            room[:] += {5: lamp, 14: -lamp}.get(len(seen), 0.0)
+            return len(seen) < 22
+
+        wanted = np.full((16, 16), 0.6)
+        found = lm.refine_compensation(
+            rig, rig.truth.transport(), wanted, brightness=0.7, keep=None, live=go_on
+        )
+    assert len(found.photographed_psnr) == 22
+    for changed in (5, 14):
+        # The first photograph after the change is wrong; the loop brings the picture back.
+        assert seen[changed] < min(seen[:5]) - 3
+        assert max(seen[changed + 4 : changed + 8]) > min(seen[:5]) - 1
 
 
 def test_a_matrix_of_another_rig_is_refused() -> None:

@@ -8,10 +8,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-import lightmatrix as lm
 from lightmatrix.rig.devices.base import Frame
-from lightmatrix.rig.pattern_match import choose_samples, fit_mixture
-from lightmatrix.rig.photograph import AveragedFrame, References, Shot, copied_rows, measure_drift
+from lightmatrix.rig.photograph import AveragedFrame, References, Shot
 from lightmatrix.rig.rig_measurements import _possible
 
 from .rig_mixtures import run
@@ -25,27 +23,9 @@ def _photograph(light: Any, seed: int) -> Any:
 
 
 def _average(light: Any, count: int = 4) -> AveragedFrame:
-    shots = [Shot(Frame(_photograph(light, k), k, 0.0, TOP), 0.01, 0.0) for k in range(count)]
+    shots = [Shot(Frame(_photograph(light, k), k, 0.0, TOP), 0.01) for k in range(count)]
     mean = np.mean([shot.data for shot in shots], axis=0, dtype=np.float32)
     return AveragedFrame(np.asarray(mean), shots, NOISE, 0.001)
-
-
-@pytest.mark.parametrize(
-    ("rows", "copied"), [(slice(0, 6), 6), (slice(12, 20), 8), (slice(5, 9), 0), (slice(0, 0), 0)]
-)
-def test_rows_of_an_earlier_frame_are_recognized_at_both_ends(rows: slice, copied: int) -> None:
-    data, earlier = _photograph(800.0, 1), _photograph(800.0, 2)
-    data[rows] = earlier[rows]
-    changing = np.full(SHAPE[0], 0.97)
-    assert copied_rows(data, earlier, changing, TOP) == copied
-
-
-def test_equal_rows_that_clip_or_do_not_change_are_no_copies() -> None:
-    clipped = np.full(SHAPE, 4095, np.uint16)
-    assert copied_rows(clipped, clipped, np.full(SHAPE[0], 0.97), TOP) == 0
-    dark = np.zeros(SHAPE, np.uint16)
-    assert copied_rows(dark, dark, np.zeros(SHAPE[0]), TOP) == 0
-    assert copied_rows(dark, dark[:-1], np.full(SHAPE[0], 0.97), TOP) == 0
 
 
 def test_black_frames_lose_their_noise_but_neither_hot_pixels_nor_light() -> None:
@@ -59,33 +39,19 @@ def test_black_frames_lose_their_noise_but_neither_hot_pixels_nor_light() -> Non
     np.testing.assert_array_equal(lit.without_noise, lit.mean)
 
 
-def test_drift_tells_lamp_room_and_motion_apart() -> None:
+def test_what_changed_since_the_start_is_told_apart() -> None:
     light = np.random.default_rng(0).uniform(500, 2500, SHAPE)
     black, white = _average(np.zeros(SHAPE)), _average(light)
-    start = References(black, white, black.mean)
-    same = measure_drift(start, _photograph(light, 9), _photograph(0.0, 10))
-    assert same.warning() is None
-    dimmed = measure_drift(start, _photograph(0.9 * light, 9), _photograph(0.0, 10))
-    assert dimmed.gain == pytest.approx(0.9, abs=0.005)
-    room = measure_drift(start, _photograph(light + 80, 9), _photograph(80.0, 10))
-    assert room.room == pytest.approx(80 / TOP, rel=0.05)
-    assert room.gain == pytest.approx(1, abs=0.005)
-    moved = measure_drift(start, _photograph(np.roll(light, 1, axis=1), 9), _photograph(0.0, 10))
-    assert "did something move" in str(moved.warning())
+    now = References(black, white, black.mean)
 
+    def change(light: Any, room: float = 0.0) -> str:
+        before = _average(light + room).mean, _average(np.full(SHAPE, room)).mean
+        return str(now.change(*before))
 
-@pytest.mark.parametrize(("size", "group"), [(16, 1), (80, 25)])
-def test_samples_are_lit_and_come_in_groups_for_large_projectors(size: int, group: int) -> None:
-    light = np.zeros((60, 70))
-    light[:, 20:50] = 1000
-    index, members = choose_samples(light, lm.BernoulliPatterns((size, size), 4))
-    assert members == group
-    rows, cols = np.divmod(index.reshape(-1, members), 70)
-    # The first of a group is lit, and the others are at most 6 pixels away.
-    assert (light[rows[:, 0], cols[:, 0]] == 1000).all()
-    assert abs(rows - rows[:, :1]).max() <= 6
-    assert abs(cols - cols[:, :1]).max() <= 6
-    assert len(set(rows[:, 0])) > 20
+    assert change(light) == "None"
+    assert change(light / 0.9) == "the light is 90 % of what it was"
+    assert change(light, 80.0) == "the room's light changed by -2.0 % of the clip level"
+    assert "did something move" in change(np.roll(light, 1, axis=1))
 
 
 @pytest.mark.parametrize(
@@ -114,30 +80,6 @@ def test_pictures_that_come_within_the_exposure_leave_less_than_noise_behind() -
     assert left_out == 0
     assert sum(mixed.share > 0.01 for mixed in met) > 8
     assert all(mixed.light < 1 and mixed.share < 0.01 for mixed in kept)
-
-
-@pytest.mark.parametrize("share", [0.0, 0.03])
-def test_a_share_is_found_with_its_error(share: float) -> None:
-    random = np.random.default_rng(0)
-    own, other, error = 9 + 3 * random.standard_normal((3, 400)) * [[1], [1], [0.1]]
-    error /= 9
-
-    def frame() -> Any:
-        # The prediction is too strong, and the lamp has become weaker.
-        light = (1 - share) * own + share * other + error * random.standard_normal(400)
-        return 0.98 * light - 0.2
-
-    rows = np.repeat(np.arange(40), 10)
-    mixtures = [fit_mixture(frame() - own, other, own, error, rows) for _ in range(300)]
-    shares = np.array([mix.share for mix in mixtures])
-    assert shares.mean() == pytest.approx(share, abs=0.003)
-    assert shares.std() == pytest.approx(mixtures[0].error, rel=0.15)
-    assert not any(mix.torn for mix in mixtures)
-    contrast = float(np.sqrt(((other - own) ** 2).mean()))
-    # A share that adds less light than noise cannot be excluded. A larger one is seen or doubted.
-    assert not any(mix.excluded(0.05 * contrast) for mix in mixtures)
-    excluded = np.mean([mix.excluded(0.07 * contrast) for mix in mixtures])
-    assert excluded > 0.88 if not share else 0.1 < excluded < 0.5
 
 
 def test_two_photographs_that_share_a_little_of_white_or_a_pattern_do_not_agree() -> None:

@@ -52,6 +52,14 @@ def test_the_second_monitor_is_taken_where_there_is_one(two_screens: str) -> Non
         window.close()
 
 
+def test_a_key_asks_to_end(two_screens: str) -> None:
+    window = open_window(Address("window", "0"))
+    assert not window.asked_to_end()
+    window._pressed(None, 65)
+    assert window.asked_to_end()
+    window.close()
+
+
 def test_windows_on_both_monitors(two_screens: str) -> None:
     first, second = open_window(Address("window", "0")), open_window(Address("window", "1"))
     for _ in range(3):

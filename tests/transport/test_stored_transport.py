@@ -206,15 +206,18 @@ def test_relighting_from_files_reads_blocks(
         lm.StoredTransport.open(tmp_path / "s.zarr").rows(3, 99)
 
 
-@pytest.mark.parametrize("kept_cells", [0, 2, 6])
+@pytest.mark.parametrize("kept", [0, 200, 10_000])
 def test_an_index_of_columns_gives_the_light_of_single_pixels(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, kept_cells: int
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, kept: int
 ) -> None:
     monkeypatch.setattr(column_index, "_CHUNK", 25)
     monkeypatch.setattr(column_index, "_PASS_ENTRIES", 100)
     monkeypatch.setattr(column_index, "_TILE", 4)
-    monkeypatch.setattr(column_index, "_KEPT_CELLS", 4 * 72 * kept_cells)
+    monkeypatch.setattr(column_index, "_KEPT_ENTRIES", kept)
     whole = transport()
+    # Some samples have no background.
+    faint = whole.background < np.median(whole.background)
+    whole = replace(whole, background=np.where(faint, 0, whole.background))
     path = tmp_path / "s.zarr"
     lm.save(path, whole)
     with pytest.raises(InputError, match="has no index of its columns"):
@@ -228,7 +231,8 @@ def test_an_index_of_columns_gives_the_light_of_single_pixels(
         wanted = whole.dense_columns(pixels) @ change
         light = index.light(pixels, change)
         np.testing.assert_allclose(light.ravel(), wanted, atol=1e-6)
-        assert len(index._kept_cells) <= max(1, kept_cells)
+        entries = [tile.nnz for tile in index._kept.values()]
+        assert len(entries) <= 1 or sum(entries) <= kept
     with pytest.raises(InputError, match="pixels up to 42"):
         index.light(np.array([42]), np.ones(1))
     with pytest.raises(InputError, match="has an index already"):
@@ -245,12 +249,9 @@ def test_an_index_of_columns_gives_the_light_of_single_pixels(
     assert [entry.name for entry in tmp_path.iterdir()] == ["s.zarr"]
 
 
-@pytest.mark.parametrize("same_shape", [True, False])
-def test_the_index_of_another_matrix_is_refused(tmp_path: Path, same_shape: bool) -> None:
+def test_the_index_of_another_matrix_is_refused(tmp_path: Path) -> None:
     whole = transport()
-    other = replace(whole, sparse=whole.sparse * 2)
-    if not same_shape:
-        other = replace(whole, background=np.ones((72, 18), np.float32), background_grid=(6, 3))
+    other = replace(whole, background=np.ones((72, 18), np.float32), background_grid=(6, 3))
     for name, matrix in (("s.zarr", whole), ("other.zarr", other)):
         lm.save(tmp_path / name, matrix)
         lm.index_columns(tmp_path / name)
@@ -262,6 +263,7 @@ def test_the_index_of_another_matrix_is_refused(tmp_path: Path, same_shape: bool
 
 def test_a_damaged_index_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(column_index, "_CHUNK", 25)
+    monkeypatch.setattr(column_index, "_TILE", 1)
     path = tmp_path / "s.zarr"
     lm.save(path, transport())
     lm.index_columns(path)
@@ -271,9 +273,6 @@ def test_a_damaged_index_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
     with pytest.raises(InputError, match=r"columns: is damaged .*indices/c/2"):
         index.light(np.arange(42), np.ones(42))
     assert index.light(np.array([0]), np.ones(1)).shape == (9, 8)
-    (path / "columns" / "background" / "c" / "5" / "0").unlink()
-    with pytest.raises(InputError, match=r"columns: is damaged .*background/c/5/0 is missing"):
-        index.light(np.array([41]), np.ones(1))
     shutil.rmtree(path / "columns" / "data")
     with pytest.raises(InputError, match="columns: is damaged"):
         lm.ColumnIndex.open(path)

@@ -8,10 +8,12 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import av
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from PIL import Image
 from scipy.optimize import lsq_linear
 from scipy.sparse import csr_array, kron
 
@@ -19,6 +21,7 @@ import lightmatrix as lm
 from lightmatrix.cli import main
 from lightmatrix.simulation.truth import Truth
 from lightmatrix.uses.compensation import BoundedFit, JointLight, Reach, compensator, joint_light
+from lightmatrix.uses.wanted import fitted
 
 
 def _scene(
@@ -293,7 +296,6 @@ def test_two_projectors_blend_into_each_other(tmp_path: Path) -> None:
     ("changed", "words"),
     [
         ({"wanted": np.ones((32, 64))}, "shape .32, 64., for a camera of 64 x 64"),
-        ({"wanted": np.ones((64, 64, 3)) * [1, 1, 0.5]}, "picture is in colour"),
         ({"wanted": np.zeros((64, 64))}, "all black"),
         ({"wanted": np.full((64, 64), 255)}, "values from 255 to 255"),
         ({"wanted": np.full((64, 64), np.nan)}, "values from nan"),
@@ -302,7 +304,10 @@ def test_two_projectors_blend_into_each_other(tmp_path: Path) -> None:
         ({"mask": np.ones((3, 3))}, "mask has shape"),
         ({"ambient": np.full((64, 64), -1.0)}, "ambient light has values from -1"),
         ({"ambient": np.ones((3, 3))}, "ambient light has shape"),
+        ({"projector_mask": np.ones((3, 3))}, "mask has shape .3, 3., for a projector of 64 x 64"),
+        ({"fit": "fill"}, "a fit of 'fill'"),
         ({"brightness": 0}, "brightness of 0"),
+        ({"brightness": 70}, "brightness of 70"),
         ({"brightness": float("nan")}, "brightness of nan"),
         ({"gamma": 0}, "gamma of 0"),
         ({"exposure": -1}, "exposure of -1"),
@@ -345,16 +350,95 @@ def test_a_picture_that_is_black_where_there_is_light_is_refused() -> None:
         lm.compensate(transport, np.array([[1.0, 0.0]]))
 
 
-def test_pictures_are_read_resized_and_made_linear(
-    known: lm.LightTransport, tmp_path: Path
-) -> None:
+def test_pictures_are_read_fitted_and_made_linear(known: lm.LightTransport, tmp_path: Path) -> None:
+    """A photograph in colour of twice the size; whole levels have a gamma, floats are light."""
     grey = np.rint(255 * np.kron(_ramp(), np.ones((2, 2)))).astype(np.uint8)
     lm.write_image(tmp_path / "wanted.png", np.stack([grey] * 3, axis=-1))
-    found = lm.compensate(known, tmp_path / "wanted.png", resize=True, gamma=2.2, brightness=0.5)
-    expected = found.scale * (np.rint(255 * _ramp()) / 255) ** 2.2
-    np.testing.assert_allclose(found.target, expected, rtol=1e-4)
-    with pytest.raises(lm.InputError, match="resize=True"):
+    lm.write_image(tmp_path / "wanted.npy", (grey / 255) ** 2.2)
+    for name in ("wanted.png", "wanted.npy"):
+        found = lm.compensate(known, tmp_path / name, fit="cover", brightness=0.5)
+        expected = found.scale * (np.rint(255 * _ramp()) / 255) ** 2.2
+        np.testing.assert_allclose(found.target, expected, rtol=1e-4)
+    with pytest.raises(lm.InputError, match="fit="):
         lm.compensate(known, tmp_path / "wanted.png")
+
+
+def test_a_colour_jpeg_of_a_phone_is_seen_upright_in_its_luminance(
+    known: lm.LightTransport, tmp_path: Path
+) -> None:
+    """Red above blue; the file holds it lying, and says that the camera was turned."""
+    colours = np.zeros((64, 64, 3), np.uint8)
+    colours[:, :32, 0] = colours[:, 32:, 2] = 255
+    tags = Image.Exif()
+    tags[0x0112] = 6
+    Image.fromarray(colours).save(tmp_path / "phone.jpg", exif=tags, quality=100, subsampling=0)
+    with pytest.warns(lm.LightMatrixWarning, match="its luminance is taken"):
+        found = lm.compensate(known, tmp_path / "phone.jpg", brightness=0.5)
+    assert found.target[10, 10] / found.scale == pytest.approx(0.2126, abs=0.01)
+    assert found.target[50, 50] / found.scale == pytest.approx(0.0722, abs=0.01)
+    assert abs(found.target[10] - found.target[10, 10]).max() < 0.01
+
+
+@pytest.mark.parametrize(
+    ("fit", "expected"),
+    [
+        # A picture of 2 x 4 in a frame of 4 x 4.
+        ("cover", [[2, 2, 3, 3]] * 2 + [[6, 6, 7, 7]] * 2),
+        ("contain", [[0] * 4, [1, 2, 3, 4], [5, 6, 7, 8], [0] * 4]),
+        ("stretch", [[1, 2, 3, 4]] * 2 + [[5, 6, 7, 8]] * 2),
+    ],
+)
+def test_the_ways_to_fit_a_picture(fit: str, expected: list[list[int]]) -> None:
+    picture = np.arange(1, 9, dtype=np.float32).reshape(2, 4) / np.float32(8)
+    one = fitted(picture, (4, 4), fit)
+    # Enlarging is smooth: rows and columns in between are mixtures.
+    np.testing.assert_allclose(one, np.array(expected) / 8, atol=0.2 if fit != "contain" else 1e-6)
+    # All ways agree where nothing is left to fit, and colours stay together.
+    three = fitted(np.stack([picture] * 3, axis=-1), (2, 4), fit)
+    np.testing.assert_allclose(three, np.stack([picture] * 3, axis=-1), atol=1e-6)
+
+
+def test_pixels_that_the_mask_of_the_projector_leaves_out_stay_black(
+    known: lm.LightTransport,
+) -> None:
+    mask = np.ones((64, 64))
+    mask[:, 40:] = 0
+    found = lm.compensate(known, _ramp(), projector_mask=mask)
+    assert not found.pattern[:, 40:].any()
+    assert found.pattern[:, :40].max() > 0.5
+    # What only those pixels light is in their shadow now.
+    assert (found.reach[:, 45:] == Reach.SHADOW).mean() > 0.9
+
+
+def test_it_says_how_the_picture_would_look_as_it_is(known: lm.LightTransport) -> None:
+    found = lm.compensate(known, _ramp())
+    assert found.uncompensated_psnr is not None
+    assert found.psnr > found.uncompensated_psnr + 10
+    # On a white wall there is nothing to compensate.
+    wall = lm.LightTransport.from_matrix(csr_array(np.eye(64, dtype=np.float32)), (8, 8), (8, 8))
+    same = lm.compensate(wall, _ramp((8, 8))).uncompensated_psnr
+    assert same is not None
+    assert same > 60
+
+
+def test_a_video_file_is_compensated(known: lm.LightTransport, tmp_path: Path) -> None:
+    with av.open(str(tmp_path / "film.mp4"), "w") as film:
+        stream = film.add_stream("mpeg4", rate=10)
+        stream.width, stream.height, stream.pix_fmt, stream.bit_rate = 96, 64, "yuv420p", 4_000_000
+        for k in range(3):
+            level = np.full((64, 96, 3), 60 + 60 * k, np.uint8)
+            film.mux(stream.encode(av.VideoFrame.from_ndarray(level, "rgb24")))
+        film.mux(stream.encode())
+    words = ["compensate", str(tmp_path / "s.zarr"), str(tmp_path / "film.mp4")]
+    lm.save(tmp_path / "s.zarr", known)
+    assert main([*words, "-o", str(tmp_path / "out")]) == 0
+    patterns = lm.read_patterns(tmp_path / "out").images()
+    assert patterns.shape == (3, 64, 64)
+    means = patterns.mean(axis=(1, 2))
+    assert means[1] / means[0] == pytest.approx(2**2.2, rel=0.15)
+    (tmp_path / "no.mp4").write_bytes(b"nothing")
+    with pytest.raises(lm.InputError, match="cannot be read as a video"):
+        lm.compensate_video(known, tmp_path / "no.mp4")
 
 
 def test_a_video_keeps_its_brightness_and_its_errors_low(

@@ -16,6 +16,7 @@ from scipy.sparse import csr_array
 
 import lightmatrix as lm
 from lightmatrix.pictures import maps
+from lightmatrix.simulation.procedural import ProceduralScene
 from tests.viewer import running
 from tests.viewer.running import (
     VIEWER,
@@ -133,6 +134,12 @@ def test_a_picture_becomes_the_pattern(
     page.get_by_role("button", name="Undo").and_(page.locator(":enabled")).wait_for()
     np.testing.assert_allclose(255 * pattern(page, transport), levels, atol=1.01)
     assert_relit(page, transport)
+    # A picture in colour and of another shape is shown whole, which the page says.
+    Image.new("RGB", (36, 16), (200, 60, 60)).save(tmp_path / "wide.jpg")
+    page.locator("input[type=file]").set_input_files(tmp_path / "wide.jpg")
+    page.get_by_text("wide.jpg (36 × 16) is shown in grey at 18 × 8, with black bars").wait_for()
+    lit = pattern(page, transport) > 0.3
+    np.testing.assert_array_equal(lit[[1, 7, 14]].all(axis=1), [False, True, False])
     (tmp_path / "text.png").write_text("no picture")
     page.locator("input[type=file]").set_input_files(tmp_path / "text.png")
     page.get_by_text("text.png is not a picture").wait_for()
@@ -170,6 +177,22 @@ def _pixel(png: bytes, x: float, y: float) -> tuple[int, ...]:
     found = Image.open(io.BytesIO(png)).convert("RGB").getpixel((int(x), int(y)))
     assert isinstance(found, tuple)
     return found
+
+
+def test_the_scene_lies_behind_the_pattern(page: Page) -> None:
+    page.get_by_role("button", name="Clear").click()
+    wait_for(page, f"!!{VIEWER}.layers.behind")
+    brightest = int(np.argmax(numbers(page, f"{VIEWER}.layers.behind")))
+
+    def shown_there() -> tuple[int, ...]:
+        settle(page)
+        place = spot(page, "projector", brightest // 18 + 0.5, brightest % 18 + 0.5)
+        return _pixel(page.screenshot(), *place)
+
+    red, _, blue = shown_there()
+    assert 20 < red < blue
+    page.get_by_label("Scene behind the pattern").uncheck()
+    assert shown_there() == (0, 0, 0)
 
 
 def test_rows_and_columns(page: Page, transport: lm.LightTransport) -> None:
@@ -318,10 +341,26 @@ def test_everyone_can_use_it(
         violations = Axe().run(page).response["violations"]
         assert not violations, [v["id"] + str(v["nodes"][0]["html"]) for v in violations]
         assert page.evaluate("document.documentElement.scrollWidth") <= width
+        # On a telephone, the tools are in sight beside the picture that one paints on.
+        page.evaluate("scrollTo(0, 0)")
+        bottom = page.get_by_role("slider", name="Size").evaluate(
+            "(slider) => slider.getBoundingClientRect().bottom"
+        )
+        assert bottom <= 600
         sizes = page.evaluate(
             "[...document.querySelectorAll('button, select')].map((e) => e.clientHeight)"
         )
         assert min(sizes) >= 24
+
+
+@pytest.mark.parametrize("width", [600, 1024, 1200])
+def test_no_tool_is_cut_off(width: int, browser: Browser, server: running.Server) -> None:
+    with shown(browser, server.address, width) as page:
+        for name in ("Brush", "Move"):
+            tool = page.locator(".choice label", has_text=name)
+            right = "(e) => e.getBoundingClientRect().right"
+            assert tool.evaluate(right) <= page.locator(".choice").evaluate(right)
+            assert tool.locator("span").evaluate("(e) => e.scrollWidth <= e.clientWidth")
 
 
 def test_a_colour_camera(browser: Browser, tmp_path: Path) -> None:
@@ -345,7 +384,9 @@ def test_a_colour_camera(browser: Browser, tmp_path: Path) -> None:
 def test_the_exported_page_needs_no_network(
     browser: Browser, transport: lm.LightTransport, tmp_path: Path
 ) -> None:
-    lm.export_viewer(tmp_path / "page.html", transport)
+    patterns = lm.BernoulliPatterns(transport.projector_shape, 3)
+    capture = lm.simulate(ProceduralScene((24, 20), (16, 18)).truth(), patterns, exposure=0.1)
+    lm.export_viewer(tmp_path / "page.html", transport, capture=capture)
     text = (tmp_path / "page.html").read_text()
     addresses = re.findall(r"(?:src|href)=[\"']?([^\"'\s>]+)", text)
     assert not addresses
@@ -358,6 +399,9 @@ def test_the_exported_page_needs_no_network(
     assert_relit(page, transport)
     stroke(page, (1, 1), (9, 9))
     assert_relit(page, transport)
+    page.get_by_role("slider", name="Pattern of the capture").fill("2")
+    page.get_by_text("3 of 3").wait_for()
+    np.testing.assert_array_equal(pattern(page, transport), patterns.images(2, 3)[0])
     page.get_by_label("Layer of the camera").select_option("estimated-error")
     settle(page)
     assert page.evaluate(f"{VIEWER}.shown.camera") == "estimated-error"

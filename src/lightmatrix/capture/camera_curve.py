@@ -171,6 +171,17 @@ class Response:
                 raise InputError(message, hint=error.hint) from error
         raise InputError(f"a response of {text!r}", hint=f"use {RESPONSES}")
 
+    @property
+    def nameless(self) -> NDArray[np.float64] | None:
+        """The points (n, 2) of a curve whose name does not say it; None if it does."""
+        if self.levels is None or self.light is None or self.name == "srgb":
+            return None
+        if self.name.startswith("gamma:"):
+            same = Response.parse(self.name).light
+            if same is not None and np.array_equal(self.light, same):
+                return None
+        return np.column_stack([self.levels, self.light])
+
     def linearise(self, share: NDArray[Any]) -> NDArray[np.float64]:
         """Light, as a share of its maximum, at levels given as a share of theirs."""
         share = np.asarray(share, np.float64)

@@ -8,7 +8,8 @@ A capture folder holds::
     images/        one image for each frame, in the same natural order
     capture.json   exposure, clip and black level, response, ... (all optional)
 
-Either folder may be replaced by one file of all its images, such as images.tif.
+Either folder may be replaced by one file of all its images, such as images.tif; images/ also by
+images.zarr, which `pack` writes.
 """
 
 from __future__ import annotations
@@ -29,8 +30,7 @@ from lightmatrix.capture.camera_curve import AUTOMATIC, Response, range_end
 from lightmatrix.capture.clip_level import pile_of_frames
 from lightmatrix.capture.decoder import Decoder
 from lightmatrix.capture.frames import CaptureParts, Frames, PixelFrames, level_blocks
-from lightmatrix.capture.packed import FORMAT as PACKED_FORMAT
-from lightmatrix.capture.packed import is_packed, read_packed
+from lightmatrix.capture.packed import PACKED, open_frames
 from lightmatrix.capture.samples import Samples
 from lightmatrix.capture.sensor import Sensor
 from lightmatrix.capture.settings import (
@@ -47,31 +47,31 @@ from lightmatrix.files.kinds import CAPTURE, read_object
 from lightmatrix.files.reading import errors_naming
 from lightmatrix.files.stacks import ImageStack, is_stack, nonlinear_tag
 from lightmatrix.files.writing import atomic_folder
-from lightmatrix.files.zarr_arrays import read_attributes
 from lightmatrix.patterns.bits import with_white
 from lightmatrix.patterns.colour import ColourPatterns
 from lightmatrix.patterns.folder import fill_pattern_folder, read_patterns
 from lightmatrix.patterns.pattern_set import PatternSet
 from lightmatrix.patterns.projector_curve import ProjectorResponse
+from lightmatrix.ranges import as_path
 from lightmatrix.reprs import jsonable
 
 
 def holds_capture(place: Path) -> bool:
     """Whether a folder is a capture, packed or not; it may be damaged."""
-    packed = is_packed(place) and read_attributes(place).get("format") == PACKED_FORMAT
-    return packed or ((place / "images").is_dir() and (place / "patterns").is_dir())
+    if not place.is_dir():
+        return False
+    stems = {entry.stem for entry in place.iterdir() if entry.is_dir() or is_stack(entry)}
+    return {"patterns", "images"} <= stems
 
 
 def read_capture(
     folder: str | Path, *, allow_outside: bool = False, counted: bool = True
 ) -> CaptureParts:
-    """Read a folder or a packed capture, with outside files only if `allow_outside`."""
-    place = Path(folder)
+    """Read a capture folder, with outside files only if `allow_outside`."""
+    place = as_path(folder)
     if not place.is_dir():
         problem = "is a file, not a capture folder" if place.exists() else "no such folder"
         raise InputError(f"{place}: {problem}", hint="give a folder with patterns/ and images/")
-    if is_packed(place):
-        return read_packed(place)
     pattern_images, photographs = _find_images(place, "patterns"), _find_images(place, "images")
     file = place / NAME
     # A dangling link is an error, not a folder without a description.
@@ -88,7 +88,11 @@ def read_capture(
     shown = read_patterns(pattern_images)
     _check_projected(shown, file)
     patterns, curve = _as_light(shown, settings)
-    stack = ImageStack.open(photographs, mosaic=settings.mosaic)
+    stack: Frames
+    if photographs.name == PACKED:
+        stack = open_frames(photographs)
+    else:
+        stack = ImageStack.open(photographs, mosaic=settings.mosaic)
     if counted:
         _check_counts(patterns, stack, photographs)
     for key, stated, shape, what in (
@@ -175,9 +179,7 @@ def write_capture(
     suffix = ".png" if sensor.bits else ".npy"
     digits = max(4, len(str(patterns.count - 1)))
     with atomic_folder(folder, CAPTURE, overwrite=overwrite) as part:
-        (part / "patterns").mkdir()
         (part / "images").mkdir()
-        fill_pattern_folder(part / "patterns", patterns)
         shape, count = camera_shape, 0
         for count, frame in enumerate(frames, 1):
             image = part / "images" / f"image_{count - 1:0{digits}d}{suffix}"
@@ -195,29 +197,79 @@ def write_capture(
             raise InputError(
                 f"{count} frames for {patterns.count} patterns", hint="give one a pattern"
             )
-        content: dict[str, Any] = {
-            "format": FORMAT,
-            "version": VERSION,
-            "projector_shape": list(patterns.shape),
-            "camera_shape": list(shape or ()),
-            "patterns": patterns.digests,
-            "exposure": jsonable(sensor.exposure),
-            "clip": jsonable(sensor.decoder().clip),
-            "black_level": sensor.black_level,
-            "full_scale": sensor.full_scale,
-            "response": response,
-            "provenance": dict(provenance or {}),
-        }
+        decoder = sensor.decoder()
         if black is not None:
-            name = f"black{suffix if black.dtype.kind == 'u' else '.npy'}"
-            fill_image(part / name, black)
-            content["black"] = {"file": name}
-            if black_exposure is not None:
-                content["black"]["exposure"] = black_exposure
-        text = json.dumps(content, indent=2, default=jsonable)
-        (part / NAME).write_text(text + "\n")
+            decoder = replace(decoder, black_frame=black, black_exposure=black_exposure)
+        write_description(
+            part, patterns, shape or (), decoder, response=response, provenance=provenance
+        )
         if write_extras is not None:
             write_extras(part)
+
+
+def write_description(
+    part: Path,
+    patterns: PatternSet,
+    shape: tuple[int, ...],
+    decoder: Decoder,
+    *,
+    response: str | None = None,
+    mask: NDArray[np.bool_] | None = None,
+    provenance: Mapping[str, Any] | None = None,
+    projector_unknown: bool = False,
+) -> None:
+    """Write all of a capture folder but its images: patterns, capture.json, the files it names.
+
+    `shape` is that of a frame. The file of a `response` is written by others; None: that of the
+    decoder, whose curve becomes a file if it has no other name.
+    """
+    images = patterns.images
+    if isinstance(patterns, ColourPatterns):
+        images = patterns.colour_images
+    # The images of a pattern folder have 8 bits.
+    if patterns.kind == PatternSet.kind and not _in_8_bits(patterns):
+        np.save(part / "patterns.npy", images())
+    else:
+        (part / "patterns").mkdir()
+        fill_pattern_folder(part / "patterns", patterns)
+    content: dict[str, Any] = {
+        "format": FORMAT,
+        "version": VERSION,
+        "projector_shape": list(patterns.shape),
+        "camera_shape": list(shape),
+        "patterns": patterns.digests,
+        "exposure": decoder.exposure,
+        "black_level": decoder.black_level,
+        "full_scale": decoder.full_scale,
+        "response": response or decoder.response.name,
+        "provenance": dict(provenance or {}),
+    }
+    if not decoder.clip_assumed:
+        content["clip"] = decoder.clip
+    if decoder.black_frame is not None:
+        black = np.asarray(decoder.black_frame).reshape(shape)
+        name = "black.png" if black.dtype.kind == "u" else "black.npy"
+        fill_image(part / name, black)
+        content["black"] = {"file": name}
+        if decoder.black_exposure is not None:
+            content["black"]["exposure"] = decoder.black_exposure
+    if mask is not None:
+        fill_image(part / "mask.npy", mask.astype(np.uint8))
+        content["mask"] = "mask.npy"
+    if response is None and (points := decoder.response.nameless) is not None:
+        np.save(part / "response.npy", points)
+        content["response"] = "curve:response.npy"
+    if projector_unknown:
+        content["projector_response"] = AUTOMATIC
+    (part / NAME).write_text(json.dumps(content, indent=2, default=jsonable) + "\n")
+
+
+def _in_8_bits(patterns: PatternSet) -> bool:
+    """Whether patterns have no values between the grey values of 8 bits."""
+    return all(
+        np.array_equal(patterns.greys(k, k + 1)[0] / np.float32(255), patterns.images(k, k + 1)[0])
+        for k in range(patterns.count)
+    )
 
 
 def _link(file: Path, image: Path) -> None:
@@ -235,7 +287,8 @@ def _find_images(place: Path, name: str) -> Path:
     sources += [
         entry
         for entry in sorted(place.iterdir())
-        if entry.stem == name and is_stack(entry) and not entry.is_dir()
+        if (entry.stem == name and is_stack(entry) and not entry.is_dir())
+        or (name == "images" and entry.name == PACKED)
     ]
     if not sources:
         raise InputError(
@@ -282,7 +335,7 @@ def _with_files_beside(place: Path, description: Description, described: bool) -
     return settings
 
 
-def _check_counts(patterns: PatternSet, stack: ImageStack, images: Path) -> None:
+def _check_counts(patterns: PatternSet, stack: Frames, images: Path) -> None:
     if patterns.count != stack.count:
         raise InputError(
             f"{patterns.count} patterns, but {stack.count} images in {images}",
@@ -303,7 +356,7 @@ def _as_light(patterns: PatternSet, settings: ReadSettings) -> tuple[PatternSet,
     return response.light_of_patterns(patterns), response.as_provenance
 
 
-def make_decoder(stack: ImageStack, settings: ReadSettings) -> Decoder:
+def make_decoder(stack: Frames, settings: ReadSettings) -> Decoder:
     """The decoder of a stack, with its black frame and its range of levels.
 
     The black level is 0 unless it is stated. It is not taken from the black frame, whose room light
@@ -347,15 +400,15 @@ def make_decoder(stack: ImageStack, settings: ReadSettings) -> Decoder:
 
 
 def _read_black(
-    stack: ImageStack, settings: ReadSettings, clip: float | NDArray[Any]
+    stack: Frames, settings: ReadSettings, clip: float | NDArray[Any]
 ) -> NDArray[Any] | None:
     """Raw levels of the black frame, (M,); None where there is none."""
     file = settings.black
     if file is None:
         return None
     assert isinstance(file, (str, Path))
-    image = read_image(file, mosaic=stack.mosaic)
-    if image.ndim == 3 and stack.grey and is_grey(image):
+    image = read_image(file, mosaic=settings.mosaic)
+    if image.ndim == 3 and len(stack.shape) == 2 and is_grey(image):
         image = image[..., 0]
     if image.shape != stack.shape:
         raise InputError(
@@ -384,7 +437,7 @@ def _read_black(
 
 
 def check_depth(frames: Frames, decoder: Decoder) -> None:
-    """Refuse swapped bytes, negative levels, and 16-bit files of fewer bits without a clip level.
+    """Refuse negative levels, and 16-bit files of fewer bits without a clip level.
 
     A camera of 12 bits clips at 4095. With 65535 in its place no sample would count as clipped: the
     estimate would be wrong without any sign of it.
@@ -403,13 +456,6 @@ def check_depth(frames: Frames, decoder: Decoder) -> None:
         raise InputError(
             f"half of the levels that were looked at are below {dark:g}",
             hint="scale the images so that 0 is no light",
-        )
-    # One frame may lack some bits by chance, and a few levels without noise all may.
-    swapped = frames.dtype == np.uint16 and have_swapped_bytes([middle])
-    if swapped and len(np.unique(middle)) > 16 and have_swapped_bytes(level_blocks(frames)):
-        raise InputError(
-            "the two bytes of each level are swapped: the bits that all levels use have a gap",
-            hint="write the images in the byte order that their format or header states",
         )
     if not decoder.clip_assumed:
         return
@@ -440,22 +486,6 @@ def check_depth(frames: Frames, decoder: Decoder) -> None:
     )
 
 
-def have_swapped_bytes(levels: Iterable[NDArray[np.uint16]]) -> bool:
-    """Whether the bits that levels use have a gap, and none once their bytes are exchanged.
-
-    The bits of a camera are neighbours, wherever they stand in the 16 bits of a file: those of
-    12 bits are 0x0fff or 0xfff0, with swapped bytes 0xff0f or 0xf0ff.
-    """
-    used = 0
-    for block in levels:
-        used |= int(np.bitwise_or.reduce(block, axis=None))
-
-    def gap(bits: int) -> bool:
-        return "0" in f"{bits:b}".strip("0")
-
-    return gap(used) and not gap((used >> 8) | (used & 255) << 8)
-
-
 def read_mask(mask: str | Path | None, shape: tuple[int, ...]) -> NDArray[np.bool_] | None:
     """The camera samples where a mask image is not 0, like a frame; None without a mask."""
     if mask is None:
@@ -477,16 +507,16 @@ def read_mask(mask: str | Path | None, shape: tuple[int, ...]) -> NDArray[np.boo
     return np.asarray(image > 0)
 
 
-def _stated_response(response: Response | str | None, stack: ImageStack) -> Response:
+def _stated_response(response: Response | str | None, stack: Frames) -> Response:
     """The stated response, or the linear one, with a warning if the files are tagged otherwise."""
     if isinstance(response, Response):
         return response
     if response is not None:
         return Response.parse(str(response))
-    tag = nonlinear_tag(stack.paths[0])
-    if tag is not None:
+    first = stack.paths[0] if isinstance(stack, ImageStack) else None
+    if first is not None and (tag := nonlinear_tag(first)) is not None:
         warn(
-            f"{stack.paths[0]}: {tag}, so probably not linear, but no response is given; "
+            f"{first}: {tag}, so probably not linear, but no response is given; "
             "give one (srgb, gamma:2.2, ...), or linear if it is"
         )
     return Response()
@@ -494,7 +524,7 @@ def _stated_response(response: Response | str | None, stack: ImageStack) -> Resp
 
 def read_white_frame(path: str | Path, settings: ReadSettings) -> Samples:
     """The M samples of a photograph that do not clip without light, (M, 1), at exposure 1."""
-    file = Path(path)
+    file = as_path(path)
     if not file.exists() or file.is_dir():
         problem = "is a folder" if file.is_dir() else "no such file"
         raise InputError(

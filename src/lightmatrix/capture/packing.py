@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import json
 import math
 import shutil
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -15,15 +14,16 @@ from numpy.typing import NDArray
 
 from lightmatrix.capture.capture import Capture, open_capture
 from lightmatrix.capture.decoder import Decoder
+from lightmatrix.capture.folder import write_description
 from lightmatrix.capture.frames import Frames, PixelFrames, in_order
-from lightmatrix.capture.packed import BITS, BLACK, CURVE, FORMAT, FRAMES, LEVELS, MASK, VERSION
+from lightmatrix.capture.packed import FORMAT, FRAMES, PACKED, VERSION
 from lightmatrix.capture.settings import DEPTH, GEOMETRY, TRUTH
 from lightmatrix.errors import InputError
-from lightmatrix.files.kinds import PACKED_CAPTURE
+from lightmatrix.files.kinds import CAPTURE
 from lightmatrix.files.writing import atomic_folder, check_output
-from lightmatrix.files.zarr_arrays import create_array, write_parts
+from lightmatrix.files.zarr_arrays import create_array
 from lightmatrix.patterns.pattern_set import PatternSet
-from lightmatrix.reprs import jsonable
+from lightmatrix.ranges import as_path
 from lightmatrix.resources.disk import check_disk_space, scratch_array
 
 Progress = Callable[[int, int], None]
@@ -44,31 +44,29 @@ def pack(
     overwrite: bool = False,
     progress: Progress | None = None,
 ) -> None:
-    """Write the frames of a capture into one array, from which tiles of pixels are read fast.
+    """Write a capture folder with all frames in one array, from which tiles are read fast.
 
-    `Capture.open` reads the same capture back: frames, patterns, levels, exposures, black frame,
-    response, mask. Every frame is read once, in bounded memory. An interrupted run leaves nothing
-    behind.
+    `Capture.open` reads the same capture back. Every frame is read once, in bounded memory. An
+    interrupted run leaves nothing behind.
 
     Parameters
     ----------
     capture : Capture, str or Path
         A capture, not binned; or a capture folder, whose truth.npz is copied.
     output : str or Path
-        Packed capture to write, ending in .zarr.
+        Capture folder to write.
     memory : int
         Bytes to work in. Captures larger than half of it are transposed through a temporary file
         beside the output, as large as their levels.
     overwrite : bool
-        Whether an existing packed capture may be replaced.
+        Whether an existing capture may be replaced.
     progress : callable, optional
         Called with (done, total) frames.
 
     Raises
     ------
     InputError
-        On a capture that is binned, frames that cannot be read, or patterns whose light is to be
-        found.
+        On a capture that is binned, or frames that cannot be read.
     OutputError
         If the output exists or cannot be written, or the disk is too small, which is checked before
         a frame is read.
@@ -77,13 +75,13 @@ def pack(
     --------
     >>> import lightmatrix as lm
     >>> capture = lm.simulate("metal", lm.BernoulliPatterns((64, 64), 8))
-    >>> lm.pack(capture, "metal.zarr")
-    >>> lm.Capture.open("metal.zarr").digest == capture.digest
+    >>> lm.pack(capture, "packed")
+    >>> lm.Capture.open("packed").digest == capture.digest
     True
     """
-    check_output(output, PACKED_CAPTURE, overwrite=overwrite)
+    check_output(output, CAPTURE, overwrite=overwrite)
     opened = open_capture(capture)
-    source = None if isinstance(capture, Capture) else Path(capture)
+    source = None if isinstance(capture, Capture) else as_path(capture)
 
     def copy_truth(part: Path) -> None:
         for name in (TRUTH, GEOMETRY, DEPTH):
@@ -112,13 +110,6 @@ def pack_capture(
     """Pack a capture as `pack` does; `write_extras` writes further files into the folder."""
     if capture.bin_projector != (1, 1) or capture.bin_camera != (1, 1):
         raise InputError("a binned capture cannot be packed", hint="pack it first, then bin it")
-    if capture.projector_unknown:
-        raise InputError(
-            "a packed capture holds the light of its patterns, which is to be found",
-            hint="estimate from the folder, which finds it; name a file of the projector's curve "
-            "in capture.json; or, in Python, pack "
-            "lm.find_projector_response(capture).applied_to(capture)",
-        )
     frames, output = capture.frames, Path(output)
     size = frames.count * math.prod(frames.shape) * frames.dtype.itemsize
     # The place of cropped photographs is part of their description.
@@ -132,12 +123,13 @@ def pack_capture(
         shape=frames.shape,
         dtype=frames.dtype,
         names=[frames.name(k) for k in range(frames.count)],
-        mask=capture.mask,
-        provenance=provenance,
         write_extras=write_extras,
         # Frames that do not fit into memory lie beside the output until it is whole.
         copies=1 if isinstance(frames, PixelFrames) or size <= memory // 2 else 2,
         overwrite=overwrite,
+        mask=capture.mask,
+        provenance=provenance,
+        projector_unknown=capture.projector_unknown,
     )
 
 
@@ -150,61 +142,34 @@ def write_packed(
     shape: tuple[int, ...],
     dtype: np.dtype[Any],
     names: Sequence[str],
-    mask: NDArray[np.bool_] | None = None,
-    provenance: Mapping[str, Any] | None = None,
     write_extras: Callable[[Path], None] | None = None,
     copies: int = 1,
     overwrite: bool = False,
+    **described: Any,
 ) -> None:
     """Write a packed capture of K frames strip by strip, whole or not at all.
 
     `shape` and `dtype` are those of a frame. `write_extras` writes further files into the folder.
-    The disk must have room for as many `copies` of the levels.
+    The disk must have room for as many `copies` of the levels. `described` is what else
+    `write_description` takes.
     """
     count, dtype = len(names), np.dtype(dtype)
     # A chunk holds all frames of some whole camera rows, or of a part of one.
     pixels = max(1, _CHUNK_BYTES // (count * math.prod(shape[2:]) * dtype.itemsize))
     rows, cols = min(shape[0], max(1, pixels // shape[1])), min(shape[1], pixels)
-    bits = patterns.as_bits()
-    small: dict[str, NDArray[Any]]
-    small = {LEVELS: patterns.images()} if bits is None else {BITS: bits}
-    if decoder.black_frame is not None:
-        small[BLACK] = np.asarray(decoder.black_frame).reshape(shape)
-    if mask is not None:
-        small[MASK] = mask
-    if decoder.response.levels is not None and decoder.response.light is not None:
-        small[CURVE] = np.stack([decoder.response.levels, decoder.response.light])
-    content = {
-        "format": FORMAT,
-        "version": VERSION,
-        "projector_shape": list(patterns.shape),
-        "camera_shape": list(shape),
-        "names": list(names),
-        "patterns": {"description": patterns.description, "digest": patterns.digest},
-        "exposure": decoder.exposure,
-        "clip": decoder.clip,
-        "clip_assumed": decoder.clip_assumed,
-        "black_level": decoder.black_level,
-        "full_scale": decoder.full_scale,
-        "response": decoder.response.name,
-        "provenance": dict(provenance or {}),
-    }
-    if decoder.black_exposure is not None:
-        content["black_exposure"] = decoder.black_exposure
-    with atomic_folder(output, PACKED_CAPTURE, overwrite=overwrite) as part:
+    with atomic_folder(output, CAPTURE, overwrite=overwrite) as part:
         # Noise hardly compresses, so the output may be as large as the levels.
         levels = count * math.prod(shape) * dtype.itemsize
         check_disk_space(part, copies * levels, output)
-        group = zarr.open_group(part, mode="w", zarr_format=3)
+        group = zarr.open_group(part / PACKED, mode="w", zarr_format=3)
         chunks = (count, rows, cols, *shape[2:])
         frames = create_array(group, FRAMES, (count, *shape), dtype, chunks)
         top = 0
         for strip in strips(rows):
             frames[:, top : top + strip.shape[1]] = strip
             top += strip.shape[1]
-        write_parts(group, [small])
-        # The attributes come last: a group without them is not whole.
-        group.attrs.update(json.loads(json.dumps(content, default=jsonable)))
+        group.attrs.update({"format": FORMAT, "version": VERSION, "names": list(names)})
+        write_description(part, patterns, shape, decoder, **described)
         if write_extras is not None:
             write_extras(part)
 

@@ -16,8 +16,8 @@
 ==================  ==============================================================================
 
 The checks share three foundations: ``survey`` reads the samples that they look at; ``pursuit``
-predicts frames for the judgement of their order (also in the live rig); ``prediction`` predicts
-them more exactly, for everything else. ``finding`` is what they return. ``bends`` finds by how much
+predicts frames for the judgement of their order; ``prediction`` predicts them more exactly, for
+everything else. ``finding`` is what they return. ``bends`` finds by how much
 the curve of a camera or projector is off, for ``linearity`` and the estimators of unknown curves;
 ``curves`` says how it may differ, and what was found of it.
 """

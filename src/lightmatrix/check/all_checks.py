@@ -30,7 +30,7 @@ from lightmatrix.check.levels import (
 from lightmatrix.check.linearity import check_grey_levels, check_linearity, show_pictures
 from lightmatrix.check.motion import check_motion
 from lightmatrix.check.prediction import predict
-from lightmatrix.check.relation import check_relation
+from lightmatrix.check.relation import check_relation, check_unseen
 from lightmatrix.check.survey import Survey, high_variance_rows
 from lightmatrix.check.wrong_frames import (
     LIKELY,
@@ -206,9 +206,12 @@ def _check(capture: Capture) -> list[Finding]:
     findings = check_interchanged(survey)
     if findings:
         return findings
-    # What follows judges by the level at which the photographs do clip.
+    # What follows judges by the level at which the photographs do clip, and by the pixels that see.
     of_clip, survey = check_clip_level(survey)
-    return of_clip + _check_surveyed(survey, capture)
+    unseen, survey = check_unseen(survey)
+    if capture.whole is not capture:
+        unseen, _ = check_unseen(_survey(capture))
+    return of_clip + unseen + _check_surveyed(survey, capture)
 
 
 def _check_surveyed(survey: Survey, capture: Capture) -> list[Finding]:
@@ -332,9 +335,7 @@ def _check_by_pairs(
     bent = check_linearity(corrected, doubted, steady=False) if light else []
     if bent:
         return findings + bent
-    gains, frames = pair_gains(corrected, rows, pairs, doubted)
-    # Gains are medians over many pixels; they are as exact as cameras are linear.
-    return findings + check_flicker(gains, np.full(len(gains), 0.004), frames, names)
+    return findings + check_flicker(*pair_gains(corrected, rows, pairs, doubted), names)
 
 
 def _check_by_prediction(

@@ -215,8 +215,7 @@ class _Judge:
         values = np.full(light.shape, np.nan, np.float32)
         values[:, shown] = (light - common)[:, known]
         fold = np.random.default_rng(0).permutation(count) % fold_count(count)
-        # For some tens of rows a search of all pixels is quicker than making shortlists.
-        predicted = predict_by_pursuit(self.patterns, self.scale, values, fold, shortlist=False)
+        predicted = predict_by_pursuit(self.patterns, self.scale, values, fold)
         brightness = np.full(count, common.mean(), np.float32)
         brightness[shown] = common[known]
         predicted = np.minimum(predicted + brightness, rows.lowest)

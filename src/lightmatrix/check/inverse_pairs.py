@@ -21,7 +21,7 @@ from lightmatrix.capture.samples import Samples
 from lightmatrix.check.finding import Finding, order_findings
 from lightmatrix.check.motion import find_shift, motion_finding
 from lightmatrix.check.prediction import find_places
-from lightmatrix.check.survey import MARGIN, Survey, random_sums
+from lightmatrix.check.survey import MARGIN, Survey, bright_mean, random_sums
 from lightmatrix.check.wrong_frames import black_frames
 from lightmatrix.patterns.pattern_set import PatternSet
 
@@ -99,13 +99,19 @@ class PairSums:
         """The pairs that do not add up to white."""
         return [pair for pair in self.pairs if self.oddness(*pair) > self.limit]
 
-    def gain(self, frame: int, partner: int) -> float:
-        """How much brighter a frame is than its partner lets expect, as a share; 0 if unknown."""
-        expected = self.usual - self.samples.values[:, partner]
-        lit = (expected > 0.6 * self.usual) & ~self.samples.clipped[:, frame]
+    def gain(self, frame: int, partner: int) -> tuple[float, float]:
+        """How much brighter a frame is than its partner lets expect, as a share, and its error."""
+        expected, usual = self.usual - self.samples.values[:, partner], np.nan_to_num(self.usual)
+        # In dim pixels, noise decides which of the two frames is the brighter one.
+        lit = (expected > 0.6 * usual) & (usual > 0.2 * bright_mean(usual))
+        lit &= ~self.samples.clipped[:, frame]
         if lit.sum() < 20:
-            return 0.0
-        return float(np.median(self.samples.values[lit, frame] / expected[lit])) - 1
+            return 0.0, np.inf
+        # However many they are, they are only as exact as cameras are linear.
+        light, total = expected[lit], expected[lit].sum()
+        change = self.samples.values[lit, frame] - light
+        gain = float(change.sum() / total)
+        return gain, float(np.hypot(0.004, np.linalg.norm(change - gain * light) / total))
 
     def black_frame(self, pair: Pair) -> int | None:
         """The frame of a pair that is dark where its partner is dark too."""
@@ -163,12 +169,15 @@ def check_pairs(
 
 def pair_gains(
     survey: Survey, rows: NDArray[np.int64], pairs: Pairs, doubted: NDArray[np.bool_]
-) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-    """How much brighter each frame is than its partner lets expect, and which frames these are."""
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.int64]]:
+    """How much brighter frames are than their partners let expect, the errors, and which these are.
+
+    Each is (k,).
+    """
     sums = PairSums(pairs.pairs, survey.samples(rows))
     frames = [(j, k) for pair in pairs.pairs for j, k in (pair, pair[::-1]) if not doubted[j]]
-    gains = np.array([sums.gain(j, k) for j, k in frames])
-    return gains, np.array([j for j, _ in frames], np.int64)
+    gains = np.array([sums.gain(j, k) for j, k in frames]).reshape(-1, 2)
+    return gains[:, 0], gains[:, 1], np.array([j for j, _ in frames], np.int64)
 
 
 def _find_swap(

@@ -19,7 +19,7 @@ from scipy.fft import dctn, idctn
 
 from lightmatrix.capture.clip_level import find_pile
 from lightmatrix.check.finding import Finding, join_names
-from lightmatrix.check.survey import BLOCK, Survey
+from lightmatrix.check.survey import BLOCK, Survey, bright_mean
 
 # A frequency needs as many coefficients for a comb.
 _FEWEST_COEFFICIENTS = 40
@@ -39,7 +39,7 @@ _TABLE = np.array(
 
 
 def check_light_level(survey: Survey) -> list[Finding]:
-    """Too much light, too little, or nearly everywhere none from the projector."""
+    """Too much light, or too little."""
     known, valid = survey.statistics, survey.valid
     if not valid.any():
         message = "no camera pixel counts: all are masked, or clipped in the black frame"
@@ -53,23 +53,12 @@ def check_light_level(survey: Survey) -> list[Finding]:
         message = f"{100 * clipped:.0f} % of the samples are clipped"
         return [Finding("light", (), message, advice)]
     brightest = float(np.quantile(known.highest[valid], 0.999))
-    levels = brightest / one_level(survey)
+    levels = brightest / survey.one_level
     # Noise of one level would be 4 % of 24.
     if survey.raw.dtype.kind == "u" and levels < 24:
         message = f"the brightest samples reach {max(levels, 0):.0f} raw levels above black"
         advice = "expose longer or open the aperture; check the black frame and the black level"
         return [Finding("light", (), message, advice)]
-    # A camera pixel has not seen the projector if it varies by less than 5 % of what the most
-    # varied 5 % of the pixels do, or by less than 3 raw levels. A pixel that always clips does not
-    # vary either, but sees too much.
-    span = known.highest - known.lowest
-    usual = float(np.quantile(span[valid], 0.95))
-    still = valid & (span < max(0.05 * usual, 3 * one_level(survey))) & (known.clipped < 0.5)
-    unseen = float(still.sum() / valid.sum())
-    if unseen > 0.9:
-        message = f"{100 * unseen:.0f} % of the camera pixels never see light of the projector"
-        advice = "move camera or lens so that the lit part fills the image, or mask the rest"
-        return [Finding("unseen", (), message, advice)]
     return []
 
 
@@ -131,7 +120,9 @@ def check_plain_frames(
     samples = survey.samples(rows)
     bottom = samples.values.min(axis=1, keepdims=True)
     span = np.maximum(samples.values.max(axis=1, keepdims=True) - bottom, 1e-9)
-    level = np.median((samples.values - bottom) / span, axis=0)
+    # In dim rows, noise decides which frame is the brightest.
+    lit = span[:, 0] > 0.2 * bright_mean(span)
+    level = np.median(((samples.values - bottom) / span)[lit], axis=0)
     findings = []
     # Grey values differ by 2 % at most in black and white patterns. Under them the median pixel
     # must lie in the lowest or highest 15 % of its own range.
@@ -158,14 +149,6 @@ def check_plain_frames(
         )
         findings.append(Finding("black", (), message, advice))
     return findings
-
-
-def one_level(survey: Survey) -> float:
-    """One raw level in units of the clip level at the longest exposure; a millionth of floats."""
-    decoder = survey.decoder
-    span = float(np.max(np.asarray(decoder.clip) - np.asarray(decoder.black_level)))
-    longest = float(np.max(decoder.exposure))
-    return 1 / (span * longest) if survey.raw.dtype.kind == "u" else 1e-6 / longest
 
 
 def check_jpeg(survey: Survey, names: Sequence[str]) -> list[Finding]:

@@ -12,7 +12,7 @@ frames at the same pixel.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -20,8 +20,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter1d
 
 from lightmatrix.check.finding import Finding
-from lightmatrix.check.levels import one_level
-from lightmatrix.check.survey import Survey
+from lightmatrix.check.survey import Survey, bright_mean
 from lightmatrix.patterns.pattern_set import PatternSet
 from lightmatrix.patterns.stripes import is_separable
 
@@ -86,7 +85,8 @@ _LIMITS = _Limits()
 
 def check_relation(survey: Survey) -> list[Finding]:
     """Whether the photographs follow the patterns, or what else they follow."""
-    relation = Relation.of(survey)
+    few = survey.count < _LIMITS.frames or is_separable(survey.patterns)
+    relation = None if few else Relation.of(survey)
     if relation is None:
         return []
     explanation = relation.explanation()
@@ -110,6 +110,30 @@ def check_relation(survey: Survey) -> list[Finding]:
         "same order, and that nothing was turned or moved in between"
     )
     return [Finding("unrelated", (), message, advice)]
+
+
+def check_unseen(survey: Survey) -> tuple[list[Finding], Survey]:
+    """Whether hardly any camera pixel sees the projector; and the survey of those that do."""
+    known, valid = survey.statistics, survey.valid
+    span = np.where(valid, known.highest - known.lowest, 0)
+    # Pixels that vary by less than 3 raw levels, or by less than 5 % of the others, may not see it.
+    # One that always clips does not vary either, but sees too much.
+    least = max(0.05 * bright_mean(span), 3 * survey.one_level)
+    still = valid & (span < least) & (known.clipped < 0.5)
+    unseen = float(still.sum()) / max(int(valid.sum()), 1)
+    if unseen < 0.9:
+        return [], survey
+    # A dark ground around bright dots follows the patterns, noise does not. The dimmer half is
+    # judged, without the rim of what the projector lights.
+    dim = still & (known.spread <= np.median(known.spread[still]))
+    relation = Relation.of(replace(survey, valid=dim))
+    if relation is not None and (
+        relation.as_they_are > _LIMITS.follows or relation._agreement > _LIMITS.agree
+    ):
+        return [], survey
+    message = f"{100 * unseen:.0f} % of the camera pixels never see light of the projector"
+    advice = "move camera or lens so that the lit part fills the image, or mask the rest"
+    return [Finding("unseen", (), message, advice)], replace(survey, valid=valid & ~still)
 
 
 @dataclass(frozen=True, eq=False)
@@ -136,8 +160,6 @@ class Relation:
     @classmethod
     def of(cls, survey: Survey) -> Relation | None:
         """The relation of a survey; None if too little of it can be compared."""
-        if survey.count < _LIMITS.frames or is_separable(survey.patterns):
-            return None
         step = 1
         while np.prod([max(1, n // step) for n in survey.patterns.shape]) > _LIMITS.most_pixels:
             step *= 2
@@ -152,7 +174,7 @@ class Relation:
         if len(rows) < _LIMITS.rows:
             return None
         span = known.highest[rows] - known.lowest[rows]
-        least = _LIMITS.contrast_levels * one_level(survey)
+        least = _LIMITS.contrast_levels * survey.one_level
         least = np.maximum(_LIMITS.contrast * known.highest[rows], least)
         rows = np.sort(np.random.default_rng(0).permutation(rows)[: _LIMITS.most_samples // count])
         values = survey.samples(rows).values[:, :count].copy()
@@ -284,8 +306,9 @@ class Relation:
         mixed = np.random.default_rng(1).permutation(len(self.samples))
         upper = np.triu_indices(len(self.frames), 1)
         halves = [self.samples[part] for part in np.array_split(mixed, 2)]
-        first, second = (_cosines_of(part.T @ part)[0][upper] for part in halves)
-        return float(np.corrcoef(first, second)[0, 1])
+        # Room light that flickers is alike in all pixels, whatever they see.
+        first, second = (_cosines_of(part.T @ part)[1][upper] for part in halves)
+        return float(_normalised(first) @ _normalised(second))
 
     def explanation(self) -> tuple[str, str] | None:
         """What explains the photographs better than their order, and what to do."""

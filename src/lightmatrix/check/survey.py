@@ -95,6 +95,14 @@ class Survey:
         """Number of frames K."""
         return self.raw.shape[1]
 
+    @property
+    def one_level(self) -> float:
+        """One raw level as a share of the clip level at the longest exposure; 1e-6 of floats."""
+        decoder = self.decoder
+        span = float(np.max(np.asarray(decoder.clip) - np.asarray(decoder.black_level)))
+        longest = float(np.max(decoder.exposure))
+        return 1 / (span * longest) if self.raw.dtype.kind == "u" else 1e-6 / longest
+
     @cached_property
     def distinct_patterns(self) -> int:
         """Number of distinct patterns: one that is shown again tells nothing new."""
@@ -202,6 +210,11 @@ def _places(
     lefts = np.linspace(0, cols - _TILE, right).astype(int) // BLOCK * BLOCK
     cut = [every[r : r + _TILE, c : c + _TILE] for r in tops for c in lefts]
     return np.concatenate([tile.ravel() for tile in cut]), (len(cut), _TILE, _TILE, channels)
+
+
+def bright_mean(values: NDArray[np.floating]) -> float:
+    """The mean of values (n,) weighted by themselves, to which few bright ones among dark count."""
+    return float((values**2).sum()) / max(float(values.sum()), 1e-12)
 
 
 def robust_deviation(values: NDArray[np.floating]) -> float:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from enum import StrEnum
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -9,16 +10,37 @@ from typer import Argument, Option
 
 import lightmatrix as lm
 from lightmatrix.cli import options
-from lightmatrix.cli.terminal import progress, say, show_json, stages
+from lightmatrix.cli.terminal import (
+    enter_was_pressed,
+    progress,
+    say,
+    show_json,
+    stages,
+)
 from lightmatrix.defaults import RIG_FILE, USUAL_PATIENCE
 from lightmatrix.errors import InputError
+from lightmatrix.files.extras import VIDEOS
+
+
+class Fit(StrEnum):
+    """How a picture of another size is fitted to the camera."""
+
+    COVER = "cover"
+    CONTAIN = "contain"
+    STRETCH = "stretch"
 
 
 def compensate(
     scene: options.Store,
-    output: Annotated[Path, options.output_option("Image of the pattern; a folder with --video.")],
+    output: Annotated[
+        Path, options.output_option("Image of the pattern; of a video, a folder of them.")
+    ],
     wanted: Annotated[
-        Path | None, Argument(metavar="WANTED", help="The picture that the camera is to see.")
+        Path | None,
+        Argument(
+            metavar="WANTED",
+            help="The picture that the camera is to see: an image, a folder of frames, or a video.",
+        ),
     ] = None,
     brightness: Annotated[
         str,
@@ -26,19 +48,31 @@ def compensate(
             metavar="auto|0.7", help="Light of wanted white, as a share of that of a white pattern."
         ),
     ] = "auto",
+    fit: Annotated[
+        Fit,
+        Option(help="A picture of another size covers the camera, is seen whole, or is stretched."),
+    ] = Fit.COVER,
     black: Annotated[
         Path | None, Option(help="Photograph of a black pattern: the room's light.")
     ] = None,
     mask: Annotated[
-        Path | None, Option(help="Image that is 0 where the picture does not matter.")
+        Path | None, Option(help="Image of camera pixels, 0 where the picture does not matter.")
+    ] = None,
+    projector_mask: Annotated[
+        Path | None, Option(help="Image of projector pixels, 0 for those that stay black.")
     ] = None,
     gamma: Annotated[
-        float, Option(help="Display gamma of the picture, 2.2 for most photographs.")
-    ] = 1.0,
-    resize: Annotated[bool, Option("--resize", help="Resize the picture to the camera.")] = False,
+        float | None,
+        Option(
+            help="Display gamma of the picture.", show_default="2.2; 1 for files of floats: EXR"
+        ),
+    ] = None,
     exposure: Annotated[
         float,
-        Option(help="Exposure at which clipped camera pixels are counted; T is for exposure 1."),
+        Option(
+            rich_help_panel=options.RARE,
+            help="Exposure at which clipped camera pixels are counted; T is for exposure 1.",
+        ),
     ] = 1.0,
     projector_response: Annotated[
         str | None,
@@ -56,9 +90,6 @@ def compensate(
             metavar="OTHER.zarr", help="T of a further projector on the same scene; repeatable."
         ),
     ] = None,
-    video: Annotated[
-        Path | None, Option(help="Folder of frames to compensate instead of one picture.")
-    ] = None,
     cancel_global: Annotated[
         bool,
         Option(
@@ -70,6 +101,13 @@ def compensate(
         int | None,
         Option(help="Photographs on a rig that correct the pattern.", show_default="none"),
     ] = None,
+    live: Annotated[
+        bool,
+        Option(
+            "--live",
+            help="Go on photographing and correcting until Enter, while the light may change.",
+        ),
+    ] = False,
     rig: options.RigName = None,
     projector: options.ProjectorName = None,
     camera: options.CameraName = None,
@@ -84,94 +122,96 @@ def compensate(
     It takes into account what light does on its way from surface to surface. Pixels that cannot be
     reached are counted. With a rig, photographs of the pattern correct it.
     """
-    common: dict[str, Any] = {
-        "mask": mask,
-        "brightness": _brightness(brightness),
-        "gamma": gamma,
-        "resize": resize,
-        "output": output,
-        "overwrite": overwrite,
-    }
+    share = _brightness(brightness)
     with_rig = rig is not None or projector is not None or camera is not None
     several = bool(green or blue or beside)
+    video = wanted is not None and (wanted.is_dir() or wanted.suffix.lower() in VIDEOS)
     if cancel_global:
-        other = several or video or with_rig or refine is not None or black or mask or resize
-        if other or common["brightness"] is not None or gamma != 1:
+        other = several or video or with_rig or refine is not None or live or black or mask
+        if other or projector_mask or share is not None or gamma is not None:
             raise InputError(
                 "--cancel-global with options of other compensations",
                 hint="it takes SCENE.zarr and, if not white, a pattern",
             )
-    elif (wanted is None) == (video is None):
-        both = "both a picture and a video" if wanted else "no picture"
-        raise InputError(both, hint="give the wanted picture, or --video and a folder of frames")
-    elif (refine is not None or settle is not None) and not with_rig:
+    elif wanted is None:
+        raise InputError("no picture", hint="give the wanted picture, or a folder of frames")
+    elif not with_rig and (refine is not None or live or settle is not None):
+        name = "refine" if refine is not None else "live" if live else "settle"
         raise InputError(
-            f"--{'settle' if refine is None else 'refine'} without a rig",
+            f"--{name} without a rig",
             hint="add --rig virtual:SCENE, or --projector and --camera",
         )
-    elif several and (video is not None or with_rig):
+    elif several and (video or with_rig):
         raise InputError(
             "several matrices for a video or a rig",
             hint="compensate single pictures with several projectors or in colour",
         )
-    elif with_rig and (video is not None or black is not None):
+    elif with_rig and (video or black is not None or projector_response is not None):
+        taken = "a video" if video else "--black" if black else "--projector-response"
         raise InputError(
-            f"a rig and --{'video' if video is not None else 'black'}",
-            hint="a rig takes a picture, and photographs black by itself",
+            f"a rig and {taken}",
+            hint="a rig takes a picture, and measures black and its response by itself",
         )
     response: Any = projector_response
-    source = projector_response or "the capture of T"
-    if with_rig:
-        if projector_response is not None:
-            raise InputError(
-                "a rig and --projector-response", hint="a rig measures its response by itself"
-            )
-        source = "the rig"
-    elif response is None and not several and rig_file.is_file():
+    source = "the rig" if with_rig else projector_response or "the capture of T"
+    if response is None and not with_rig and not several and rig_file.is_file():
         response, source = lm.RigMeasurements.load(rig_file).response, str(rig_file)
-    encoding = {"projector_response": response}
-    summary: dict[str, Any] = {"output": output}
+    written: dict[str, Any] = {"output": output, "overwrite": overwrite}
+    if not with_rig:
+        written["projector_response"] = response
+    common: dict[str, Any] = written | {
+        "mask": mask,
+        "projector_mask": projector_mask,
+        "brightness": share,
+        "gamma": gamma,
+        "fit": fit.value,
+    }
+    found: Any
     if cancel_global:
-        found = lm.cancel_global(scene, wanted, output=output, overwrite=overwrite, **encoding)
-        summary |= found.as_dict()
-    elif video is not None:
+        found = lm.cancel_global(scene, wanted, **written)
+    elif video:
+        assert wanted is not None
         with progress("compensating", "frames") as report:
-            frames = lm.compensate_video(
-                scene, video, ambient=black, progress=report, **common, **encoding
-            )
-        summary |= frames.as_dict()
+            found = lm.compensate_video(scene, wanted, ambient=black, progress=report, **common)
     elif with_rig:
         opened = lm.open_rig(rig, projector=projector, camera=camera, patience=patience)
+        assert wanted is not None
+        if live:
+            common["live"] = _Live(refine, quiet=as_json)
+        elif refine is not None:
+            common["steps"] = refine
         with opened, stages() as shown:
-            if refine is not None:
-                common["steps"] = refine
-            assert wanted is not None
-            refined = lm.refine_compensation(
-                opened,
-                scene,
-                wanted,
-                keep=rig_file,
-                settle=settle,
-                measuring=shown.measured,
-                **common,
-            )
-        summary |= refined.as_dict()
+            common |= {"keep": rig_file, "settle": settle, "measuring": shown.measured}
+            found = lm.refine_compensation(opened, scene, wanted, **common)
     else:
         matrices = [*(options.primaries(scene, green, blue) or (scene,)), *(beside or ())]
         assert wanted is not None
-        found = lm.compensate(
-            matrices, wanted, ambient=black, exposure=exposure, **common, **encoding
-        )
-        summary |= found.as_dict()
+        found = lm.compensate(matrices, wanted, ambient=black, exposure=exposure, **common)
+    summary = {"output": output, **found.as_dict()}
     if as_json:
         show_json(summary)
+        return
+    _show(summary, cancelled=cancel_global, live=live)
+    gamma_shown = summary["projector_gamma"]
+    if gamma_shown is None:
+        say(
+            "it holds light: most projectors need --projector-response gamma:2.2, or a measured one"
+        )
     else:
-        _show(summary, cancelled=cancel_global)
-        gamma_shown = summary["projector_gamma"]
-        if gamma_shown is None:
-            say("it holds light: a projector with a gamma needs --projector-response")
-        else:
-            say(f"encoded for a projector of gamma {gamma_shown:.2g}, by {source}")
+        say(f"encoded for a projector of gamma {gamma_shown:.2g}, by {source}")
+
+
+class _Live:
+    """Says how close each photograph comes, until Enter or so many photographs after the first."""
+
+    def __init__(self, most: int | None, *, quiet: bool) -> None:
+        self._most, self._quiet, self._count = most, quiet, 0
+
+    def __call__(self, decibels: float) -> bool:
+        if not self._quiet:
+            say(f"photograph {self._count}: {decibels:.1f} dB" + "; Enter ends" * (not self._count))
+        self._count += 1
+        return not enter_was_pressed() and (self._most is None or self._count <= self._most)
 
 
 def _brightness(text: str) -> float | None:
@@ -183,7 +223,7 @@ def _brightness(text: str) -> float | None:
         raise InputError(f"a brightness of {text!r}", hint="write auto, or a number") from None
 
 
-def _show(summary: dict[str, Any], *, cancelled: bool) -> None:
+def _show(summary: dict[str, Any], *, cancelled: bool, live: bool) -> None:
     if cancelled:
         say(f"{summary['output']}: the camera sees direct light, within 5 % of the light of white")
     else:
@@ -192,6 +232,12 @@ def _show(summary: dict[str, Any], *, cancelled: bool) -> None:
     if "frames" in summary:
         say(f"{summary['frames']} frames; {100 * summary['reached']:.1f} % of the pixels reached")
         return
+    plain = summary["uncompensated_psnr"]
+    if plain is not None:
+        say(
+            f"{summary['predicted_psnr']:.1f} dB from the picture, "
+            f"{plain:.1f} dB if it were shown as it is"
+        )
     reasons = {"too_dark": "too dark", "too_bright": "too bright", "shadow": "in shadow"}
     rest = [
         f"{100 * summary[key]:.1f} % {text}"
@@ -200,7 +246,8 @@ def _show(summary: dict[str, Any], *, cancelled: bool) -> None:
     ]
     share = f"{100 * summary['reached']:.1f} % of the camera pixels are reached"
     say("; ".join([share, ", ".join(rest)] if rest else [share]))
-    for step, decibels in enumerate(summary.get("photographed_psnr", ())):
-        say(f"photograph {step}: {decibels:.1f} dB")
+    if not live:
+        for step, decibels in enumerate(summary.get("photographed_psnr", ())):
+            say(f"photograph {step}: {decibels:.1f} dB")
     if summary["clipped"]:
         say(f"{100 * summary['clipped']:.2g} % of the pixels would clip", style="yellow")

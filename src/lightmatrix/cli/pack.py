@@ -10,25 +10,23 @@ from lightmatrix.cli.claims import claim
 from lightmatrix.cli.options import Json, Overwrite, output_option
 from lightmatrix.cli.source import Source, with_source
 from lightmatrix.cli.terminal import progress, say, show_json
-from lightmatrix.files.kinds import PACKED_CAPTURE
+from lightmatrix.files.kinds import CAPTURE
 
 
 @with_source(crop=False)
 def pack(
-    output: Annotated[Path, output_option("Packed capture to write, which ends in .zarr.")] = Path(
-        "capture.zarr"
-    ),
+    output: Annotated[Path, output_option("Capture folder to write.")] = Path("packed"),
     *,
     source: Source,
     overwrite: Overwrite = False,
     as_json: Json = False,
 ) -> None:
-    """Put all frames of a capture into one array.
+    """Copy a capture with all frames in one array.
 
-    Give a capture folder; or patterns and images, each as a folder or a stack. All commands take
-    a packed capture in place of a folder, and read from it only the camera pixels that they need.
+    Give a capture folder; or patterns and images, each as a folder or a stack. Commands read from
+    the copy only the camera pixels that they need.
     """
-    claim(output, PACKED_CAPTURE, overwrite=overwrite)
+    claim(output, CAPTURE, overwrite=overwrite)
     # From a capture folder `pack` copies truth.npz too.
     packable = source.open() if source.folder is None else source.folder
     with progress("packing", "frames") as step:

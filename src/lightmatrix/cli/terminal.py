@@ -8,6 +8,7 @@ from __future__ import annotations
 import json
 import math
 import re
+import select
 import sys
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
@@ -53,6 +54,17 @@ def say(text: str, style: str | None = None) -> None:
 def warn(text: str, style: str | None = None) -> None:
     """Print on standard error."""
     _err.print(visible(text), style=style)
+
+
+def enter_was_pressed() -> bool:
+    """Whether a line was typed on the terminal since the last look."""
+    # Windows cannot wait for a console so; Ctrl-C ends a command there.
+    if not sys.stdin.isatty() or sys.platform == "win32":
+        return False
+    pressed = bool(select.select([sys.stdin], [], [], 0)[0])
+    if pressed:
+        sys.stdin.readline()
+    return pressed
 
 
 def show_table(title: str, rows: Mapping[str, Any]) -> None:
@@ -110,7 +122,7 @@ class Stages:
 
     def photographed(self, step: Any) -> None:
         """Progress of a capture after a frame, a `lightmatrix.rig.session.Step`."""
-        note = f"{100 * step.clipped:.1f} % clipped, {step.check}"
+        note = f"{100 * step.clipped:.1f} % clipped"
         self._update("photographing", "frames", step.done, step.total, note)
 
     def _update(self, title: str, unit: str, done: int, total: int, note: str = "") -> None:

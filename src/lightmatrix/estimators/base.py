@@ -8,7 +8,6 @@ from collections.abc import Callable, Mapping
 from contextlib import ExitStack
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Any, cast
 
 import numpy as np
@@ -118,7 +117,7 @@ class Estimator(ABC):
             If the capture is unusable, the solver cannot treat the problem, or the output cannot
             be written.
         ClusterError
-            If the workers cannot be reached, do not see the capture or the output, or all die.
+            If the workers cannot be reached, do not see the capture, or all die.
         """
         plan = self.plan(capture)
         shapes = plan.shapes
@@ -128,21 +127,17 @@ class Estimator(ABC):
             if plan.work.together > 1:
                 # Tiles side by side keep all cores busy. More threads of a product would only wait.
                 stack.enter_context(one_blas_thread())
-            if output is None and pool is None:
+            if output is None:
                 tiles = TilesInMemory()
-                complete(plan.work, tiles, progress)
+                complete(plan.work, tiles, progress, pool)
                 transport = _joined(tiles, shapes)
                 return (review and review(transport)) or transport
-            if output is None:
-                # Workers hand over their tiles through a folder.
-                folder = stack.enter_context(TemporaryDirectory(prefix="lightmatrix-"))
-                output = Path(folder) / "scene.zarr"
             target = final_target(output)
             check_disk_space(target.parent, plan.least_disk_bytes, output, "at least about")
             checkpoint = stack.enter_context(
                 Checkpoint.open(output, plan.fingerprint, overwrite=overwrite)
             )
-            complete(plan.work, checkpoint, progress, pool=pool)
+            complete(plan.work, checkpoint, progress, pool)
             better = review and review(_joined(checkpoint, shapes))
             if not better:
                 return checkpoint.finish(**shapes)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from pathlib import Path
 
 from lightmatrix.capture.capture import Capture
 from lightmatrix.defaults import COHERENT_UP_TO
@@ -110,14 +109,6 @@ class EstimateSettings:
         if self.coherent is not None:
             return self.coherent
         return self._reason_against_coherent is None and capture.count <= COHERENT_UP_TO
-
-    def check_cluster_output(self, output: str | Path | None) -> None:
-        """Refuse a cluster without an output, beside which its workers write their tiles."""
-        if self.cluster is not None and output is None:
-            raise InputError(
-                "a cluster needs an output, beside which its workers write their tiles",
-                hint="give an output on a file system that all of them share",
-            )
 
     def _check_tiles(self) -> None:
         check_at_least_one(tile_rows=self.tile_rows)

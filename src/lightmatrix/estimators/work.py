@@ -104,7 +104,7 @@ class OneStep(ABC):
 
 
 class WorkerPool(Protocol):
-    """Other processes that solve tiles, and write them where the checkpoint keeps them."""
+    """Other processes that solve tiles, which `finished` keeps."""
 
     @property
     def parts(self) -> int: ...
@@ -114,7 +114,7 @@ class WorkerPool(Protocol):
         work: Work,
         step: str,
         spans: list[Span],
-        checkpoint: Checkpoint,
+        finished: Checkpoint | TilesInMemory,
         report: Callable[[int], None],
     ) -> None: ...
 
@@ -171,7 +171,6 @@ def complete(
                 progress(work.solved(step, already + rows), work.capture.rows)
 
         if pool is not None:
-            assert isinstance(finished, Checkpoint), "workers write their tiles into its folder"
             pool.solve(work, step, spans, finished, report)
         elif min(work.together, len(spans)) > 1:
             solve_tile = work.prepare(step, finished.read)

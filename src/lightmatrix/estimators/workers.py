@@ -1,12 +1,11 @@
 """Estimates by several processes, here or on other machines, on Dask's scheduler (extra cluster).
 
 `dask_pool` starts workers, or connects to those of a cluster, and checks them. `DaskPool.solve`
-hands out tiles, and hands them out again where a worker died. `solve_tile` runs in a worker: it
-opens an estimate once, solves tiles of it and writes them.
+hands out tiles, and gives those that end to the checkpoint. `solve_tile` runs in a worker: it opens
+an estimate once, and solves tiles of it.
 
-The pool waits for tiles with `distributed.wait`. `distributed.as_completed` would be shorter, but
-it has one deadline for all tiles, so it could not notice that every worker is gone; and it returns
-the tiles of a worker that died as if they had ended.
+The pool waits for tiles with `distributed.wait`. `distributed.as_completed` has one deadline for
+all tiles, so it could not notice that every worker is gone.
 """
 
 from __future__ import annotations
@@ -24,42 +23,30 @@ import warnings
 from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import CancelledError
 from contextlib import ExitStack, contextmanager
-from dataclasses import MISSING, dataclass, field, fields, is_dataclass
-from functools import partial
+from dataclasses import MISSING, dataclass, fields, is_dataclass
 from multiprocessing import spawn
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import TYPE_CHECKING, Any, TypeVar
-from weakref import WeakKeyDictionary
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import scipy
 
 from lightmatrix._version import __version__
 from lightmatrix.errors import ClusterError, InputError, LightMatrixError
-from lightmatrix.estimators.work import SolveTile, Work
+from lightmatrix.estimators.work import SolveTile, TilesInMemory, Work
 from lightmatrix.files.extras import load_extra
 from lightmatrix.resources.threads import core_threads
-from lightmatrix.transport.checkpoint import (
-    Checkpoint,
-    Span,
-    read_tile,
-    tile_name,
-    write_tile,
-)
+from lightmatrix.transport.checkpoint import Checkpoint, Span
 from lightmatrix.transport.sparse_rows import SparseRows
 
 if TYPE_CHECKING:
     from distributed import Client
 
-T = TypeVar("T")
-
 # The environment variables of the threads of BLAS, which a process reads as it starts, and that of
 # the compiled core.
 _BLAS_THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 _CORE_THREADS = "RAYON_NUM_THREADS"
-# The file of the packed estimate in the folder of the running results.
-_JOB_FILE = "job.pickle"
 # What Dask runs as a worker of this machine starts, before it loads NumPy. It leaves Ctrl-C, which
 # a terminal sends to all processes, to the process that started the workers.
 _IGNORE_CTRL_C = """
@@ -70,7 +57,6 @@ def dask_setup(worker):
 _NO_SCHEDULER = "the connection to the scheduler was lost"
 _CONTINUE = "finished tiles are kept: run the same estimate again, with workers or without"
 _SAME_VERSIONS = "install the same version of lightmatrix, NumPy, SciPy and Python for all workers"
-_SHARE_OUTPUT = "write the output to a file system that all workers share, by the same path"
 
 
 @dataclass(frozen=True)
@@ -88,24 +74,9 @@ class Patience:
     # waits for five minutes. Workers report every second or so also while they solve, as the
     # compiled core leaves Python free.
     silent: float = 60
-    # Until a missing file counts as missing: a shared file system may show the files of other
-    # machines some seconds late.
-    file: float = 15
 
 
 PATIENCE = Patience()
-
-
-@dataclass(frozen=True)
-class Job:
-    """An estimate in a folder of running results that all workers share."""
-
-    folder: str
-    # Hash of the packed estimate; `token` is the fingerprint of the running results.
-    digest: str
-    token: str
-    # Those of the process that hands out tiles; workers may join after it has checked the others.
-    versions: dict[str, str]
 
 
 # ---- in the process that hands out tiles
@@ -116,7 +87,8 @@ class DaskPool:
     """Checked Dask workers."""
 
     client: Client
-    _jobs: WeakKeyDictionary[Checkpoint, Job] = field(default_factory=WeakKeyDictionary)
+    # The estimate that was handed out last, its digest, and Dask's future of it.
+    _packed: tuple[Work, str, Any] | None = None
 
     @property
     def threads(self) -> dict[str, int]:
@@ -135,7 +107,7 @@ class DaskPool:
         work: Work,
         step: str,
         spans: list[Span],
-        checkpoint: Checkpoint,
+        finished: Checkpoint | TilesInMemory,
         report: Callable[[int], None],
     ) -> None:
         """Let workers solve tiles of a step whose earlier steps are finished; see `WorkerPool`.
@@ -143,25 +115,27 @@ class DaskPool:
         Raises
         ------
         ClusterError
-            If a worker does not see the output, all are gone, or a tile has killed
-            several of them.
+            If all workers are gone, or a tile has killed several of them.
         LightMatrixError
             As an estimate in one process.
         """
         from distributed import wait
 
-        job, threads = self._job(work, checkpoint), min(self.threads.values(), default=1)
-        before = {name: checkpoint.spans(name) for name in work.steps[step]}
+        # As tasks of their own, the estimate and the rows that it needs travel to each worker once,
+        # and again if the one that holds them dies.
+        if self._packed is None or self._packed[0] is not work:
+            data = pack_work(work)
+            future = self.client.submit(bytes, data, pure=False)
+            self._packed = work, hashlib.sha256(data).hexdigest(), future
+        before = {
+            name: self.client.submit(bytes, pickle.dumps(finished.read(name)), pure=False)
+            for name in work.steps[step]
+        }
+        shared = *self._packed[1:], step, before, min(self.threads.values(), default=1), versions()
         running, done, seen = dict[Any, Span](), 0, time.monotonic()
         try:
             for span in spans:
-                # The checkpoint knows the name of the file before a worker writes it.
-                checkpoint.place(*span, step)
-                key = f"{tile_name(step, span)}-{job.digest[:8]}-{time.monotonic_ns()}"
-                future = self.client.submit(
-                    solve_tile, job, step, span, before, threads, key=key, pure=False
-                )
-                running[future] = span
+                running[self.client.submit(solve_tile, span, *shared, pure=False)] = span
             while running:
                 try:
                     with self.client.as_current():
@@ -175,17 +149,11 @@ class DaskPool:
                     # worker solve the tiles of one that died, which `wait` counts as done.
                     if (status := future.status) == "lost":
                         continue
-                    span = running.pop(future)
+                    start, stop = span = running.pop(future)
                     if status != "finished":
                         raise _tile_error(future, status, span)
-                    file = checkpoint.place(*span, step)
-                    if not _wait_for(partial(_present, file)):
-                        raise ClusterError(
-                            f"{file}: was written by a worker, but is not visible here",
-                            hint=_SHARE_OUTPUT,
-                        )
-                    checkpoint.add(*span, step)
-                    done += span[1] - span[0]
+                    finished.write(start, stop, future.result(), step)
+                    done += stop - start
                     report(done)
                 now = time.monotonic()
                 if ended or self.threads:
@@ -196,21 +164,6 @@ class DaskPool:
             # After an error or Ctrl-C the tiles that no worker has begun are taken back.
             if running:
                 self.client.cancel(list(running), force=True)
-
-    def _job(self, work: Work, checkpoint: Checkpoint) -> Job:
-        """The job of an estimate, packed into the folder of its running results."""
-        if checkpoint not in self._jobs:
-            data = pack_work(work)
-            checkpoint.keep(_JOB_FILE, data)
-            digest = hashlib.sha256(data).hexdigest()
-            self._jobs[checkpoint] = Job(
-                str(checkpoint.folder), digest, checkpoint.token, versions()
-            )
-        return self._jobs[checkpoint]
-
-
-def _present(file: Path) -> bool | None:
-    return file.is_file() or None
 
 
 def _tile_error(future: Any, status: str, span: Span) -> Exception:
@@ -235,8 +188,6 @@ def _tile_error(future: Any, status: str, span: Span) -> Exception:
 
 def _worker_error(address: str, error: BaseException) -> ClusterError:
     """The error of a worker, with its address."""
-    if isinstance(error, LightMatrixError):
-        return ClusterError(f"{address}: {error.message}", hint=error.hint)
     if isinstance(error, ImportError):
         return ClusterError(
             f"{address}: does not have this version of lightmatrix ({error})", hint=_SAME_VERSIONS
@@ -313,7 +264,8 @@ def _started(workers: int) -> Iterator[Client]:
     with TemporaryDirectory(prefix="lightmatrix-workers-") as folder, ExitStack() as stack:
         stack.enter_context(_without_script())
         # Dask sets the variables in this process too, for the processes that it starts.
-        stack.callback(_restore, {name: os.environ.get(name) for name in blas})
+        stack.callback(os.environ.update, {n: os.environ[n] for n in blas if n in os.environ})
+        stack.callback(lambda: [os.environ.pop(name, None) for name in blas])
         stack.enter_context(dask.config.set(settings))
         try:
             cluster = stack.enter_context(
@@ -337,14 +289,6 @@ def _started(workers: int) -> Iterator[Client]:
                 hint="use fewer of them, or none",
             ) from error
         yield client
-
-
-def _restore(variables: Mapping[str, str | None]) -> None:
-    for name, value in variables.items():
-        if value is None:
-            os.environ.pop(name, None)
-        else:
-            os.environ[name] = value
 
 
 @contextmanager
@@ -455,7 +399,7 @@ def versions() -> dict[str, str]:
 class _OpenJob:
     """The one estimate that a worker has open, and the step that it has prepared."""
 
-    job: Job | None = None
+    digest: str = ""
     work: Work | None = None
     step: str = ""
     solve_tile: SolveTile | None = None
@@ -474,19 +418,28 @@ def describe_worker(dask_worker: Any) -> dict[str, str]:
 
 
 def solve_tile(
-    job: Job, step: str, span: Span, before: Mapping[str, list[Span]], threads: int
-) -> None:
-    """Solve the rows `span` of a step, given finished tiles `before`, and write them."""
+    span: Span,
+    digest: str,
+    packed: bytes,
+    step: str,
+    before: Mapping[str, bytes],
+    threads: int,
+    wanted: Mapping[str, str],
+) -> SparseRows:
+    """Solve the rows `span` of a step of a packed estimate, given the pickled rows `before` it."""
     with _lock:
         os.environ.setdefault(_CORE_THREADS, str(threads))
-        work = _work(job)
+        if _open_job.digest != digest or _open_job.work is None:
+            # Workers may join after the others were checked.
+            _compare("a worker", versions(), wanted)
+            vars(_open_job).update(vars(_OpenJob(digest, pickle.loads(packed))))
+            assert _open_job.work is not None
         if _open_job.step != step or _open_job.solve_tile is None:
-            _open_job.solve_tile = work.prepare(
-                step, lambda name: _read_step(job, name, before[name])
+            _open_job.solve_tile = _open_job.work.prepare(
+                step, lambda name: pickle.loads(before[name])
             )
             _open_job.step = step
-        rows = _open_job.solve_tile(*span, lambda done, total: None)
-        write_tile(Path(job.folder) / tile_name(step, span), job.token, rows)
+        return _open_job.solve_tile(*span, lambda done, total: None)
 
 
 def close_job() -> None:
@@ -494,49 +447,3 @@ def close_job() -> None:
     if _lock.acquire(blocking=False):
         vars(_open_job).update(vars(_OpenJob()))
         _lock.release()
-
-
-def _work(job: Job) -> Work:
-    """The estimate, which is read once."""
-    if _open_job.job != job or _open_job.work is None:
-        vars(_open_job).update(vars(_OpenJob()))
-        _compare("a worker", versions(), job.versions)
-        file = Path(job.folder) / _JOB_FILE
-
-        def packed() -> bytes | None:
-            try:
-                data = file.read_bytes()
-            except OSError:
-                return None
-            # The digest came from the client, so nobody else can have written what is unpickled.
-            return data if hashlib.sha256(data).hexdigest() == job.digest else None
-
-        data = _wait_for(packed)
-        if data is None:
-            raise ClusterError(f"does not find the estimate in {file}", hint=_SHARE_OUTPUT)
-        _open_job.job, _open_job.work = job, pickle.loads(data)
-        assert _open_job.work is not None
-    return _open_job.work
-
-
-def _read_step(job: Job, step: str, spans: list[Span]) -> SparseRows:
-    """All rows of a finished step."""
-    parts = []
-    for start, stop in spans:
-        file = Path(job.folder) / tile_name(step, (start, stop))
-        part = _wait_for(partial(read_tile, file, job.token, stop - start))
-        if part is None:
-            raise ClusterError(
-                f"{file}: is missing or damaged",
-                hint="run the same estimate again; it computes that tile anew",
-            )
-        parts.append(part)
-    return SparseRows.joined(parts)
-
-
-def _wait_for(read: Callable[[], T | None]) -> T | None:
-    """What `read` returns, repeated while that is None and a file may still appear."""
-    deadline = time.monotonic() + PATIENCE.file
-    while (value := read()) is None and time.monotonic() < deadline:
-        time.sleep(0.2)
-    return value

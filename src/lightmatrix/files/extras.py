@@ -9,6 +9,8 @@ from __future__ import annotations
 
 import importlib
 import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +23,8 @@ from lightmatrix.files.reading import check_image_size
 
 # Endings of raw camera files.
 RAW = (".dng", ".cr2", ".cr3", ".nef", ".arw", ".raf", ".orf", ".rw2")
+# Endings of video files.
+VIDEOS = (".mp4", ".mov", ".m4v", ".mkv", ".webm", ".avi")
 _EXR_COLOURS, _EXR_ALPHA = ("R", "G", "B"), "A"
 
 
@@ -70,10 +74,10 @@ def read_exr(file: Path) -> NDArray[Any]:
 
 
 def write_exr(file: Path, pixels: NDArray[np.float32]) -> None:
-    """Write an image, (rows, cols) or (rows, cols, 3), as 32-bit float without loss."""
+    """Write an image, (rows, cols) or (rows, cols, 3 or 4), as 32-bit float without loss."""
     library = load_extra("OpenEXR", "EXR files need the OpenEXR library", "exr")
     header = {"compression": library.ZIP_COMPRESSION, "type": library.scanlineimage}
-    names = ("Y",) if pixels.ndim == 2 else _EXR_COLOURS
+    names = ("Y",) if pixels.ndim == 2 else (*_EXR_COLOURS, _EXR_ALPHA)[: pixels.shape[2]]
     planes = pixels[..., None] if pixels.ndim == 2 else pixels
     channels = {
         name: np.ascontiguousarray(planes[..., k], np.float32) for k, name in enumerate(names)
@@ -179,6 +183,42 @@ def orientation(path: str | Path) -> int:
     # Image libraries raise nearly anything on damaged files.
     except Exception:
         return 1
+
+
+def upright(path: str | Path, image: NDArray[Any]) -> NDArray[Any]:
+    """A picture, (rows, cols[, channels]), turned and mirrored as viewers show it."""
+    turned = {2: image[:, ::-1], 3: image[::-1, ::-1], 4: image[::-1]}
+    across = image.swapaxes(0, 1)
+    turned |= {5: across, 6: across[:, ::-1], 7: across[::-1, ::-1], 8: across[::-1]}
+    return turned.get(orientation(path), image)
+
+
+def video_frames(path: str | Path) -> Iterator[NDArray[np.float32]]:
+    """The frames of a video file, (rows, cols, 3) in [0, 1], which FFmpeg decodes.
+
+    An InputError says that it is none.
+    """
+    with _video(path) as opened:
+        for frame in opened.decode(video=0):
+            yield frame.to_ndarray(format="rgb24") / np.float32(255)
+
+
+def video_rate(path: str | Path) -> float:
+    """Frames of a video file in a second; 25 if it does not say."""
+    with _video(path) as opened:
+        return float(opened.streams.video[0].average_rate or 25)
+
+
+@contextmanager
+def _video(path: str | Path) -> Iterator[Any]:
+    library = load_extra("av", "video files need PyAV", "video")
+    try:
+        with library.open(str(path)) as opened:
+            yield opened
+    except (OSError, ValueError, IndexError) as error:
+        raise InputError(
+            f"{path}: cannot be read as a video ({error})", hint="export it again, such as to .mp4"
+        ) from error
 
 
 def exposure_time(path: str | Path) -> float | None:

@@ -3,8 +3,7 @@
 The tiles of an estimate, the frames of a live capture and the cases of a figure are kept this way,
 so that a run that was stopped continues. The folder has a marker of lines: the first says what the
 folder is, each further one is the name of a file that was kept in it. Only those files are ever
-replaced or removed. Other processes may write files there too, once the process that holds
-the folder has written down their names.
+replaced or removed.
 """
 
 from __future__ import annotations
@@ -112,28 +111,29 @@ class RunningResults:
         """The JSON object of a kept file; None if there is none that can be read."""
         return read_object(self.file(name)) if self.has(name) else None
 
-    def place(self, name: str) -> Path:
-        """Note a file in the marker; where another process may write it with `write_whole`."""
-        file = self.file(name)
-        with as_output_error(file):
-            if name in self._names:
-                return file
-            if os.path.lexists(file):
-                raise OutputError(
-                    f"{file}: was not written by lightmatrix", hint="move it elsewhere"
-                )
-            with (self.path / MARKER).open("a", encoding="utf-8") as marker:
-                # The line break comes first, so that a line that a full disk cut off spoils no
-                # other.
-                marker.write(f"\n{name}")
-            self._names.append(name)
-        return file
-
     @contextmanager
     def keep(self, name: str) -> Iterator[Path]:
         """Write a file at a temporary path with the same ending, kept as `name` on success."""
-        with write_whole(self.place(name)) as part:
-            yield part
+        file = self.file(name)
+        with as_output_error(file):
+            if name not in self._names:
+                if os.path.lexists(file):
+                    raise OutputError(
+                        f"{file}: was not written by lightmatrix", hint="move it elsewhere"
+                    )
+                with (self.path / MARKER).open("a", encoding="utf-8") as marker:
+                    # The line break comes first, so that a line that a full disk cut off spoils no
+                    # other.
+                    marker.write(f"\n{name}")
+                self._names.append(name)
+            part = file.with_name(f".{secrets.token_hex(4)}.part{file.suffix}")
+            try:
+                yield part
+                with part.open("rb+") as written:
+                    os.fsync(written.fileno())
+                os.replace(part, file)
+            finally:
+                part.unlink(missing_ok=True)
 
     def forget(self, name: str) -> None:
         """Remove a kept file, if it is there."""
@@ -161,24 +161,6 @@ class RunningResults:
         for entry in os.listdir(self.path):
             if _PART_NAME.fullmatch(entry):
                 (self.path / entry).unlink(missing_ok=True)
-
-
-@contextmanager
-def write_whole(file: Path) -> Iterator[Path]:
-    """Write a file of running results at a temporary path, which is renamed on success.
-
-    The path is this writer's alone: two processes may write the same file, if one seemed dead. Any
-    process may call this, but only the one that holds the folder may list names (`place`).
-    """
-    part = file.with_name(f".{secrets.token_hex(4)}.part{file.suffix}")
-    with as_output_error(file):
-        try:
-            yield part
-            with part.open("rb+") as written:
-                os.fsync(written.fileno())
-            os.replace(part, file)
-        finally:
-            part.unlink(missing_ok=True)
 
 
 def setting_differences(before: Mapping[str, Any], now: Mapping[str, Any]) -> str:

@@ -1,9 +1,7 @@
 """Arrays of Zarr v3: written in chunks, read in parts, and only if they are stored in our way.
 
 A codec may be anything, even a program, so only what `create_array` writes is read back: bytes,
-Blosc, a checksum. Zarr compares the checksums, and reads a missing chunk as zeros: so every chunk
-is looked at before it is decoded. An array may be read with the list of its chunks' checksums, and
-then a sound chunk from elsewhere is noticed as well.
+Blosc, a checksum. Zarr would read a missing chunk as zeros, so chunks are decoded here.
 """
 
 from __future__ import annotations
@@ -15,19 +13,21 @@ import struct
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
-from functools import cached_property, partial
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import zarr
+from numcodecs import Blosc
+from numcodecs.checksum32 import CRC32C
 from numpy.typing import NDArray
 from zarr.codecs import BloscCodec, Crc32cCodec
 
 from lightmatrix.errors import InputError
 from lightmatrix.files.kinds import printable
 from lightmatrix.files.reading import check_version, parse_json, read_text, regular_file
-from lightmatrix.resources.threads import side_by_side
+from lightmatrix.resources.threads import side_by_side, work_ahead
 
 HEADER = "zarr.json"
 # Values of a chunk unless the caller chooses another size.
@@ -36,7 +36,7 @@ CHUNK = 1 << 20
 SMALL = BloscCodec(cname="zstd", clevel=3, shuffle="shuffle")
 QUICK = BloscCodec(cname="lz4hc", clevel=5, shuffle="shuffle")
 # The header of a Blosc chunk: version and flags, then three sizes, first that of its content.
-_BLOSC = struct.Struct("<4xIII")
+_BLOSC = struct.Struct("<4xI8x")
 # Python's words where there is no memory left for a thread, which is no damage.
 _NO_THREAD = "can't start new thread"
 
@@ -169,10 +169,6 @@ def as_damage_error(place: Path, hint: str) -> Iterator[None]:
         if _NO_THREAD in str(error):
             raise MemoryError(str(error)) from error
         words = " ".join(str(getattr(error, "message", error)).split())[:120]
-        # Wrong settings of zarr-python look like damage.
-        settings = sorted(name for name in os.environ if name.startswith("ZARR_"))
-        if settings:
-            hint = f"unset {' and '.join(settings)} and try again; if that does not help, {hint}"
         raise InputError(
             f"{place}: is damaged ({type(error).__name__}: {words})", hint=hint
         ) from error
@@ -195,19 +191,23 @@ class StoredArray:
     ) -> StoredArray:
         """Read the header of an array; a ValueError says if we would not store it this way.
 
-        A chunk may hold `most_chunk` values, even if the array has fewer. `checksums` are those of
-        its chunks, as `checksums` returns them; a chunk with another one is refused.
+        A chunk may hold `most_chunk` values, even if the array has fewer. A chunk with another
+        checksum than in `checksums` is refused, so that one from elsewhere is noticed.
         """
         metadata = _read_metadata(place)
         try:
             codecs = [codec["name"] for codec in metadata["codecs"]]
+            endian = metadata["codecs"][0].get("configuration", {}).get("endian", "little")
             chunks = tuple(metadata["chunk_grid"]["configuration"]["chunk_shape"])
             shape, dtype = tuple(metadata["shape"]), np.dtype(metadata["data_type"])
             keys = metadata["chunk_key_encoding"]
-        except (KeyError, TypeError, AttributeError) as error:
+        except (KeyError, TypeError, AttributeError, IndexError) as error:
             raise ValueError(f"{place.name} is not an array ({error})") from error
         ours = codecs == ["bytes", "blosc", "crc32c"] and dtype.kind in "bfiu"
-        ours &= keys == {"name": "default", "configuration": {"separator": "/"}}
+        ours &= endian == "little" and keys == {
+            "name": "default",
+            "configuration": {"separator": "/"},
+        }
         if not ours or metadata.get("storage_transformers"):
             raise ValueError(f"{place.name} is stored in another way than ours")
         whole = all(type(n) is int and n >= 0 for n in (*shape, *chunks))
@@ -223,14 +223,6 @@ class StoredArray:
             raise ValueError(f"{place.name} has not as many chunks as were written")
         return made
 
-    @cached_property
-    def _array(self) -> zarr.Array[Any]:
-        # Only version 3 is opened: other versions permit other codecs.
-        array = zarr.open_array(self.place, mode="r", zarr_format=3)
-        if (array.shape, array.chunks, array.dtype) != (self.shape, self.chunks, self.dtype):
-            raise ValueError(f"{self.place.name} is not an array, or was replaced meanwhile")
-        return array
-
     @property
     def bytes(self) -> int:
         """The size of all its values."""
@@ -239,72 +231,57 @@ class StoredArray:
     def read(self, *where: slice) -> NDArray[Any]:
         """The values of a box; a ValueError names a chunk that is missing or damaged."""
         box = (*where, *(slice(None) for _ in self.shape[len(where) :]))
-        spans = [slice(*part.indices(size)[:2]) for part, size in zip(box, self.shape, strict=True)]
+        spans = [range(*part.indices(size)[:2]) for part, size in zip(box, self.shape, strict=True)]
+        values = np.empty([len(span) for span in spans], self.dtype)
+
+        def fill(index: tuple[int, ...]) -> None:
+            into, part = [], []
+            for number, size, span in zip(index, self.chunks, spans, strict=True):
+                first = number * size
+                low, high = max(first, span.start), min(first + size, span.stop)
+                into.append(slice(low - span.start, high - span.start))
+                part.append(slice(low - first, high - first))
+            values[tuple(into)] = self._chunk(index)[tuple(part)]
+
         grid = [
-            range(span.start // chunk, -(-span.stop // chunk)) if span.stop > span.start else []
-            for span, chunk in zip(spans, self.chunks, strict=True)
+            range(span.start // size, -(-span.stop // size)) if span else ()
+            for span, size in zip(spans, self.chunks, strict=True)
         ]
-        indices = list(itertools.product(*grid))
-        for index in indices:
-            self._check_chunk(index)
-        try:
-            values = np.asarray(self._array[tuple(spans)])
-        except MemoryError:
-            raise
-        except Exception as error:
-            if _NO_THREAD in str(error):
-                raise
-            # Each chunk is read by itself, to name the one that is damaged.
-            for index in indices:
-                cuts = zip(index, self.chunks, strict=True)
-                try:
-                    self._array[tuple(slice(i * chunk, (i + 1) * chunk) for i, chunk in cuts)]
-                except Exception:
-                    words = " ".join(str(error).split())[:80]
-                    raise ValueError(f"the chunk {self._named(index)}: {words}") from error
-            raise ValueError(f"{self.place.name} cannot be read ({error})") from error
-        # Compared after the reading, so that an array that was replaced meanwhile is noticed, too.
-        for index in indices if self.expected else ():
-            first = 8 * int(np.ravel_multi_index(index, self._grid))
-            if _checksum(self.chunk_file(index)) != str(self.expected)[first : first + 8]:
-                raise ValueError(f"the chunk {self._named(index)} is not the one that was written")
+        for _ in work_ahead(fill, list(itertools.product(*grid))):
+            pass
         return values
 
     def checksums(self) -> str:
-        """The checksums of its chunks in their order, eight hexadecimal digits each."""
-        parts = []
-        for index in itertools.product(*map(range, self._grid)):
-            self._check_chunk(index)
-            parts.append(_checksum(self.chunk_file(index)))
-        return "".join(parts)
+        """The checksums with which its chunks end, in order, eight hexadecimal digits each."""
+        indices = itertools.product(*map(range, self._grid))
+        return "".join(self.chunk_file(index).read_bytes()[-4:].hex() for index in indices)
 
     def chunk_file(self, index: tuple[int, ...]) -> Path:
         """The file of a chunk, by its number along each axis."""
         return self.place.joinpath("c", *map(str, index))
 
-    def _check_chunk(self, index: tuple[int, ...]) -> None:
-        """Check that a chunk is a regular file that announces no more values than a chunk has."""
+    def _chunk(self, index: tuple[int, ...]) -> NDArray[Any]:
+        """The values of a chunk, whose file must be a regular one that announces no more."""
         file = self.chunk_file(index)
-        # Zarr would read a missing chunk as zeros.
+        name = str(file.relative_to(self.place.parent))
         if not os.path.lexists(file):
-            raise ValueError(f"the chunk {self._named(index)} is missing")
-        with regular_file(file).open("rb") as stream:
-            header = stream.read(_BLOSC.size)
+            raise ValueError(f"the chunk {name} is missing")
+        content = regular_file(file).read_bytes()
         most = math.prod(self.chunks) * self.dtype.itemsize
-        if len(header) < _BLOSC.size or _BLOSC.unpack(header)[0] > most:
-            raise ValueError(f"the chunk {self._named(index)} is not what the array needs")
+        if len(content) < _BLOSC.size or _BLOSC.unpack_from(content)[0] != most:
+            raise ValueError(f"the chunk {name} is not what the array needs")
+        if self.expected is not None:
+            first = 8 * int(np.ravel_multi_index(index, self._grid))
+            if content[-4:].hex() != self.expected[first : first + 8]:
+                raise ValueError(f"the chunk {name} is not the one that was written")
+        try:
+            decoded = Blosc().decode(CRC32C(location="end").decode(content))
+            return np.frombuffer(decoded, self.dtype).reshape(self.chunks)
+        except (ValueError, RuntimeError) as error:
+            words = " ".join(str(error).split())[:80]
+            raise ValueError(f"the chunk {name}: {words}") from error
 
     @property
     def _grid(self) -> tuple[int, ...]:
         """Chunks along each axis."""
         return tuple(-(-n // chunk) for n, chunk in zip(self.shape, self.chunks, strict=True))
-
-    def _named(self, index: tuple[int, ...]) -> str:
-        return str(self.chunk_file(index).relative_to(self.place.parent))
-
-
-def _checksum(file: Path) -> str:
-    """The checksum with which a chunk ends, in hexadecimal digits."""
-    with file.open("rb") as stream:
-        stream.seek(-4, os.SEEK_END)
-        return stream.read().hex()

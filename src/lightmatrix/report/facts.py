@@ -19,15 +19,16 @@ from lightmatrix.geometry.rig_geometry import RigGeometry
 from lightmatrix.judgement.evaluate import Errors, errors_by_rows
 from lightmatrix.judgement.judgement import (
     FAIR,
+    GOOD,
     OwnError,
     Verdict,
     level_of,
-    percent,
     relighting_verdict,
     stored_findings,
     verdict_by_rows,
 )
 from lightmatrix.judgement.metrics import relative_error, squared_errors
+from lightmatrix.reprs import percent
 from lightmatrix.solvers.loop import Progress
 from lightmatrix.transport.correspondence import Correspondence, correspondence
 from lightmatrix.transport.matrix import LightTransport
@@ -195,6 +196,12 @@ class Facts:
             return None
         return errors_by_rows(self.transport, self.truth, float(self.capture.exposures.max()))
 
+    @property
+    def diffuse_error(self) -> float:
+        """Relative error over the rows that hardly see direct light; 0 where that is unknown."""
+        known = {} if self.errors is None else self.errors.as_dict()
+        return known.get("relative_error_diffuse", 0.0)
+
     @cached_property
     def row_errors(self) -> NDArray[np.float64] | None:
         """Relative error of each camera pixel's rows, (rows, cols); NaN where T is dark."""
@@ -229,6 +236,10 @@ class Facts:
         if self.relative_error is not None:
             errors.append(self.relative_error)
             reasons.append(f"Error of T against the truth: {percent(self.relative_error)}.")
+        if self.diffuse_error > 2 * GOOD:
+            reasons.append(
+                f"In rows that hardly see direct light it is {percent(self.diffuse_error)}."
+            )
         if not errors:
             why = f"It was not tested on unseen photographs: {self.validation}."
             return verdict_by_rows(self.transport, why)

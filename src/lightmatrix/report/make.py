@@ -26,7 +26,6 @@ from lightmatrix.judgement.judgement import (
     SINGLY_CLIPPED,
     Verdicts,
     correspondence_verdict,
-    percent,
     stored_findings,
 )
 from lightmatrix.judgement.metrics import check_same_rig
@@ -42,6 +41,7 @@ from lightmatrix.report.sections import (
     transport_matrix,
     uses,
 )
+from lightmatrix.reprs import percent
 from lightmatrix.rig_model.model import RigModel
 from lightmatrix.shape.triangulation import geometry_of
 from lightmatrix.simulation.truth import Truth
@@ -91,12 +91,10 @@ def recommendations(facts: Facts) -> tuple[str, ...]:
             f"({2 * count}), or average projector pixels (bin_projector=2)."
         )
     mixed = bool(np.any(facts.capture.patterns.kinds))
-    errors = facts.errors
-    if errors is not None and errors.relative_error_diffuse > 2 * GOOD and not mixed:
+    if facts.diffuse_error > 2 * GOOD and not mixed:
         sentences.append(
-            f"Rows of diffuse light, which hardly see direct light, have an error of "
-            f"{percent(errors.relative_error_diffuse)}. Coarse patterns among the fine ones "
-            "resolve them (`lightmatrix patterns mix`)."
+            "Coarse patterns among the fine ones resolve the rows that hardly see direct light "
+            f"(error: {percent(facts.diffuse_error)}): `lightmatrix patterns mix`."
         )
     elif transport.background_share > 0.3 and not mixed:
         sentences.append(

@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 
 from lightmatrix.errors import InputError
 from lightmatrix.geometry.rig_geometry import RigGeometry
-from lightmatrix.judgement.judgement import percent
 from lightmatrix.judgement.metrics import relighting_error, unseen_patterns
 from lightmatrix.pictures.maps import (
     clipping_map,
@@ -23,16 +22,12 @@ from lightmatrix.pictures.maps import (
 )
 from lightmatrix.pictures.style import white_level
 from lightmatrix.report.elements import (
-    THUMB_PIXELS,
     Bars,
     Columns,
     Element,
     Gallery,
     Image,
-    Pair,
-    Points,
     Section,
-    Strip,
     Table,
     Text,
     colour_image,
@@ -43,7 +38,7 @@ from lightmatrix.report.elements import (
     photograph,
 )
 from lightmatrix.report.facts import Facts, Validation
-from lightmatrix.reprs import labelled, shown_value
+from lightmatrix.reprs import labelled, percent, shown_value
 from lightmatrix.rig_model.model import RigModel
 from lightmatrix.shape.shape import depth_map, normal_colours
 from lightmatrix.shape.triangulation import triangulate
@@ -61,9 +56,8 @@ def parameters(facts: Facts) -> Section:
         for name, value in _flat(facts.transport.provenance)
         if name.removeprefix("capture description: ") not in (*rendering, "noise white")
     )
-    lead = "The parameters as the store of the estimate holds them."
-    tables = (Table("Parameters", ("parameter", "value"), rows),) if rows else ()
-    return Section("parameters", "All parameters", lead, tables)
+    tables = (Table("The parameters in the store", ("parameter", "value"), rows, True),)
+    return Section("parameters", "All parameters", "", tables if rows else ())
 
 
 def _flat(values: Mapping[str, Any], before: str = "") -> Iterator[tuple[str, str]]:
@@ -216,10 +210,10 @@ def relighting(facts: Facts) -> Section:
         assert facts.row_errors is not None
         caption = "Error of each camera pixel's rows of T, relative to their size."
         errors = Gallery((image_of_map(error_map(facts.row_errors), caption),))
-        values = {"relative error of T": facts.relative_error}
+        values = {"relative_error": facts.relative_error or 0.0}
         if facts.errors is not None:
-            values = labelled(facts.errors.as_dict())
-        rows = tuple((name, shown_value(value)) for name, value in values.items())
+            values = facts.errors.as_dict()
+        rows = tuple((name, shown_value(value)) for name, value in labelled(values).items())
         table = Table("Errors against the truth", ("error", "value"), rows)
         elements.append(Columns((table,), (errors,)))
     return Section("relighting", "Relighting", lead, tuple(elements))
@@ -251,26 +245,23 @@ def _relit(facts: Facts, name: str, pattern: np.ndarray) -> Gallery:
 
 def error_estimates(facts: Facts) -> Section:
     """The summary of the estimate, maps of its errors, and predictions beside photographs."""
-    summary = labelled(facts.transport.summary())
+    summary = labelled(facts.transport.summary(), main_only=True)
     rows = tuple((name, shown_value(value)) for name, value in summary.items())
     table = Table("The estimate", ("property", "value"), rows)
     maps = []
     if has_diagnostic(facts.transport, "estimated_error"):
         caption = "Each camera pixel's own estimate, from its samples and its neighbours."
         maps.append(image_of_map(estimated_error_map(facts.transport), caption))
-    if has_diagnostic(facts.transport, "gap"):
+    # Where all rows have converged, the numbers in the table say all.
+    if np.nanmax(facts.transport.diagnostics.get("gap", 0), initial=0) > 1e-3:
         caption = (
-            "How far the objective of each row can be from its optimum. A small gap means solved, "
-            "not necessarily right."
+            "How far the objective of each row can be from its optimum. A small gap means solved. "
+            "Whether it is right, only unseen photographs can show."
         )
         maps.append(image_of_map(gap_map(facts.transport), caption))
     columns = Columns((table,), (Gallery(tuple(maps)),) if maps else ())
     elements = [columns, *_unseen_photographs(facts)]
-    lead = (
-        "A duality gap certifies that the solver solved its problem. Whether the solution is what "
-        "the camera sees, only unseen photographs can show."
-    )
-    return Section("accuracy", "Accuracy of the estimate", lead, tuple(elements))
+    return Section("accuracy", "Accuracy of the estimate", "", tuple(elements))
 
 
 def _unseen_photographs(facts: Facts) -> list[Element]:
@@ -289,42 +280,30 @@ def _unseen_photographs(facts: Facts) -> list[Element]:
     named = f"Photograph {numbers[0]} was"
     if len(numbers) > 1:
         named = f"Photographs {', '.join(numbers[:-1])} and {numbers[-1]} were"
-    return [
-        Text(
-            f"Prediction error on unseen photographs: {percent(validation.error)}. For comparison: "
-            f"the mean of the other photographs, which ignores the pattern, misses them by "
-            f"{percent(validation.mean_error)}."
-        ),
-        Text(
-            f"{named} left out, T was estimated again from the other "
-            f"{validation.others}, and each of the unseen photographs was predicted from its "
-            "pattern. The error is relative; samples that clip in both images are left out. The "
-            "second estimate has fewer photographs, so it is a little worse than the one that this "
-            f"report describes.{where}"
-        ),
-        *(Gallery(_comparison(facts, validation, k)) for k in range(min(2, len(numbers)))),
-    ]
-
-
-def _comparison(facts: Facts, validation: Validation, index: int) -> tuple[Image, ...]:
-    number = int(validation.frames[index])
+    words = (
+        f"Prediction error on unseen photographs: {percent(validation.error)}; the mean of the "
+        f"others, which ignores the pattern, misses them by {percent(validation.mean_error)}. "
+        f"{named} left out and predicted from the patterns by an estimate from the other "
+        f"{validation.others}, which is a little worse than the one that this report describes. "
+        f"Samples that clip in both images do not count.{where}"
+    )
+    number = int(validation.frames[0])
     pattern = facts.capture.patterns.images(number, number + 1)[0]
-    difference = validation.difference[index]
+    difference = validation.difference[0]
     mean = float(abs(difference).mean())
-    return (
+    comparison = (
         pattern_image(pattern, f"Pattern {number}", f"Pattern {number}"),
         photograph(
-            validation.photographs[index],
+            validation.photographs[0],
             f"Photograph {number}",
             f"Photograph {number}",
             "White is the clip level.",
             white=1.0,
         ),
         photograph(
-            validation.predictions[index],
+            validation.predictions[0],
             f"Prediction of photograph {number}",
             "Its prediction",
-            "From an estimate that has not seen the photograph.",
             white=1.0,
         ),
         difference_image(
@@ -336,23 +315,24 @@ def _comparison(facts: Facts, validation: Validation, index: int) -> tuple[Image
             "Grey where they agree.",
         ),
     )
+    return [Text(words), Gallery(comparison)]
 
 
 # The page shows at most this many frames.
-MOST = 12
+MOST = 3
 
 
 def photographs(facts: Facts) -> Section:
     """A table of the capture, charts and a map of clipping, and frames."""
     capture = facts.capture
     frames = facts.frames
-    maps: list[Element] = []
+    images: list[Image] = []
     if "clipped_share" in facts.transport.diagnostics:
         caption = (
-            "Clipping is no error: a clipped sample is a lower bound. But a camera pixel that "
-            "clips in nearly every frame carries little information."
+            "A clipped sample is a lower bound. A camera pixel that clips in nearly every frame "
+            "tells little."
         )
-        maps.append(Gallery((image_of_map(clipping_map(facts.transport), caption),)))
+        images.append(image_of_map(clipping_map(facts.transport), caption))
     clipped = percent(float(frames.clipped.mean()))
     decoder, masked = capture.decoder, int((~capture.valid).sum())
     settings: dict[str, object] = {
@@ -372,16 +352,16 @@ def photographs(facts: Facts) -> Section:
         _bars("Clipped samples per frame", frames.clipped),
         _bars("Mean level per frame, relative to the clip level", frames.level),
     )
-    elements: list[Element] = [Columns((table, *maps), charts), *_rig(facts.transport)]
     shown = np.unique(np.linspace(0, capture.count - 1, MOST).astype(int))
-    elements.append(Strip(tuple(_pair(facts, int(k)) for k in shown)))
+    images += [_frame(facts, int(k)) for k in shown]
+    elements = (Columns((table,), charts), *_rig(facts.transport), Gallery(tuple(images)))
     lead = (
         f"The capture has {capture.count} photographs, one per pattern. "
         f"{clipped} of the samples clipped."
     )
     if capture.count > MOST:
         lead += f" The page shows {MOST} of them, spread over the capture."
-    return Section("photographs", "Patterns and photographs", lead, tuple(elements))
+    return Section("photographs", "Patterns and photographs", lead, elements)
 
 
 def _rig(transport: LightTransport) -> list[Element]:
@@ -389,7 +369,7 @@ def _rig(transport: LightTransport) -> list[Element]:
     model = RigModel.of(transport)
     if not model.names:
         return []
-    sentences = tuple(f"{each[0].upper()}{each[1:]}: corrected." for each in model.sentences)
+    sentences = " ".join(f"{each[0].upper()}{each[1:]}: corrected." for each in model.sentences)
     values = model.values
     charts = []
     if "gain" in values:
@@ -400,12 +380,11 @@ def _rig(transport: LightTransport) -> list[Element]:
     if "shift" in values:
         far = np.hypot(*values["shift"])
         charts.append(_bars("Displacement per frame, relative to a camera pixel", far))
-    return [Points(sentences), *charts]
+    return [Text(sentences), *charts]
 
 
-def _pair(facts: Facts, index: int) -> Pair:
+def _frame(facts: Facts, index: int) -> Image:
     capture, decoder = facts.capture, facts.capture.decoder
-    pattern = capture.patterns.images(index, index + 1)[0]
     note = f"{percent(float(facts.frames.clipped[index]))} clip"
     if np.ptp(capture.exposures) > 0:
         note += f", exposure {capture.exposures[index]:g}"
@@ -414,10 +393,7 @@ def _pair(facts: Facts, index: int) -> Pair:
     light = decoder.response.linearise(np.clip(raw / decoder.full_scale, 0, None))
     clip = np.broadcast_to(np.asarray(decoder.clip, float), (capture.count,))[index]
     light = np.asarray(light / decoder.response.linearise(clip / decoder.full_scale))
-    image = photograph(
-        light, f"Photograph {index}: {note}", white=1.0, most=THUMB_PIXELS, exact=False
-    )
-    return Pair(index, pattern_image(pattern, f"Pattern {index}", most=THUMB_PIXELS), image, note)
+    return photograph(light, f"Photograph {index}: {note}", f"Photograph {index}", note, white=1.0)
 
 
 def _bars(title: str, values: NDArray[np.float64]) -> Bars:
@@ -454,14 +430,12 @@ def transport_matrix(facts: Facts) -> Section:
         caption = "How many projector pixels a camera pixel sees: many where it is out of focus."
         images.append(image_of_map(footprint_map(transport), caption))
     share = percent(transport.background_share)
-    images.append(
-        photograph(
-            transport.background.sum(axis=1).reshape(transport.camera_shape),
-            f"Light of the background: {share} of all light",
-            "Background",
-            f"{share} of the light comes faintly from everywhere; on the scale of the white image.",
-            white=white_level(facts.white),
-        )
+    background = photograph(
+        transport.background.sum(axis=1).reshape(transport.camera_shape),
+        f"Light of the background: {share} of all light",
+        "Background",
+        f"{share} of the light comes faintly from everywhere; on the scale of the white image.",
+        white=white_level(facts.white),
     )
     elements: list[Element] = [
         Text(
@@ -474,7 +448,7 @@ def transport_matrix(facts: Facts) -> Section:
             "column of T shows in the camera where the light of a projector pixel goes. Faint "
             "light is brightened, so that it is visible beside the bright spot."
         ),
-        Gallery(_rows_and_columns(facts)),
+        Gallery((*_rows_and_columns(facts), background)),
     ]
     lead = "How light travels from the projector to the camera, directly and via other surfaces."
     return Section("matrix", "The light transport matrix", lead, tuple(elements))
@@ -510,21 +484,17 @@ def first_pictures(facts: Facts) -> Gallery:
 
 
 def _rows_and_columns(facts: Facts) -> tuple[Image, ...]:
-    transport = facts.transport
-    rows, columns = [], []
+    """The row of each example, and the column of the first one."""
+    transport, images = facts.transport, list[Image]()
     for why, (row, col) in _example_pixels(facts).items():
         light = transport.row(row, col, *[0] * (len(transport.camera_shape) - 2))
-        rows.append(faint_image(light, f"Row of camera pixel {row}, {col}", why))
-        v, u = (int(k) for k in facts.correspondence.pixel[row, col])
-        image = transport.column(v, u)
-        columns.append(
-            faint_image(
-                image if image.ndim == 2 else image.mean(axis=2),
-                f"Column of projector pixel {v}, {u}",
-                f"The projector pixel that {why[0].lower()}{why[1:]} sees most.",
-            )
-        )
-    return (*rows, *columns)
+        images.append(faint_image(light, f"Row of camera pixel {row}, {col}", why))
+        if len(images) == 1:
+            v, u = (int(k) for k in facts.correspondence.pixel[row, col])
+            image = transport.column(v, u)
+            title, caption = f"Column of projector pixel {v}, {u}", "The one that it sees most."
+            images.append(faint_image(image.reshape(*image.shape[:2], -1).mean(2), title, caption))
+    return tuple(images)
 
 
 def _example_pixels(facts: Facts) -> dict[str, tuple[int, int]]:
@@ -542,10 +512,5 @@ def _example_pixels(facts: Facts) -> dict[str, tuple[int, int]]:
         "A typical bright camera pixel": np.nanargmin(np.abs(confidence - middle)),
         "The bright camera pixel with the most indirect light": np.nanargmin(confidence),
     }
-    shares = facts.transport.diagnostics.get("clipped_share")
-    if shares is not None and np.any(shares > 0):
-        often = np.asarray(shares).reshape(*white.shape, -1).max(axis=2)
-        most_clipped = np.argmax(np.where(matches.valid, often, -1))
-        chosen["The camera pixel that clipped most often"] = most_clipped
     places = {why: np.unravel_index(int(flat), white.shape) for why, flat in chosen.items()}
     return {why: (int(row), int(col)) for why, (row, col) in places.items()}

@@ -9,7 +9,6 @@ rows say what is.
 from __future__ import annotations
 
 import shutil
-from collections import Counter
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
@@ -23,22 +22,23 @@ from lightmatrix.capture.capture import Capture
 from lightmatrix.capture.exposures import exposure_sequence
 from lightmatrix.capture.folder import write_capture
 from lightmatrix.capture.sensor import Sensor
-from lightmatrix.defaults import RIG_FILE, USUAL_FRAMES, USUAL_REFERENCE
+from lightmatrix.defaults import RIG_FILE, USUAL_FRAMES
 from lightmatrix.errors import DeviceError, InputError, warn
 from lightmatrix.estimators.estimate import estimate
 from lightmatrix.files.images import is_grey
 from lightmatrix.files.kinds import LIVE_CAPTURE
 from lightmatrix.files.writing import claimed
-from lightmatrix.judgement.judgement import OwnError, percent
+from lightmatrix.judgement.judgement import OwnError
 from lightmatrix.judgement.metrics import row_energies
 from lightmatrix.patterns.folder import read_patterns
 from lightmatrix.patterns.making import make_patterns
 from lightmatrix.patterns.pattern_set import PatternSet
 from lightmatrix.ranges import as_float, whole
+from lightmatrix.reprs import percent
 from lightmatrix.rig.devices.base import exposure_limits
-from lightmatrix.rig.photograph import Drift, Photographer, measure_drift, take_references
+from lightmatrix.rig.photograph import Photographer, take_references
 from lightmatrix.rig.rig import ProjectedPatterns, Rig
-from lightmatrix.rig.rig_measurements import PARTS, RigMeasurements, measure_rig, outdated_parts
+from lightmatrix.rig.rig_measurements import RigMeasurements, kept_measurements, measure_rig
 from lightmatrix.rig.session import CaptureRecord, CaptureSession, Step
 from lightmatrix.transport.matrix import LightTransport, prediction_error
 
@@ -143,9 +143,7 @@ class CaptureSettings:
     response : str
         The camera's response; see `Response.parse`.
     check : bool
-        Whether each frame has to be shown to be that of its pattern.
-    reference_every : int
-        Frames between two looks at black and white, which notice drift; 0 for none.
+        Whether each pattern is photographed twice, and both frames have to agree.
     until : float or str, optional
         Relative error of T, such as 0.03, or of relit images, such as relighting:0.03: patterns are
         photographed in groups of eight until an estimate states that it errs by no more, or further
@@ -154,8 +152,8 @@ class CaptureSettings:
     Examples
     --------
     >>> import lightmatrix as lm
-    >>> lm.CaptureSettings(exposure=0.02, cell=2).reference_every
-    32
+    >>> lm.CaptureSettings(exposure=0.02, cell=2).check
+    True
     """
 
     cell: int = 1
@@ -163,7 +161,6 @@ class CaptureSettings:
     settle: float | None = None
     response: str = "linear"
     check: bool = True
-    reference_every: int = USUAL_REFERENCE
     until: float | str | None = None
 
     def __post_init__(self) -> None:
@@ -173,12 +170,6 @@ class CaptureSettings:
                 raise InputError(f"a {name} of {value} s", hint="give seconds, such as 0.02")
         if (whole(self.cell) or 0) < 1:
             raise InputError(f"a cell of {self.cell} pixels", hint="use a whole number, 1 or more")
-        every = whole(self.reference_every)
-        if every is None or every < 0:
-            raise InputError(
-                f"a reference every {self.reference_every} frames",
-                hint="use a whole number, 0 or more",
-            )
         if self.until is not None:
             parse_until(self.until)
         Response.parse(self.response)
@@ -232,8 +223,8 @@ def take_capture(
     settings : CaptureSettings, optional
         How they are photographed. None: the defaults.
     keep : str or Path, optional
-        File of the rig's measurements. They are checked by a short look, and what is outdated or
-        missing is measured and written. None: everything is measured, and nothing kept.
+        File that keeps the rig's settle time and flicker; exposures are measured each time, and
+        before grey patterns the response. None: everything is measured, and nothing kept.
     overwrite : bool
         Whether an existing capture may be replaced, and frames of another one discarded.
     progress : callable, optional
@@ -273,7 +264,20 @@ def take_capture(
         # Patterns that do not fit are refused before anything is measured.
         ProjectedPatterns(patterns, screen, cell)
     with claimed(output, LIVE_CAPTURE, overwrite=overwrite) as target:
-        known = _measurements(rig, keep, settings, measuring)
+        known = kept_measurements(rig, keep)
+        # The exposures are those of the scene, and only grey patterns need the response.
+        parts = [part for part in ("settle", "flicker") if getattr(known, part) is None]
+        parts += ["exposure"] if settings.exposure is None else []
+        parts += ["response"] if patterns is not None and patterns.as_bits() is None else []
+        if parts or settings.settle is not None:
+            known = measure_rig(
+                rig,
+                parts,
+                keep=keep,
+                settle=settings.settle,
+                response=settings.response,
+                progress=measuring,
+            )
         if patterns is None:
             if density is None:
                 density = 0.5 if known.exposure is None else known.exposure.density
@@ -283,6 +287,7 @@ def take_capture(
             "patterns": patterns.digest,
             "cell": cell,
             "exposure": settings.exposure,
+            "check": settings.check,
             "projector": {key: known.projector.get(key) for key in ("name", "shape")},
             "camera": {key: known.camera.get(key) for key in ("name", "shape", "bits")},
         }
@@ -305,27 +310,6 @@ def take_capture(
             record.discard()
     _warn(record, known)
     return Capture.open(output)
-
-
-def _measurements(
-    rig: Rig,
-    keep: str | Path | None,
-    settings: CaptureSettings,
-    measuring: Callable[[str, int, int], None] | None,
-) -> RigMeasurements:
-    """The measurements of the rig, of which what is missing or outdated is measured now."""
-    missing = [part for part in PARTS if settings.exposure is None or part != "exposure"]
-    if keep is not None and Path(keep).exists():
-        known = RigMeasurements.load(keep)
-        if known.of_rig(rig):
-            missing = [part for part in missing if getattr(known, part) is None]
-            if settings.settle is not None and known.settle is not None:
-                known = replace(known, settle=replace(known.settle, seconds=settings.settle))
-            if not missing and known.exposure is not None:
-                missing = outdated_parts(rig, known)
-            if not missing:
-                return known
-    return measure_rig(rig, missing, keep=keep, settle=settings.settle, progress=measuring)
 
 
 def _begin(
@@ -353,12 +337,11 @@ def _begin(
         record.save()
     photographer = Photographer(rig, known.settle.seconds)
     references = rig.persistently(lambda: take_references(photographer, seconds))
-    photographer.changing = references.black.changing
     black, white = record.read_image(_BLACK), record.read_image(_WHITE)
     if black is None or white is None or not record.state.frames:
         record.keep_image(_BLACK, references.black.without_noise)
         record.keep_image(_WHITE, references.white.mean)
-    elif (warning := measure_drift(references, white, black).warning()) is not None:
+    elif (warning := references.change(white, black)) is not None:
         raise DeviceError(
             f"since the first {len(record.state.frames)} frames were taken: {warning}",
             hint="put the rig back as it was, or begin anew: overwrite=True",
@@ -371,7 +354,6 @@ def _begin(
         seconds,
         references,
         check=settings.check,
-        reference_every=settings.reference_every,
         progress=progress,
     )
 
@@ -395,7 +377,7 @@ def _write(
             hint=f"the last trouble: {next(iter(state.unmended.values()), 'none')}",
         )
     # Exposures are relative to the longest, without the digits that cameras round differently.
-    exposures = np.round([state.frames[k].exposure / longest for k in numbers], 9)
+    exposures = np.round([state.frames[k] / longest for k in numbers], 9)
     black, frame = record.read_image(_BLACK), record.read(numbers[0])
     assert black is not None
     assert frame is not None
@@ -412,10 +394,9 @@ def _write(
         "cell": settings.cell,
         "frames": len(numbers),
         "patterns": patterns.count,
-        "checks": dict(Counter(frame.check for frame in state.frames.values())),
+        "checked": settings.check,
         "photographed_again": dict(state.faults),
         "left_out": {str(k): reason for k, reason in state.unmended.items()},
-        "drift": state.drift,
         "until": None if outcome is None else asdict(outcome),
     }
 
@@ -451,18 +432,13 @@ def _write(
 
 
 def _warn(record: CaptureRecord, known: RigMeasurements) -> None:
-    """Warn of patterns that are left out, drift, and weaknesses of the rig."""
+    """Warn of patterns that are left out, and of weaknesses of the rig."""
     state = record.state
     concerns = []
     if state.unmended:
         first = sorted(state.unmended.items())[:5]
         listed = ", ".join(f"pattern {k} ({why})" for k, why in first)
         concerns.append(f"{len(state.unmended)} patterns are left out of the capture: {listed}")
-    for look in state.drift:
-        warning = Drift(look["gain"], look["change"], look["room"]).warning()
-        if warning is not None:
-            concerns.append(f"after {int(look['frames'])} frames, {warning}")
-            break
     if known.exposure is not None:
         concerns += known.exposure.warnings
     if known.flicker is not None and known.flicker.room > 0.02:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import itertools
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -30,13 +31,12 @@ from lightmatrix.rig.rig_measurements import RigMeasurements, measure_rig
 from lightmatrix.uses.compensation import (
     Compensation,
     Compensator,
-    Picture,
     check_brightness,
     compensator,
-    wanted_samples,
     write_shown,
 )
 from lightmatrix.uses.loading import Transport
+from lightmatrix.uses.wanted import Picture, wanted_samples
 
 USUAL_STEPS = 3
 # Frames that are averaged for each photograph, and for white and black.
@@ -91,16 +91,18 @@ def refine_compensation(
     *,
     steps: int = USUAL_STEPS,
     mask: Picture | None = None,
+    projector_mask: Picture | None = None,
     brightness: float | None = None,
-    gamma: float = 1.0,
-    resize: bool = False,
-    response: str = "linear",
+    gamma: float | None = None,
+    fit: str | None = None,
+    response: str | None = None,
     keep: str | Path | None = None,
     settle: float | None = None,
     output: str | Path | None = None,
     overwrite: bool = False,
     progress: Callable[[int, int], None] | None = None,
     measuring: Callable[[str, int, int], None] | None = None,
+    live: Callable[[float], bool] | None = None,
 ) -> RefinedCompensation:
     """Project a compensation, photograph it, and correct what is left, step by step.
 
@@ -118,10 +120,10 @@ def refine_compensation(
         The picture, as in `compensate`.
     steps : int
         Corrections, 0 to 100.
-    mask, brightness, gamma, resize
+    mask, projector_mask, brightness, gamma, fit
         As in `compensate`.
-    response : str
-        The camera's response; see `Response.parse`.
+    response : str, optional
+        The camera's response; see `Response.parse`. None: that of T's capture.
     keep : str or Path, optional
         File of the rig's measurements; see `measure_rig`.
     settle : float, optional
@@ -134,6 +136,9 @@ def refine_compensation(
         Called with (done, total) photographs.
     measuring : callable, optional
         Called with (part, done, total) while the rig is measured.
+    live : callable, optional
+        Called with the PSNR of each photograph; while it returns True, corrections go on, however
+        many, and hold the scene right while its light changes. The last pattern is returned then.
 
     Returns
     -------
@@ -160,12 +165,15 @@ def refine_compensation(
     if not hasattr(steps, "__index__") or not 0 <= steps <= 100:
         raise InputError(f"{steps} corrections", hint="use 0 to 100, such as 3")
     check_brightness(brightness)
-    curve = Response.parse(response)
     if output is not None:
         check_output(output, IMAGE, overwrite=overwrite)
-    shared = compensator(transport, mask=mask)
+    shared = compensator(transport, mask=mask, projector_mask=projector_mask)
     shared.light.check_single()
-    samples = wanted_samples(wanted, shared.light.camera_shape, gamma=gamma, resize=resize)
+    if response is None:
+        captured = shared.light.matrices[0].provenance.get("capture_description")
+        response = captured.get("response") if isinstance(captured, Mapping) else None
+    curve = response or "linear"
+    samples = wanted_samples(wanted, shared.light.camera_shape, gamma=gamma, fit=fit)
     if brightness is None:
         brightness = shared.automatic_brightness(samples)
     loop = _ClosedLoop.begin(rig, shared, curve, keep, settle, measuring)
@@ -175,7 +183,7 @@ def refine_compensation(
     counted = found.reachable.ravel() if found.reachable.any() else shared.lit
     best: tuple[Compensation, NDArray[np.float32]] | None = None
     errors: list[float] = []
-    for step in range(steps + 1):
+    for step in range(steps + 1) if live is None else itertools.count():
         if step:
             start = np.concatenate([pattern.ravel() for pattern in found.patterns])
             found = shared.reaching(target, brightness, start=start, asked=asked)
@@ -183,9 +191,12 @@ def refine_compensation(
         missed = np.where(counted, target - seen, 0)
         mean_square = float(np.mean((missed[counted] / found.scale) ** 2))
         errors.append(-10 * float(np.log10(max(mean_square, 1e-12))))
-        if best is None or errors[-1] == max(errors):
+        if best is None or live is not None or errors[-1] == max(errors):
             best = found, seen
-        asked = asked + missed
+        # What no pattern reaches must not pile up, or it would take as long to fade again.
+        asked = np.clip(asked + missed, target - found.scale, target + found.scale)
+        if live is not None and not live(errors[-1]):
+            break
         if progress is not None:
             progress(step + 1, steps + 1)
     assert best is not None
@@ -212,14 +223,16 @@ class _ClosedLoop:
         cls,
         rig: Rig,
         shared: Compensator,
-        curve: Response,
+        curve: str,
         keep: str | Path | None,
         settle: float | None,
         measuring: Callable[[str, int, int], None] | None,
     ) -> _ClosedLoop:
         """Measure the rig, choose an exposure, and compare white with what T says of it."""
         parts = "flicker", "response"
-        known = measure_rig(rig, parts, keep=keep, settle=settle, progress=measuring)
+        known = measure_rig(
+            rig, parts, keep=keep, settle=settle, response=curve, progress=measuring
+        )
         assert known.settle is not None
         assert known.flicker is not None
         photographer = Photographer(rig, known.settle.seconds)
@@ -229,7 +242,8 @@ class _ClosedLoop:
             exposure = max(1, round(exposure / period)) * period
         exposure = set_exposure(rig.camera, exposure)
         whites = rig.persistently(lambda: take_white_and_black(photographer, exposure, _FRAMES))
-        loop = cls(photographer, known, curve, whites, 1.0)
+        camera = Response.parse(curve)
+        loop = cls(photographer, known, camera, whites, 1.0)
         light = loop.light(whites.white)
         if light.size != shared.light.white.size:
             raise InputError(
@@ -246,7 +260,7 @@ class _ClosedLoop:
                 "the white photograph has nothing in common with the matrix",
                 hint="give the matrix that this rig measured of this scene",
             )
-        return cls(photographer, known, curve, whites, unit)
+        return cls(photographer, known, camera, whites, unit)
 
     def light(self, frame: AveragedFrame) -> NDArray[np.float32]:
         """Light of the projector in a frame, (M,), in the units of T."""

@@ -1,18 +1,15 @@
-"""Photographs that can be right, judged by their numbers, times and rows, and averages of them.
+"""Photographs that can be right, judged by their numbers and times, and averages of them.
 
-A `Photographer` shows an image, waits, and grabs a frame. It rejects frames that are stale, lost,
-handed out twice or partly copied from an earlier one, and exposures that another program changed.
-Whether a frame shows its pattern is a question for `pattern_match`. The `References` are the black
-and white frames at the start of a capture: they show whether two photographs have the same light,
-and whether the rig has changed since.
+A `Photographer` shows an image, waits, and grabs a frame. It rejects frames that are stale or
+handed out twice, and exposures that another program changed. Whether a frame shows its pattern is a
+question for `session`. The `References` are the black and white frames at the start of a capture:
+they show whether two photographs have the same light, and whether the rig has changed since.
 """
 
 from __future__ import annotations
 
-from collections import deque
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
-from itertools import pairwise
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -28,8 +25,6 @@ TRIES = 4
 # Seconds to wait after showing an image while the settle time is not known; a rig that takes longer
 # needs to have it stated.
 FIRST_SETTLE = 0.4
-# The standard deviation of normal noise is this many times its median distance from the mean.
-MEDIAN_TO_DEVIATION = 1.48
 
 
 class UntrustedFrameError(DeviceError):
@@ -38,21 +33,15 @@ class UntrustedFrameError(DeviceError):
 
 @dataclass(frozen=True, eq=False)
 class Shot:
-    """A frame, its exposure in seconds as the camera says, and when the image was shown."""
+    """A frame and its exposure in seconds, as the camera says."""
 
     frame: Frame
     exposure: float
-    shown: float
 
     @property
     def data(self) -> NDArray[np.uint8] | NDArray[np.uint16]:
         """Raw levels."""
         return self.frame.data
-
-    @property
-    def delay(self) -> float:
-        """Seconds from the image being shown to the start of the exposure."""
-        return self.frame.timestamp - self.exposure - self.shown
 
 
 @dataclass(eq=False)
@@ -62,14 +51,9 @@ class Photographer:
     rig: Rig
     # Seconds between an image being shown and the earliest start of an exposure.
     settle: float
-    # Share of the samples of each row that noise changes from frame to frame. If it is known,
-    # copied rows are recognized.
-    changing: NDArray[np.float64] | None = None
     # The exposure that was last asked for, and what the camera made of it.
     _exposure: tuple[float, float] = (0.0, 0.0)
     _last: Frame | None = None
-    # Frames whose rows a driver may hand out again: it reuses its few newest buffers.
-    _recent: deque[NDArray[Any]] = field(default_factory=lambda: deque(maxlen=3))
 
     def take(
         self, image: NDArray[np.uint8], exposure: float | None = None, settle: float | None = None
@@ -91,20 +75,17 @@ class Photographer:
 
     def _take(self, image: NDArray[np.uint8], exposure: float | None, settle: float) -> Shot:
         actual = self._set_exposure(exposure)
-        shown = self.rig.projector.show(image)
-        earliest = shown + settle
+        earliest = self.rig.projector.show(image) + settle
         self.rig.clock.sleep(earliest - self.rig.clock.now())
         camera = self.rig.camera
         camera.flush()
         camera.trigger()
-        before: Frame | None = None
         # No camera has buffers for 32 frames from before the pattern.
         for _ in range(32):
             frame = camera.get_image(self.rig.patience + 2 * actual)
-            self._check_order(frame, before)
-            self._check_copied(frame)
-            self._recent.append(frame.data)
-            self._last = before = frame
+            last, self._last = self._last, frame
+            if last and (frame.id <= last.id or frame.timestamp <= last.timestamp):
+                raise UntrustedFrameError(f"frame {frame.id} was handed out twice")
             # Times are rounded to microseconds.
             if frame.timestamp - actual >= earliest - 1e-6:
                 now = camera.exposure
@@ -112,7 +93,7 @@ class Photographer:
                     raise UntrustedFrameError(
                         f"another program changed the exposure from {actual:g} to {now:g} s"
                     )
-                return Shot(frame, actual, shown)
+                return Shot(frame, actual)
         raise UntrustedFrameError(
             "32 frames came, all of before the pattern", hint="are the camera's timestamps right?"
         )
@@ -125,51 +106,6 @@ class Photographer:
         if exposure != asked or not same_exposure(camera.exposure, actual):
             self._exposure = exposure, set_exposure(camera, exposure)
         return self._exposure[1]
-
-    def _check_order(self, frame: Frame, before: Frame | None) -> None:
-        last = self._last
-        if last is None:
-            return
-        if frame.id <= last.id or frame.timestamp <= last.timestamp:
-            raise UntrustedFrameError(f"frame {frame.id} was handed out twice")
-        # Numbers may be missing between two patterns, where frames are discarded.
-        if before is not None and frame.id != before.id + 1:
-            # Otherwise the next pattern would be refused for the same gap.
-            self._last = frame
-            raise UntrustedFrameError(f"frames {before.id + 1} to {frame.id - 1} were lost")
-
-    def _check_copied(self, frame: Frame) -> None:
-        if self.changing is None:
-            return
-        for earlier in self._recent:
-            rows = copied_rows(frame.data, earlier, self.changing, frame.clip_level)
-            if rows:
-                self._last = frame
-                whole = rows == len(frame.data)
-                what = "is a copy of" if whole else f"holds {rows} rows of"
-                raise UntrustedFrameError(f"frame {frame.id} {what} an earlier one")
-
-
-def copied_rows(
-    data: NDArray[Any], earlier: NDArray[Any], changing: NDArray[np.float64], clip_level: float
-) -> int:
-    """How many rows at the top or bottom of a frame are copies of an earlier frame's; 0 for none.
-
-    Noise changes a share `changing` (rows,) of the samples of each row, except clipped ones.
-    """
-    if data.shape != earlier.shape:
-        return 0
-    same = (data == earlier).reshape(len(data), -1).all(axis=1)
-    if not (same[0] or same[-1]):
-        return 0
-    free = (data < clip_level).reshape(len(data), -1).sum(axis=1)
-    unlikely = free * np.log1p(-np.minimum(changing, 0.999))
-    for rows in (slice(None), slice(None, None, -1)):
-        run = int(np.cumprod(same[rows]).sum())
-        # Noise leaves so many samples equal less than once in 10^8 frames.
-        if unlikely[rows][:run].sum() < -20:
-            return run
-    return 0
 
 
 @dataclass(frozen=True, eq=False)
@@ -206,13 +142,6 @@ class AveragedFrame:
         if np.median(apart) > 1.15 * 0.67 * noise:
             return self.mean
         return np.where(apart > 6 * noise, self.mean, np.float32(level))
-
-    @property
-    def changing(self) -> NDArray[np.float64]:
-        """Share of the samples of each row that change from frame to frame, (rows,)."""
-        data = [shot.data.reshape(len(shot.data), -1) for shot in self.shots]
-        # A median, since one of the frames may be a copy.
-        return np.asarray(np.median([(a != b).mean(axis=1) for a, b in pairwise(data)], axis=0))
 
 
 def take_average(
@@ -278,11 +207,6 @@ class WhiteAndBlack:
         return np.asarray(self.white.mean - self.black.mean)
 
     @property
-    def brightness(self) -> float:
-        """Mean light per second of exposure, as a share of the clip level."""
-        return float(self.light.mean()) / self.white.clip_level / self.exposure
-
-    @property
     def lit(self) -> NDArray[np.bool_]:
         """Samples that the projector lights well and that do not clip."""
         return lit_samples(self.white.mean, self.black.mean, self.white.clip_level)
@@ -290,11 +214,6 @@ class WhiteAndBlack:
     def level(self, frame: NDArray[np.generic]) -> float:
         """How far a frame is from black (0) to white (1), over the lit samples."""
         return share_of_white(frame, self.white.mean, self.black.mean, self.lit)
-
-
-def robust_deviation(levels: NDArray[np.float64]) -> float:
-    """Standard deviation by medians, since one of the frames may be torn or a copy."""
-    return MEDIAN_TO_DEVIATION * float(np.median(np.abs(levels - np.median(levels))))
 
 
 def plain_images(rig: Rig) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
@@ -376,6 +295,36 @@ class References:
         """Standard deviation of a sample from frame to frame, in raw levels."""
         return max(self.black.noise, self.white.noise)
 
+    def dark_at(self, exposure: float) -> NDArray[np.float32]:
+        """The black frame at an exposure in seconds."""
+        long, short = self.black.exposure, self.white.exposure
+        share = (exposure - short) / (long - short) if long != short else 1.0
+        return np.asarray(self.dark + share * (self.black.mean - self.dark), np.float32)
+
+    def change(self, white: NDArray[np.floating], black: NDArray[np.floating]) -> str | None:
+        """What differs most in a white and a black frame of before; None if little does.
+
+        Both are raw levels at the same exposures.
+        """
+        top = self.white.clip_level
+        free = (white < top) & (self.white.mean < top)
+        now = np.where(free, self.light, 0.0)
+        room = (self.black.mean - black) / top
+        share = self.white.exposure / self.black.exposure
+        before = np.where(free, white - self.dark + share * room * top, 0.0)
+        power = max(float((before**2).sum()), 1e-9)
+        gain = float((now * before).sum()) / power
+        # The squared difference contains the noise of both averages.
+        noise = free.sum() * self.white.noise**2 * 0.5
+        rest = np.sqrt(max(0.0, float(((now - gain * before) ** 2).sum()) - noise) / power)
+        if rest > 0.05:
+            return f"the picture changed by {100 * rest:.0f} %: did something move?"
+        if abs(gain - 1) > 0.03:
+            return f"the light is {100 * gain:.0f} % of what it was"
+        if abs(room.mean()) > 0.01:
+            return f"the room's light changed by {100 * room.mean():.1f} % of the clip level"
+        return None
+
     def agree(
         self,
         one: NDArray[Any],
@@ -445,44 +394,3 @@ def take_references(photographer: Photographer, seconds: NDArray[np.float64]) ->
             "nor is dark",
         )
     return references
-
-
-@dataclass(frozen=True)
-class Drift:
-    """How far a rig is from its state at the start."""
-
-    # Its light now, as a share of that at the start.
-    gain: float
-    # What remains after that, relative to the light (L2): the scene, camera or projector moved.
-    change: float
-    # Change of the room's light, as a share of the clip level.
-    room: float
-
-    def warning(self) -> str | None:
-        """The largest concern in words; None if the drift is small."""
-        if self.change > 0.05:
-            return f"the picture changed by {100 * self.change:.0f} %: did something move?"
-        if abs(self.gain - 1) > 0.03:
-            return f"the light is {100 * self.gain:.0f} % of what it was at the start"
-        if abs(self.room) > 0.01:
-            return f"the room's light changed by {100 * self.room:.1f} % of the clip level"
-        return None
-
-
-def measure_drift(
-    start: References, white: NDArray[np.floating], black: NDArray[np.floating]
-) -> Drift:
-    """Compare a white and a black frame (raw levels, same exposures) with those of the start."""
-    top = start.white.clip_level
-    free = (white < top) & (start.white.mean < top)
-    before = np.where(free, start.light, 0.0)
-    room = (np.asarray(black, np.float64) - start.black.mean) / (top or 1.0)
-    share = start.white.exposure / start.black.exposure
-    now = np.where(free, white - start.dark - share * room * top, 0.0)
-    power = max(float((before**2).sum()), 1e-9)
-    gain = float((now * before).sum()) / power
-    # The squared difference contains the noise of the new frame, and half as much of the averaged
-    # references.
-    noise = free.sum() * start.white.noise**2 * 1.5
-    rest = max(0.0, float(((now - gain * before) ** 2).sum()) - noise)
-    return Drift(gain, float(np.sqrt(rest / power)), float(room.mean()))

@@ -1,4 +1,4 @@
-"""All that is measured of a rig, as rig.json keeps it: measuring it, and what is outdated.
+"""All that is measured of a rig, as rig.json keeps it.
 
 The settle time says how long after a picture is shown a photograph of it may begin: black and white
 alternate while frames are taken, and the brightness of each frame shows whether its exposure began
@@ -12,14 +12,16 @@ import json
 import math
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import asdict, dataclass, fields, replace
-from datetime import datetime
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from lightmatrix.capture.camera_curve import Response
+from lightmatrix.capture.exposures import share_of_white
+from lightmatrix.check.survey import robust_deviation
 from lightmatrix.errors import FrameTimeoutError, InputError
 from lightmatrix.files.kinds import RIG, RIG_FORMAT
 from lightmatrix.files.reading import read_json
@@ -31,16 +33,14 @@ from lightmatrix.planning.exposure_advice import (
     advise_exposures,
     clipped_share,
 )
-from lightmatrix.ranges import check_number
+from lightmatrix.ranges import as_path, check_number
 from lightmatrix.rig.devices.base import exposure_limits, same_exposure, set_exposure
 from lightmatrix.rig.photograph import (
     FIRST_SETTLE,
     Photographer,
-    UntrustedFrameError,
     WhiteAndBlack,
     find_white_and_black,
     plain_images,
-    robust_deviation,
     take_average,
     take_white_and_black,
 )
@@ -48,8 +48,6 @@ from lightmatrix.rig.rig import Rig, UnfitRigError
 
 # Called with (done, total) while something is measured.
 _Report = Callable[[int, int], None]
-# Seconds of the frames and their mean levels.
-_Series = tuple[NDArray[np.float64], NDArray[np.float64]]
 
 
 @dataclass(frozen=True)
@@ -69,21 +67,31 @@ class SettleTime:
 def measure_settle(rig: Rig, whites: WhiteAndBlack, report: _Report) -> SettleTime:
     """Find the shortest safe delay between showing a picture and exposing."""
     asked = set_exposure(rig.camera, whites.exposure)
-    observer = _Observer(rig, whites)
+    frame_time = whites.exposure + 1 / float(rig.projector.info().get("refresh") or 60.0)
+    pictures = plain_images(rig)
+    shown = rig.projector.show(pictures[1])
+    levels = [level for _, level in _watch(rig, whites, shown + FIRST_SETTLE, 12 * frame_time)]
+    # A frame has settled if it is nearer to its end than 3 % of the way from black to white. If the
+    # light flickers, four standard deviations are allowed, but never more than 30 %.
+    spread = robust_deviation(np.array(levels)) if levels else 0.0
+    tolerance = min(max(0.03, 4 * spread), 0.3)
+    generator = np.random.default_rng(0)
+    # Of each change: seconds to the start of the last frame that saw it, and to that of the next.
     looks: list[tuple[float, float]] = []
-    # The first four changes are watched for half a second, and give a rough settle time. The
-    # further ones are watched only as long as that takes.
-    duration, total = 0.5, 21
+    total = 21
     for change in range(total):
-        if change == 4 and looks:
-            duration = 2 * max(first for _, first in looks) + 4 * observer.frame_time
-            duration = min(max(duration, 0.15), 0.5)
-        look = observer.look(bool(change % 2), duration)
+        # The change comes at a random moment of the camera's and the projector's own rhythm.
+        rig.clock.sleep(float(generator.random()) * 2 * frame_time)
+        shown = rig.projector.show(pictures[change % 2])
+        seen = np.array(_watch(rig, whites, shown, _WATCHED))
         if not same_exposure(rig.camera.exposure, asked):
             # Another program has changed the exposure.
             set_exposure(rig.camera, asked)
-        elif look is not None:
-            looks.append(look)
+        elif len(seen):
+            starts, settled = seen[:, 0] - shown, abs(seen[:, 1] - change % 2) < tolerance
+            latest = float(max(starts[~settled], default=-np.inf))
+            if settled[-1]:
+                looks.append((latest, float(starts[starts > latest].min())))
         report(change + 1, total)
     # A quarter of the changes may end without a settled frame, and a seventh may be late or seen by
     # a bad frame without being part of the settle time. Both are well above the 2 % of late images
@@ -91,18 +99,17 @@ def measure_settle(rig: Rig, whites: WhiteAndBlack, report: _Report) -> SettleTi
     if len(looks) < 0.75 * total:
         raise UnfitRigError(
             f"after {total - len(looks)} of {total} changes between black and white the picture "
-            f"had not settled within {duration:.2f} s",
+            f"had not settled within {_WATCHED:g} s",
             hint="is the exposure fixed (no automatic exposure or gain), and the room's light "
             "steady? `lightmatrix rig flicker` measures that. If the picture comes late, state how "
             "long to wait in seconds, settle=1",
         )
-    times = np.array(looks)
-    last, starts = np.sort(times[:, 0]), times[:, 1]
+    last, starts = np.sort(np.array(looks)[:, 0]), np.array(looks)[:, 1]
     ignored = total // 7 - (total - len(looks))
     unsettled = float(last[-1 - max(0, ignored)])
-    seconds = float(starts[starts > unsettled].min())
+    seconds = max(0.0, float(starts[starts > unsettled].min()))
     late = total - len(looks) + int((last > seconds).sum())
-    if unsettled > 0.8 * 0.5:
+    if unsettled > 0.8 * _WATCHED:
         raise UnfitRigError(
             f"the picture still changes {unsettled:.2f} s after it is shown",
             hint="switch off what delays the picture (compositor, variable refresh, picture "
@@ -110,64 +117,29 @@ def measure_settle(rig: Rig, whites: WhiteAndBlack, report: _Report) -> SettleTi
         )
     # A frame that saw a little of the change may have counted as settled, and clocks are inaccurate
     # by 2 ms.
-    seconds += 0.002 + observer.tolerance * asked
-    return SettleTime(round(seconds, 6), unsettled, total, late)
+    seconds = round(seconds + 0.002 + tolerance * asked, 6)
+    return SettleTime(seconds, max(0.0, unsettled), total, late)
 
 
-class _Observer:
-    """Watches changes between black and white by frames at the exposure of `whites`."""
+# Seconds for which frames are taken after a change between black and white.
+_WATCHED = 0.5
 
-    def __init__(self, rig: Rig, whites: WhiteAndBlack) -> None:
-        self._rig, self._whites = rig, whites
-        self._generator = np.random.default_rng(0)
-        refresh = float(rig.projector.info().get("refresh") or 60.0)
-        self.frame_time = whites.exposure + 1 / refresh
-        shown = rig.projector.show(plain_images(rig)[1])
-        rig.clock.sleep(shown + FIRST_SETTLE - rig.clock.now())
-        rig.camera.flush()
-        levels, waits = [], []
-        for _ in range(12):
-            asked = rig.clock.now()
-            rig.camera.trigger()
-            with suppress(FrameTimeoutError):
-                frame = rig.camera.get_image(rig.patience + 2 * rig.camera.exposure)
-                waits.append(rig.clock.now() - asked)
-                levels.append(self._whites.level(frame.data))
-        # A frame has settled if it is nearer to its end than 3 % of the way from black to white. If
-        # the light flickers, four standard deviations are allowed, but never more than 30 %.
-        spread = robust_deviation(np.array(levels)) if levels else 0.0
-        self.tolerance = min(max(0.03, 4 * spread), 0.3)
-        # Seconds after which a frame is lost.
-        self._patience = 0.2 + 3 * (float(np.median(waits)) if waits else rig.patience)
 
-    def look(self, dark: bool, duration: float) -> tuple[float, float] | None:
-        """Seconds to the last exposure that saw a change and to the next; None if unsettled."""
-        rig = self._rig
-        black, white = plain_images(rig)
-        old, new = (white, black) if dark else (black, white)
-        shown = rig.projector.show(old)
-        rig.clock.sleep(shown + min(FIRST_SETTLE, duration) - rig.clock.now())
-        # The change comes at a random moment of the camera's and the projector's own rhythm.
-        rig.clock.sleep(float(self._generator.random()) * 2 * self.frame_time)
-        rig.camera.flush()
-        shown = rig.projector.show(new)
-        starts: list[float] = []
-        levels: list[float] = []
-        # Even the last frame may be lost, and may come a second late.
-        latest = shown + duration + 1 + self._patience
-        while rig.clock.now() < latest and (not starts or starts[-1] < duration):
-            rig.camera.trigger()
-            with suppress(FrameTimeoutError):
-                frame = rig.camera.get_image(self._patience)
-                starts.append(frame.timestamp - rig.camera.exposure - shown)
-                levels.append(self._whites.level(frame.data))
-        settled = np.abs(np.array(levels) - (0.0 if dark else 1.0)) < self.tolerance
-        if not len(settled) or not settled[-1]:
-            return None
-        unsettled = np.flatnonzero(~settled)
-        times = np.array(starts)
-        last = float(times[unsettled[-1]]) if len(unsettled) else -np.inf
-        return max(last, 0.0), float(times[times > last].min())
+def _watch(
+    rig: Rig, whites: WhiteAndBlack, since: float, seconds: float
+) -> list[tuple[float, float]]:
+    """Starts of the exposures from a time on, for some seconds, and levels from black to white."""
+    rig.clock.sleep(since - rig.clock.now())
+    rig.camera.flush()
+    seen: list[tuple[float, float]] = []
+    # Even the last frame may be lost, and may come late.
+    latest = since + seconds + 1 + rig.patience
+    while rig.clock.now() < latest and (not seen or seen[-1][0] < since + seconds):
+        rig.camera.trigger()
+        with suppress(FrameTimeoutError):
+            frame = rig.camera.get_image(rig.patience)
+            seen.append((frame.timestamp - rig.camera.exposure, whites.level(frame.data)))
+    return seen
 
 
 @dataclass(frozen=True)
@@ -184,11 +156,6 @@ class Flicker:
     room: float
 
     @property
-    def noticed(self) -> bool:
-        """Whether the projector's light flickers."""
-        return self.amplitude > 0
-
-    @property
     def period(self) -> float:
         """Seconds that exposures should be a multiple of; 0 if nothing flickers."""
         return 1 / self.frequency if self.frequency else 0.0
@@ -200,7 +167,32 @@ def measure_flicker(rig: Rig, whites: WhiteAndBlack, settle: float, report: _Rep
     The frequencies that are tried are those of lamps on the mains (100 and 120 Hz), the projector's
     refresh, and twice that. One that the camera's own rhythm hides does no harm in its frames.
     """
-    exposure, (times, bright), (_, dark) = _short_frames(rig, whites, settle, 48, report)
+    camera, count, lit = rig.camera, 48, whites.lit
+    exposure = set_exposure(camera, min(0.002, whites.exposure))
+    series = []
+    for number, image in enumerate(reversed(plain_images(rig))):
+        shown = rig.projector.show(image)
+        # After 0.3 s more even a late image is shown.
+        rig.clock.sleep(shown + settle + 0.3 - rig.clock.now())
+        camera.flush()
+        generator, seen = np.random.default_rng(0), dict[float, float]()
+        for _ in range(3 * count):
+            # At regular moments a triggered camera could keep step with the light, whose period is
+            # about 12 ms.
+            rig.clock.sleep(float(generator.random()) * 0.012)
+            camera.trigger()
+            with suppress(FrameTimeoutError):
+                frame = camera.get_image(rig.patience)
+                seen[frame.timestamp] = float(frame.data[lit].mean(dtype=np.float64))
+            if not same_exposure(camera.exposure, exposure):
+                # Another program has changed it.
+                set_exposure(camera, exposure)
+                seen.clear()
+            report(number * count + len(seen), 2 * count)
+            if len(seen) == count:
+                break
+        series.append((np.array([*seen]), np.array([*seen.values()])))
+    (times, bright), (_, dark) = series
     level = float(np.median(bright) - np.median(dark))
     refresh = float(rig.projector.info().get("refresh") or 60.0)
     amplitude, frequency = 0.0, 0.0
@@ -213,45 +205,6 @@ def measure_flicker(rig: Rig, whites: WhiteAndBlack, settle: float, report: _Rep
         if wave > max(0.004, 4 * error, 1.1 * amplitude):
             amplitude, frequency = wave, candidate
     return Flicker(amplitude, frequency, float(bright.std()) / level, float(dark.std()) / level)
-
-
-def _short_frames(
-    rig: Rig, whites: WhiteAndBlack, settle: float, count: int, report: _Report
-) -> tuple[float, _Series, _Series]:
-    """An exposure that is short for light on the mains, and series of white and of black frames."""
-    camera, total, lit = rig.camera, 2 * count, whites.lit
-    exposure = set_exposure(camera, min(0.002, whites.exposure))
-    series = []
-    for number, image in enumerate(reversed(plain_images(rig))):
-        shown = rig.projector.show(image)
-        # After 0.3 s more even a late image is shown.
-        rig.clock.sleep(shown + settle + 0.3 - rig.clock.now())
-        camera.flush()
-        # A second try is for another program that changes the exposure.
-        for _ in range(2):
-            generator = np.random.default_rng(0)
-            times: list[float] = []
-            levels: list[float] = []
-            for _ in range(total):
-                # At regular moments a triggered camera could keep step with the light, whose period
-                # is about 12 ms.
-                rig.clock.sleep(float(generator.random()) * 0.012)
-                camera.trigger()
-                try:
-                    frame = camera.get_image(rig.patience)
-                except FrameTimeoutError:
-                    continue
-                if not times or frame.timestamp > times[-1]:
-                    times.append(frame.timestamp)
-                    levels.append(float(np.asarray(frame.data, np.float64)[lit].mean()))
-                    report(number * count + len(times), total)
-                if len(times) == count:
-                    break
-            if same_exposure(camera.exposure, exposure):
-                break
-            set_exposure(camera, exposure)
-        series.append((np.array(times), np.array(levels)))
-    return exposure, series[0], series[1]
 
 
 def _wave(
@@ -357,16 +310,20 @@ def _possible(
 
 
 def measure_response(
-    rig: Rig, whites: WhiteAndBlack, settle: float, report: _Report
+    rig: Rig, whites: WhiteAndBlack, settle: float, report: _Report, camera: Response
 ) -> ProjectorResponse:
-    """Measure how much light the projector gives for each grey value."""
+    """Measure how much light the projector gives for each grey value, by a camera's response."""
     photographer = Photographer(rig, settle)
     # A smooth curve is known between 17 grey values.
     levels = np.rint(np.linspace(0, 255, 17)).astype(int)
     light = np.empty(len(levels))
     for k, level in enumerate(levels):
         image = np.full(rig.projector.shape, level, np.uint8)
-        light[k] = whites.level(take_average(photographer, image, whites.exposure, 3).mean)
+        frame = take_average(photographer, image, whites.exposure, 3)
+        means: list[NDArray[Any]] = [frame.mean, whites.white.mean, whites.black.mean]
+        if camera.levels is not None:
+            means = [camera.linearise(mean / frame.clip_level) for mean in means]
+        light[k] = share_of_white(means[0], means[1], means[2], whites.lit)
         report(k + 1, len(levels))
     return ProjectorResponse.of_light(levels, light)
 
@@ -396,10 +353,6 @@ class RigMeasurements:
     flicker : Flicker, optional
     exposure : ExposureAdvice, optional
     response : ProjectorResponse, optional
-    brightness : float
-        Mean light of white over black a second, as a share of the clip level.
-    measured : str
-        When something was measured last.
 
     Examples
     --------
@@ -416,8 +369,6 @@ class RigMeasurements:
     flicker: Flicker | None = None
     exposure: ExposureAdvice | None = None
     response: ProjectorResponse | None = None
-    brightness: float = 0.0
-    measured: str = ""
 
     def as_dict(self) -> dict[str, Any]:
         """Everything, JSON-ready, as rig.json holds it."""
@@ -428,8 +379,6 @@ class RigMeasurements:
             "projector": dict(self.projector),
             "camera": dict(self.camera),
             **{name: None if part is None else asdict(part) for name, part in parts.items()},
-            "brightness": self.brightness,
-            "measured": self.measured,
         }
 
     def save(self, path: str | Path) -> None:
@@ -463,10 +412,8 @@ class RigMeasurements:
                 dict(content["projector"]),
                 dict(content["camera"]),
                 **parts,
-                brightness=float(content["brightness"]),
-                measured=str(content["measured"]),
             )
-        except (KeyError, TypeError, ValueError) as error:
+        except (AttributeError, KeyError, TypeError, ValueError) as error:
             raise InputError(
                 f"{file}: is damaged ({error})", hint="remove it; the rig is measured again"
             ) from error
@@ -485,17 +432,10 @@ class RigMeasurements:
 
 
 def _part(kind: Callable[..., Any], part: Mapping[str, Any]) -> Any:
-    """A part from JSON; a TypeError or ValueError if a value is of the wrong type."""
-    values: dict[str, Any] = {}
-    for item in fields(kind):  # type: ignore[arg-type]
-        value, wanted = part[item.name], str(item.type)
-        one = str if "str" in wanted else int if "int" in wanted else float
-        several = wanted.startswith("tuple")
-        for each in value if several else (value,):
-            if type(each) not in (int, one):
-                raise TypeError(f"{each!r} is no {one.__name__}")
-        values[item.name] = tuple(map(one, value)) if several else one(value)
-    return kind(**values)
+    """A part from JSON; a TypeError or AttributeError if it is none."""
+    return kind(
+        **{key: tuple(each) if isinstance(each, list) else each for key, each in part.items()}
+    )
 
 
 def _jsonable(info: Mapping[str, Any]) -> dict[str, Any]:
@@ -510,6 +450,7 @@ def measure_rig(
     *,
     keep: str | Path | None = None,
     settle: float | None = None,
+    response: str = "linear",
     progress: Callable[[str, int, int], None] | None = None,
 ) -> RigMeasurements:
     """Measure a rig, or some of it, and what that needs.
@@ -524,6 +465,8 @@ def measure_rig(
         another rig is replaced.
     settle : float, optional
         Seconds to wait after a picture is shown, instead of measuring them.
+    response : str
+        The camera's response, by which the projector's is measured; see `Response.parse`.
     progress : callable, optional
         Called with (part, done, total).
 
@@ -555,14 +498,21 @@ def measure_rig(
         )
     if settle is not None:
         check_number("a settle time", settle, most=60, hint="give seconds, such as 0.1")
-    before = RigMeasurements(_jsonable(rig.projector.info()), _jsonable(rig.camera.info()))
-    if keep is not None and Path(keep).exists():
-        kept = RigMeasurements.load(keep)
-        before = kept if kept.of_rig(rig) else before
-    known = rig.persistently(lambda: _measured(rig, before, parts, settle, progress))
+    before = kept_measurements(rig, keep)
+    camera = Response.parse(response)
+    known = rig.persistently(lambda: _measured(rig, before, parts, settle, camera, progress))
     if keep is not None:
         known.save(keep)
     return known
+
+
+def kept_measurements(rig: Rig, keep: str | Path | None) -> RigMeasurements:
+    """What a file holds of this rig; nothing but the names of its devices if it is of another."""
+    if keep is not None and as_path(keep).exists():
+        kept = RigMeasurements.load(keep)
+        if kept.of_rig(rig):
+            return kept
+    return RigMeasurements(_jsonable(rig.projector.info()), _jsonable(rig.camera.info()))
 
 
 def _measured(
@@ -570,6 +520,7 @@ def _measured(
     known: RigMeasurements,
     parts: Sequence[str],
     settle: float | None,
+    camera: Response,
     progress: Callable[[str, int, int], None] | None,
 ) -> RigMeasurements:
     def report(part: str) -> _Report:
@@ -597,58 +548,6 @@ def _measured(
     if "exposure" in parts:
         known = replace(known, exposure=measure_exposure(rig, whites, wait, period))
     if "response" in parts:
-        response = measure_response(rig, whites, wait, report("response"))
+        response = measure_response(rig, whites, wait, report("response"), camera)
         known = replace(known, response=response)
-    now = datetime.now().astimezone().isoformat(timespec="seconds")
-    return replace(known, brightness=whites.brightness, measured=now)
-
-
-def outdated_parts(rig: Rig, known: RigMeasurements) -> list[str]:
-    """Names of the parts that no longer hold; `known` has a settle time and exposures."""
-    assert known.settle is not None
-    # Each look begins anew if the camera is lost: some cameras have memory for a few pictures only.
-    whites, parts = rig.persistently(lambda: _changed_levels(rig, known))
-    settle, flicker = known.settle.seconds, known.flicker
-    if flicker is not None:
-        _, (_, bright), (_, dark) = rig.persistently(
-            lambda: _short_frames(rig, whites, settle, 7, lambda done, total: None)
-        )
-        level = float(np.median(bright) - np.median(dark))
-        lamp, room = robust_deviation(bright) / level, robust_deviation(dark) / level
-        if lamp > 2 * flicker.spread + 0.01 or room > 2 * flicker.room + 0.01:
-            # Exposures are multiples of the period of a flicker.
-            parts += [part for part in ("flicker", "exposure") if part not in parts]
-    return parts
-
-
-def _changed_levels(rig: Rig, known: RigMeasurements) -> tuple[WhiteAndBlack, list[str]]:
-    """White and black, and the parts that the levels of frames show to be outdated."""
-    assert known.settle is not None
-    assert known.exposure is not None
-    exposure = known.exposure.seconds[-1]
-    waiting = Photographer(rig, max(FIRST_SETTLE, known.settle.seconds))
-    whites = take_white_and_black(waiting, exposure)
-    parts = []
-    photographer = Photographer(rig, known.settle.seconds)
-    late = 0
-    for change in range(6):
-        image = plain_images(rig)[change % 2]
-        try:
-            level = whites.level(photographer.take(image, exposure).data)
-        except UntrustedFrameError:
-            continue
-        late += not abs(level - change % 2) < 0.05
-    # Single late images are normal.
-    if late > 2:
-        parts.append("settle")
-    if known.response is not None:
-        grey = known.response.grey_for(np.array([0.5]))[0]
-        light = float(np.interp(grey, known.response.levels, known.response.light))
-        image = np.full_like(plain_images(rig)[0], grey)
-        shown = take_average(photographer, image, exposure, 3)
-        if abs(whites.level(shown.mean) - light) > 0.03:
-            parts.append("response")
-    if abs(whites.brightness / known.brightness - 1) > 0.05:
-        # The aperture, the distance, the scene or the lamp has changed.
-        parts.append("exposure")
-    return whites, parts
+    return known

@@ -30,6 +30,7 @@ from lightmatrix.simulation.shapes import (
     from_quaternion,
     l_block,
     nut,
+    polygon,
     revolve,
     ring,
     rod,
@@ -430,6 +431,22 @@ def _paint(vase: Mesh) -> NDArray[np.float64]:
     return glaze * (1 - share) + blue * share
 
 
+def _mirror_balls() -> Scene:
+    """A pile of polished balls on a matt table, which see the table and each other.
+
+    Stripes and codes fail there: a camera pixel sees the same light by several ways.
+    """
+    # Six balls touch each other around a seventh, and three lie in the hollows between them.
+    polished, radius, up = metal("Ag", 0.12), 0.25, 0.25 * sqrt(8 / 3)
+    places = [(0.0, 0.0, 0.0), *((x, y, 0.0) for x, y in polygon(6, 2 * radius))]
+    places += [(x, y, up) for x, y in polygon(12, 2 * radius / sqrt(3))[1::4]]
+    balls = [Part(ball(radius, 64).placed(place), polished) for place in places]
+    around = ((-0.78, -0.70), (0.80, 0.66), (-0.72, 0.74), (0.74, -0.78), (0.02, -0.84))
+    balls += [Part(ball(0.15, 64).placed((x, y, 0.0)), polished) for x, y in around]
+    description = "a pile of polished metal balls on a matt table: light by several ways"
+    return Scene("mirror_balls", description, (Part(sheet(), matt(0.7)), *balls))
+
+
 BUILDERS: dict[str, Callable[[], Scene]] = {
     "l_objects": _l_objects,
     "gripper": _gripper,
@@ -438,6 +455,7 @@ BUILDERS: dict[str, Callable[[], Scene]] = {
     "translucent": _translucent,
     "wall": _wall,
     "vase": _vase_scene,
+    "mirror_balls": _mirror_balls,
 }
 
 

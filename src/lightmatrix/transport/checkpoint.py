@@ -5,7 +5,7 @@ file, renamed into place when whole, and the fingerprint of what is being comput
 killed continues there. The output is locked meanwhile.
 
 The digest of a tile covers its arrays, its file's name and the fingerprint. So a tile that was
-damaged, renamed, or written late by a worker with other settings is computed again.
+damaged or renamed, or belongs to other settings, is computed again.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 from lightmatrix.errors import ClusterError, InputError, LightMatrixError, OutputError
 from lightmatrix.files.kinds import PARTIAL, STORE
 from lightmatrix.files.numpy_files import read_npz
-from lightmatrix.files.running import RunningResults, write_whole
+from lightmatrix.files.running import RunningResults
 from lightmatrix.files.writing import claimed
 from lightmatrix.resources.threads import work_ahead
 from lightmatrix.transport.matrix import LightTransport
@@ -57,7 +57,7 @@ class Checkpoint:
         self._kept = kept
         self._overwrite = overwrite
         self._claim = claim
-        self.token = token
+        self._token = token
         # The undamaged tiles of each step that was asked for.
         self._spans: dict[str, list[Span]] = {}
 
@@ -109,11 +109,6 @@ class Checkpoint:
             if not steps or (refused and ROWS not in steps):
                 self._kept.discard()
 
-    @property
-    def folder(self) -> Path:
-        """Where the tiles are kept, as an absolute path."""
-        return self._kept.path
-
     def spans(self, step: str = ROWS) -> list[Span]:
         """Rows of the finished, undamaged tiles of a step, in order and without overlap."""
         if step not in self._spans:
@@ -125,25 +120,15 @@ class Checkpoint:
 
     def write(self, start: int, stop: int, rows: SparseRows, step: str = ROWS) -> None:
         """Keep a finished tile, the rows start..stop of a step."""
-        write_tile(self.place(start, stop, step), self.token, rows)
-        self.add(start, stop, step)
-
-    def place(self, start: int, stop: int, step: str = ROWS) -> Path:
-        """Where another process may write a tile, with `write_tile` and the `token`."""
-        return self._kept.place(tile_name(step, (start, stop)))
-
-    def add(self, start: int, stop: int, step: str = ROWS) -> None:
-        """Count a tile that was written as finished."""
+        name, arrays = tile_name(step, (start, stop)), rows.arrays()
+        arrays[_DIGEST] = _digest(name, self._token, arrays)
+        with self._kept.keep(name) as part:
+            np.savez(part, **arrays)  # type: ignore[arg-type]
         self._spans[step] = _without_overlap([*self.spans(step), (start, stop)])
 
     def read(self, step: str) -> SparseRows:
         """All tiles of a step, joined."""
         return SparseRows.joined(list(self._tiles(step)))
-
-    def keep(self, name: str, data: bytes) -> None:
-        """Keep a file that is no tile until the output is whole."""
-        with self._kept.keep(name) as part:
-            part.write_bytes(data)
 
     def forget(self, step: str) -> None:
         """Throw away the tiles of a step."""
@@ -166,7 +151,7 @@ class Checkpoint:
         edges = [0, *(stop for _, stop in spans)]
         rows = int(np.prod(camera_shape))
         if [start for start, _ in spans] != edges[:-1] or edges[-1] != rows:
-            raise InputError(f"{self.folder}: the tiles do not cover all {rows} rows once")
+            raise InputError(f"{self._kept.path}: the tiles do not cover all {rows} rows once")
         provenance = dict(provenance or {})
         try:
             save_rows(
@@ -181,7 +166,7 @@ class Checkpoint:
         except OutputError as error:
             raise OutputError(
                 error.message,
-                hint=f"the finished tiles are kept in {self.folder}: check the folder, its "
+                hint=f"the finished tiles are kept in {self._kept.path}: check the folder, its "
                 "permissions and the free space, and run the same estimate again",
             ) from error
         self._kept.discard()
@@ -195,7 +180,7 @@ class Checkpoint:
 
     def _tile(self, step: str, span: Span) -> SparseRows | None:
         """A finished tile; None if it is damaged."""
-        return read_tile(self._kept.file(tile_name(step, span)), self.token, span[1] - span[0])
+        return read_tile(self._kept.file(tile_name(step, span)), self._token, span[1] - span[0])
 
     def _tiles(self, step: str) -> Iterator[SparseRows]:
         """Finished tiles one after the other, so that they are never all in memory."""
@@ -204,7 +189,7 @@ class Checkpoint:
             tile = self._tile(step, span)
             if tile is None:
                 raise InputError(
-                    f"{self.folder}: the tile {tile_name(step, span)} was damaged meanwhile",
+                    f"{self._kept.path}: the tile {tile_name(step, span)} was damaged meanwhile",
                     hint="run the same estimate again; it computes that tile anew",
                 )
             return tile
@@ -215,14 +200,6 @@ class Checkpoint:
 def tile_name(step: str, span: Span) -> str:
     """The name of the file that keeps a tile of a step."""
     return f"{step}-{span[0]}-{span[1]}.npz"
-
-
-def write_tile(file: Path, token: str, rows: SparseRows) -> None:
-    """Write a tile in one step, from any process; `token` is that of the fingerprint."""
-    with write_whole(file) as part:
-        arrays: dict[str, Any] = rows.arrays()
-        arrays[_DIGEST] = _digest(file.name, token, arrays)
-        np.savez(part, **arrays)
 
 
 def read_tile(file: Path, token: str, count: int) -> SparseRows | None:

@@ -1,7 +1,8 @@
 """An index of the columns of a store, so that a brush stroke reads no more than its columns.
 
 A store is cut into rows, and a column is spread over all of them. The index keeps the entries a
-second time, as the transposed matrix. The columns of 32 x 32 projector pixels stand together.
+second time: it is a store of the transposed matrix within the store. Its rows are the columns of
+the projector pixels, those of 16 x 16 pixels together, and then those of the background's cells.
 """
 
 from __future__ import annotations
@@ -11,45 +12,36 @@ import math
 import os
 import shutil
 from collections.abc import Callable, Iterator
-from contextlib import AbstractContextManager
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import zarr
 from numpy.typing import NDArray
 from scipy.sparse import csr_array, hstack
 
 from lightmatrix.errors import InputError
 from lightmatrix.files.kinds import STORE
 from lightmatrix.files.writing import as_output_error, claimed, final_target, locked
-from lightmatrix.files.zarr_arrays import (
-    QUICK,
-    StoredArray,
-    as_damage_error,
-    create_array,
-    read_attributes,
-    write_parts,
-)
+from lightmatrix.files.zarr_arrays import QUICK, read_attributes
 from lightmatrix.patterns.pattern_set import grid_cells
 from lightmatrix.reprs import short_repr
 from lightmatrix.resources.disk import check_disk_space
-from lightmatrix.transport.sparse_rows import check_indptr, checked_float32, row_blocks
-from lightmatrix.transport.store import StoredTransport, seal, sealed_arrays
+from lightmatrix.transport.sparse_rows import row_blocks
+from lightmatrix.transport.store import StoredTransport, fill_store
 
 # The folder of an index within a store, and that of one that is not whole yet. The next run removes
 # what a killed run left there.
 COLUMNS, _PART = "columns", ".columns.part"
 # Entries that are transposed at once. Each takes 8 bytes, and 8 more while they are joined.
 _PASS_ENTRIES = 1 << 26
-# Rows and columns of projector pixels whose columns stand together.
-_TILE = 32
+# Rows and columns of projector pixels whose columns stand together, and are read together.
+_TILE = 16
 # Entries of a chunk of the index: few, so that the pixels of a brush read little else.
 _CHUNK = 1 << 16
-# Bytes of chunks, and of background cells, that an index keeps in memory.
-_KEPT_CHUNKS, _KEPT_CELLS = 1 << 27, 1 << 26
+# Entries that an index keeps in memory, 8 bytes each.
+_KEPT_ENTRIES = 1 << 24
 _REMEDY = "make it again with index_columns"
 
 
@@ -91,7 +83,7 @@ def index_columns(
     with claimed(path, STORE, overwrite=True) as target, as_output_error(path):
         if (target / COLUMNS).exists() and not overwrite:
             raise InputError(f"{path}: has an index already", hint="pass overwrite=True")
-        background = matrix.arrays["background"].bytes
+        background = 2 * matrix.arrays["background"].bytes
         check_disk_space(target, 8 * matrix.entries + 8 * matrix.shape[1] + background, path)
         part = target / _PART
         shutil.rmtree(part, ignore_errors=True)
@@ -116,7 +108,7 @@ def _remove_leftovers(target: Path) -> None:
 
 
 def tile_places(pixels: NDArray[np.integer], projector_shape: tuple[int, int]) -> NDArray[np.int64]:
-    """Places 0 to N - 1 of projector pixels in the index: by tiles of 32 x 32, row by row.
+    """Places 0 to N - 1 of projector pixels in the index: by tiles of 16 x 16, row by row.
 
     The pixels of a brush, which lie beside and below each other, then stand together.
     """
@@ -131,6 +123,7 @@ def tile_places(pixels: NDArray[np.integer], projector_shape: tuple[int, int]) -
 def _write_index(part: Path, matrix: StoredTransport, progress: Callable[[int, int], None]) -> None:
     """Write the transposed matrix, its rows in the order of `tile_places`, in bounded memory."""
     samples, pixels = matrix.shape
+    cells = math.prod(matrix.background_grid)
     order = np.argsort(tile_places(np.arange(pixels), matrix.projector_shape))
     # One reading to count, and one for each pass.
     total = matrix.entries * (1 + max(1, math.ceil(matrix.entries / _PASS_ENTRIES)))
@@ -143,27 +136,34 @@ def _write_index(part: Path, matrix: StoredTransport, progress: Callable[[int, i
             done += block.coefficients.nnz
             progress(min(done, total), total)
 
-    def columns() -> Iterator[dict[str, NDArray[Any]]]:
+    def arrays(ends: NDArray[Any], rows: csr_array) -> dict[str, NDArray[Any]]:
+        # No row has a background of its own.
+        nothing = np.zeros((rows.shape[0], 1), np.float32)
+        indices = rows.indices.astype(np.int32, copy=False)
+        return {"indptr": ends, "indices": indices, "data": rows.data, "background": nothing}
+
+    def parts() -> Iterator[dict[str, NDArray[Any]]]:
         counts = sum(np.bincount(block.indices, minlength=pixels)[order] for block in blocks())
         ends = np.concatenate([[0], np.cumsum(counts)])
         for first, last in itertools.pairwise(row_blocks(ends, _PASS_ENTRIES)):
             some = order[first:last]
             rows = hstack([block[:, some].T.tocsr() for block in blocks()], format="csr")
             # The first row's beginning is that of the array as well.
-            begin = first + 1 if first else 0
-            yield {"indptr": ends[begin : last + 1], "indices": rows.indices, "data": rows.data}
+            yield arrays(ends[first + 1 if first else 0 : last + 1], rows)
+        end = ends[-1:]
+        for cell in range(cells):
+            light = matrix.arrays["background"].read(slice(None), slice(cell, cell + 1))
+            # Samples without background have no entry.
+            row = csr_array(light.T + 0.0)
+            end = end + row.nnz
+            yield arrays(end, row)
 
-    group = zarr.open_group(part, mode="w", zarr_format=3)
-    write_parts(group, columns(), _CHUNK, QUICK)
-    # The background has a row for each cell, which is read without the others.
-    cells = math.prod(matrix.background_grid)
-    chunk = max(1, min(samples, _PASS_ENTRIES // (4 * cells)))
-    by_cells = create_array(group, "background", (cells, samples), np.float32, (1, chunk), QUICK)
-    for start in range(0, samples, chunk):
-        stop = min(start + chunk, samples)
-        by_cells[:, start:stop] = matrix.background(start, stop).T
-    group.attrs["matrix"] = matrix.digest
-    seal(part)
+    shapes = {
+        "camera_shape": [pixels + cells, 1],
+        "projector_shape": [samples, 1],
+        "background_grid": [1, 1],
+    }
+    fill_store(part, parts(), shapes, {}, _CHUNK, QUICK)
 
 
 @dataclass(frozen=True, eq=False)
@@ -174,9 +174,8 @@ class ColumnIndex:
 
     Parameters
     ----------
-    matrix : StoredTransport
-    arrays : dict of str to StoredArray
-        ``indptr``, ``indices``, ``data`` and ``background``.
+    matrix, columns : StoredTransport
+        The matrix, and the transposed one.
 
     Examples
     --------
@@ -189,10 +188,10 @@ class ColumnIndex:
     """
 
     matrix: StoredTransport
-    arrays: dict[str, StoredArray]
-    # Chunks are kept once they were read, because the next stroke is near the last.
-    _kept: dict[int, tuple[NDArray[Any], NDArray[Any]]] = field(default_factory=dict, repr=False)
-    _kept_cells: dict[int, NDArray[np.float32]] = field(default_factory=dict, repr=False)
+    columns: StoredTransport
+    # Rows of the transposed matrix from some place on, kept because the next stroke is near the
+    # last.
+    _kept: dict[int, csr_array] = field(default_factory=dict, repr=False)
 
     __repr__ = short_repr
 
@@ -209,20 +208,11 @@ class ColumnIndex:
         place = matrix.place / COLUMNS
         if not place.is_dir():
             raise InputError(f"{path}: has no index of its columns", hint="make it: index_columns")
-        with as_damage_error(place, _REMEDY):
-            entries, by_cells = (matrix.entries,), matrix.arrays["background"].shape[::-1]
-            ends = (matrix.shape[1] + 1,)
-            wanted: dict[str, tuple[int, ...]] = {"background": by_cells, "indptr": ends}
-            wanted |= {"indices": entries, "data": entries}
-            attributes = read_attributes(place)
-            arrays = sealed_arrays(place, wanted, attributes)
-            same = all(arrays[name].shape == shape for name, shape in wanted.items())
-            if attributes["matrix"] != matrix.digest or not same:
-                raise ValueError("it is the index of another matrix")
-        index = cls(matrix, arrays)
-        # Read now, so that damage of it is reported at once.
-        assert len(index._ends) > 0
-        return index
+        columns = StoredTransport.open(place, remedy=_REMEDY)
+        samples, pixels = matrix.shape
+        if columns.shape != (pixels + math.prod(matrix.background_grid), samples):
+            raise InputError(f"{place}: is the index of another matrix", hint=_REMEDY)
+        return cls(matrix, columns)
 
     def light(
         self, pixels: NDArray[np.integer], values: NDArray[np.floating]
@@ -256,76 +246,41 @@ class ColumnIndex:
                 f"pixels up to {pixels.max()} of a projector of {self.matrix.shape[1]}",
                 hint="count them from 0, row by row",
             )
-        ends, places = self._ends, tile_places(pixels, self.matrix.projector_shape)
+        cells, sizes = self._cells
+        means = np.bincount(cells[pixels], change / sizes[cells[pixels]], len(sizes))
+        count = self.matrix.shape[1]
+        places = np.concatenate(
+            [tile_places(pixels, self.matrix.projector_shape), count + np.flatnonzero(means)]
+        )
+        weights = np.concatenate([change, means[means != 0]]).astype(np.float32)
         image = np.zeros(self.matrix.shape[0], np.float32)
-        for k in self._chunks(places):
-            rows, data = self._kept[k]
-            # The entries of each pixel in this chunk, counted from the chunk's beginning.
-            low = np.clip(ends[places] - k * _CHUNK, 0, len(rows))
-            lengths = np.clip(ends[places + 1] - k * _CHUNK, 0, len(rows)) - low
-            inside = np.flatnonzero(lengths)
-            lengths, low = lengths[inside], low[inside]
-            first = np.repeat(low - np.cumsum(lengths) + lengths, lengths)
-            entries = first + np.arange(len(first))
-            light = data[entries] * np.repeat(change[inside], lengths)
-            np.add.at(image, rows[entries], light.astype(np.float32))
-        cells = self._cells[pixels]
-        means = np.bincount(cells, change / self._cell_sizes[cells])
-        for cell in np.flatnonzero(means).tolist():
-            image += np.float32(means[cell]) * self._background(cell)
+        tile = np.searchsorted(self._starts, places, "right") - 1
+        for number in np.unique(tile).tolist():
+            inside, rows = tile == number, self._tile(number)
+            index = places[inside] - self._starts[number]
+            image += np.bincount(index, weights[inside], rows.shape[0]).astype(np.float32) @ rows
         return image.reshape(self.matrix.camera_shape)
 
-    def _chunks(self, places: NDArray[np.int64]) -> list[int]:
-        """The numbers of the chunks that hold some columns, after all of them were read."""
-        ends, lit = self._ends, places[self._ends[places] < self._ends[places + 1]]
-        spans = zip(ends[lit] // _CHUNK, (ends[lit + 1] - 1) // _CHUNK, strict=True)
-        wanted = sorted({k for first, last in spans for k in range(first, last + 1)})
-        missing = [k for k in wanted if k not in self._kept]
-        if 8 * _CHUNK * (len(self._kept) + len(missing)) > _KEPT_CHUNKS:
-            self._kept.clear()
-            missing = wanted
-        # Chunks that follow each other are read together: each reading takes time of its own.
-        for run in np.split(missing, np.flatnonzero(np.diff(missing) > 1) + 1):
-            if len(run):
-                self._read(int(run[0]), int(run[-1]) + 1)
-        return wanted
-
-    def _read(self, first: int, last: int) -> None:
-        span = slice(first * _CHUNK, last * _CHUNK)
-        with self._damage():
-            rows = self.arrays["indices"].read(span)
-            if len(rows) and not (rows.min() >= 0 and rows.max() < self.matrix.shape[0]):
-                raise ValueError("a row lies outside the matrix")
-            data = checked_float32(self.arrays["data"].read(span), "data")
-        for k in range(first, last):
-            part = slice((k - first) * _CHUNK, (k - first + 1) * _CHUNK)
-            self._kept[k] = rows[part], data[part]
-
-    def _background(self, cell: int) -> NDArray[np.float32]:
-        """The values of one cell of the background, one for each camera sample."""
-        if cell not in self._kept_cells:
-            if 4 * self.matrix.shape[0] * (len(self._kept_cells) + 1) > _KEPT_CELLS:
-                self._kept_cells.clear()
-            with self._damage():
-                values = self.arrays["background"].read(slice(cell, cell + 1))
-                self._kept_cells[cell] = checked_float32(values, "background")[0]
-        return self._kept_cells[cell]
-
-    def _damage(self) -> AbstractContextManager[None]:
-        return as_damage_error(self.matrix.place / COLUMNS, _REMEDY)
+    def _tile(self, number: int) -> csr_array:
+        """The rows of the transposed matrix that are read together."""
+        if number not in self._kept:
+            start, stop = self._starts[number : number + 2].tolist()
+            rows = self.columns.sparse_rows(start, stop)
+            if sum(kept.nnz for kept in self._kept.values()) + rows.nnz > _KEPT_ENTRIES:
+                self._kept.clear()
+            self._kept[number] = rows
+        return self._kept[number]
 
     @cached_property
-    def _cells(self) -> NDArray[np.int64]:
-        """The cell that each projector pixel lies in."""
-        return grid_cells(self.matrix.projector_shape, self.matrix.background_grid)
+    def _cells(self) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        """The cell that each projector pixel lies in, (N,), and the number of pixels in each."""
+        cells = grid_cells(self.matrix.projector_shape, self.matrix.background_grid)
+        return cells, np.bincount(cells)
 
     @cached_property
-    def _cell_sizes(self) -> NDArray[np.int64]:
-        return np.bincount(self._cells)
-
-    @cached_property
-    def _ends(self) -> NDArray[np.int64]:
-        with self._damage():
-            ends = self.arrays["indptr"].read()
-            check_indptr(ends, self.matrix.entries)
-        return ends.astype(np.int64)
+    def _starts(self) -> NDArray[np.int64]:
+        """The places at which tiles, and then cells, begin, and the end of the last one."""
+        rows, cols = self.matrix.projector_shape
+        corners = (np.arange(0, rows, _TILE)[:, None] * cols + np.arange(0, cols, _TILE)).ravel()
+        tiles = tile_places(corners, self.matrix.projector_shape)
+        return np.append(tiles, np.arange(rows * cols, self.columns.shape[0] + 1))

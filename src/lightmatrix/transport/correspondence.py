@@ -121,18 +121,33 @@ def correspondence(transport: LightTransport) -> Correspondence:
     """
     check_type("a light transport matrix", transport, LightTransport, hint=HOW_TO_GIVE)
     matrix, background = pixel_rows(transport)
-    width = transport.projector_shape[1]
+    camera, projector = transport.camera_shape, transport.projector_shape
+    return strongest_places(matrix, background, (camera[0], camera[1]), projector)
+
+
+def strongest_places(
+    matrix: csr_array,
+    background: NDArray[np.float64],
+    shape: tuple[int, int],
+    other_shape: tuple[int, int],
+    reach: int = REACH,
+) -> Correspondence:
+    """The strongest place of each row of a matrix, whose columns are pixels of another device.
+
+    Rows are the pixels of a device of `shape`, `background` (rows,) is light of each that has no
+    place, and the window around the strongest pixel has 2 `reach` + 1 pixels along a side.
+    """
+    width = other_shape[1]
     step = max(1, _ENTRIES // max(1, matrix.nnz // len(background)))
     blocks = [slice(start, start + step) for start in range(0, len(background), step)]
-    parts = (_strongest(csr_array(matrix[rows]), background[rows], width) for rows in blocks)
+    parts = (_strongest(csr_array(matrix[rows]), background[rows], width, reach) for rows in blocks)
     pixel, place, confidence, light = map(np.concatenate, zip(*parts, strict=True))
-    shape = transport.camera_shape[:2]
     return Correspondence(
         pixel.reshape(*shape, 2),
         place.reshape(*shape, 2),
         confidence.reshape(shape),
         light=light.reshape(shape),
-        projector_shape=transport.projector_shape,
+        projector_shape=other_shape,
     )
 
 
@@ -152,7 +167,7 @@ def pixel_rows(transport: LightTransport) -> tuple[csr_array, NDArray[np.float64
 
 
 def _strongest(
-    matrix: csr_array, background: NDArray[np.float64], width: int
+    matrix: csr_array, background: NDArray[np.float64], width: int, reach: int
 ) -> tuple[NDArray[Any], ...]:
     """The strongest pixel, its place, its confidence and the light around it, for some rows."""
     count = int(matrix.shape[0])
@@ -168,7 +183,7 @@ def _strongest(
     valid = strongest >= 0
     pixel = np.where(valid[:, None], np.stack(np.divmod(strongest, width), axis=1), -1)
     distance = np.stack(np.divmod(matrix.indices.astype(np.int64), width), axis=1) - pixel[owner]
-    near = light * (np.abs(distance) <= REACH).all(axis=1)
+    near = light * (np.abs(distance) <= reach).all(axis=1)
     window = np.bincount(owner, near, count).astype(np.float64)
     total = np.bincount(owner, light, count) + np.maximum(background, 0)
     with np.errstate(invalid="ignore", divide="ignore"):

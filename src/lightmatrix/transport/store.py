@@ -10,7 +10,6 @@ from __future__ import annotations
 import hashlib
 import json
 import math
-import zipfile
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
@@ -21,21 +20,24 @@ from typing import Any, Self
 import numpy as np
 import zarr
 from numpy.typing import NDArray
+from scipy.sparse import csr_array
+from zarr.codecs import BloscCodec
 
 from lightmatrix.errors import InputError
 from lightmatrix.files.colours import COLOURS, colour_paths
-from lightmatrix.files.kinds import COLOUR_STORES, CORRESPONDENCE_MARK, PARTIAL, STORE, holds_member
+from lightmatrix.files.kinds import COLOUR_STORES, CORRESPONDENCE, PARTIAL, STORE
 from lightmatrix.files.reading import read_bytes
 from lightmatrix.files.writing import atomic_folder
 from lightmatrix.files.zarr_arrays import (
     CHUNK,
     HEADER,
+    SMALL,
     StoredArray,
     as_damage_error,
     read_group,
     write_parts,
 )
-from lightmatrix.ranges import check_type
+from lightmatrix.ranges import as_path, check_type
 from lightmatrix.resources.memory import check_memory
 from lightmatrix.transport.correspondence import Correspondence
 from lightmatrix.transport.matrix import ColourTransport, LightTransport
@@ -53,8 +55,8 @@ from lightmatrix.transport.sparse_rows import (
 FORMAT, VERSION = "lightmatrix-transport", 1
 # The arrays of the group, besides those of diagnostics/, and the types of their values.
 _ARRAYS = {"indptr": np.int64, "indices": np.int32, "data": np.float32, "background": np.float32}
-# The attributes that a seal covers, as far as a group has them.
-_SEALED = ("camera_shape", "projector_shape", "background_grid", "matrix")
+# The attributes that a seal covers.
+_SEALED = ("camera_shape", "projector_shape", "background_grid")
 _RESTORE = (
     "open it again if it was replaced; otherwise restore it from a copy, or estimate it again "
     "with overwrite=True"
@@ -115,20 +117,29 @@ def save_rows(
 ) -> None:
     """Write a matrix as `save` does, from parts with all rows in order, one at a time in memory."""
     with atomic_folder(path, STORE, overwrite=overwrite) as part:
-        group = zarr.open_group(part, mode="w", zarr_format=3)
-        group.create_group("diagnostics")
-        write_parts(group, _arrays(parts))
-        group.attrs.update(
-            {
-                "format": FORMAT,
-                "version": VERSION,
-                "camera_shape": [int(n) for n in camera_shape],
-                "projector_shape": [int(n) for n in projector_shape],
-                "background_grid": [int(n) for n in background_grid],
-                "provenance": json.loads(json.dumps(dict(provenance), default=str)),
-            }
-        )
-        seal(part)
+        shapes = {
+            "camera_shape": [int(n) for n in camera_shape],
+            "projector_shape": [int(n) for n in projector_shape],
+            "background_grid": [int(n) for n in background_grid],
+        }
+        fill_store(part, _arrays(parts), shapes, provenance)
+
+
+def fill_store(
+    folder: Path,
+    arrays: Iterable[Mapping[str, NDArray[Any]]],
+    shapes: Mapping[str, Any],
+    provenance: Mapping[str, Any],
+    chunk: int | None = None,
+    blosc: BloscCodec = SMALL,
+) -> None:
+    """Write a matrix into an empty folder, from parts of its arrays as `write_parts` takes them."""
+    group = zarr.open_group(folder, mode="w", zarr_format=3)
+    group.create_group("diagnostics")
+    write_parts(group, arrays, chunk, blosc)
+    stated = json.loads(json.dumps(dict(provenance), default=str))
+    group.attrs.update({"format": FORMAT, "version": VERSION, **shapes, "provenance": stated})
+    seal(folder)
 
 
 def _arrays(parts: Iterable[SparseRows]) -> Iterator[dict[str, NDArray[Any]]]:
@@ -159,32 +170,19 @@ def seal(place: Path) -> None:
 
     `checksums` lists the checksums with which the chunks of each array end, so that a missing chunk
     and a sound one from elsewhere are noticed when they are read. `digest` covers these, the
-    arrays' metadata and the shapes; it also names the matrix.
+    arrays' metadata and the shapes.
     """
     group = zarr.open_group(place, mode="r+", zarr_format=3, use_consolidated=False)
     members = group.members(max_depth=None)
-    names = sorted(name for name, member in members if isinstance(member, zarr.Array))
+    names = [name for name, member in members if isinstance(member, zarr.Array)]
     checksums = {name: StoredArray.open(place / name).checksums() for name in names}
     digest = _digest(place, {**group.attrs, "checksums": checksums})
     group.attrs.update({"checksums": checksums, "digest": digest})
 
 
-def sealed_arrays(
-    place: Path, names: Iterable[str], attributes: Mapping[str, Any]
-) -> dict[str, StoredArray]:
-    """The arrays of a sealed group, whose chunks are compared with the seal as they are read."""
-    checksums = attributes["checksums"]
-    if sorted(checksums) != sorted(names):
-        raise ValueError("its arrays are not those that were written together")
-    arrays = {n: StoredArray.open(place / n, checksums=checksums[n]) for n in checksums}
-    if attributes["digest"] != _digest(place, attributes):
-        raise ValueError("its arrays, chunks or shapes are not those that were written together")
-    return arrays
-
-
 def _digest(place: Path, attributes: Mapping[str, Any]) -> str:
     """SHA-256 of shapes and checksums as JSON, then of each array's metadata by its name."""
-    facts = {name: attributes[name] for name in _SEALED if name in attributes}
+    facts = {name: attributes[name] for name in _SEALED}
     checksums = attributes["checksums"]
     hasher = hashlib.sha256(json.dumps([facts, checksums], sort_keys=True).encode())
     for name in sorted(checksums):
@@ -219,7 +217,7 @@ def open(path: str | Path) -> LightTransport:
     >>> lm.open("scene.zarr")
     LightTransport(camera 64 x 64, projector 64 x 64, 1922182 entries, metal)
     """
-    if Path(path).suffix.lower() == ".npz":
+    if as_path(path).suffix.lower() == ".npz":
         return import_npz(path)
     return StoredTransport.open(path).load()
 
@@ -230,11 +228,11 @@ def open_matches(
     """Open a store, a T.npz or a correspondence; what is in memory is returned unchanged."""
     if isinstance(source, LightTransport | Correspondence):
         return source
-    path = Path(source)
+    path = as_path(source)
     if path.suffix.lower() == ".npz" and path.is_file():
-        # Damaged files are left to the reader of T to name.
-        with suppress(zipfile.BadZipFile, OSError):
-            if holds_member(path, CORRESPONDENCE_MARK):
+        # Files that cannot be read are left to the reader of T to name.
+        with suppress(OSError):
+            if CORRESPONDENCE.recognize(path):
                 return read_correspondence(path)
     return open(path)
 
@@ -309,10 +307,10 @@ class StoredTransport(TransportOperator):
         As those of `LightTransport`.
     arrays : mapping of str to StoredArray
         ``indptr``, ``indices``, ``data``, ``background`` and ``diagnostics/NAME``, unread.
-    digest : str
-        Names this matrix.
     memory : int
         Bytes of blocks that are kept.
+    remedy : str
+        What helps where it is damaged.
 
     Examples
     --------
@@ -331,8 +329,8 @@ class StoredTransport(TransportOperator):
     background_grid: tuple[int, int]
     provenance: Mapping[str, Any]
     arrays: Mapping[str, StoredArray]
-    digest: str
     memory: int = 1 << 30
+    remedy: str = _RESTORE
     _kept: dict[int, SparseRows] = field(default_factory=dict, repr=False)
 
     def __repr__(self) -> str:
@@ -345,7 +343,7 @@ class StoredTransport(TransportOperator):
         )
 
     @classmethod
-    def open(cls, path: str | Path, *, memory: int = 1 << 30) -> Self:
+    def open(cls, path: str | Path, *, memory: int = 1 << 30, remedy: str = _RESTORE) -> Self:
         """Open a store, reading no more than where its rows begin.
 
         Parameters
@@ -354,6 +352,8 @@ class StoredTransport(TransportOperator):
             A .zarr folder from `estimate` or `save`.
         memory : int
             Bytes of blocks that are kept once they were read.
+        remedy : str
+            What helps where it is damaged, in messages.
 
         Raises
         ------
@@ -361,7 +361,7 @@ class StoredTransport(TransportOperator):
             If there is none, it is incomplete, damaged, or of a later format version. Rows are
             checked when they are read, and a damaged chunk is named then.
         """
-        place = Path(path)
+        place = as_path(path)
         if not place.exists():
             if place.with_name(place.name + PARTIAL).exists():
                 raise InputError(
@@ -371,7 +371,7 @@ class StoredTransport(TransportOperator):
             raise InputError(f"{place}: no such file", hint="check the name")
         hint = "give a .zarr folder from `lightmatrix estimate`"
         attributes = read_group(place, STORE.name, FORMAT, VERSION, hint)
-        with as_damage_error(place, _RESTORE):
+        with as_damage_error(place, remedy):
             camera = checked_shape(attributes["camera_shape"], (2, 3), "camera_shape")
             rows, cols = checked_shape(attributes["projector_shape"], (2,), "projector_shape")
             high, wide = checked_shape(attributes["background_grid"], (2,), "background_grid")
@@ -379,7 +379,12 @@ class StoredTransport(TransportOperator):
                 entry.name for entry in (place / "diagnostics").iterdir() if entry.is_dir()
             )
             diagnostics = [f"diagnostics/{name}" for name in inner]
-            arrays = sealed_arrays(place, [*_ARRAYS, *diagnostics], attributes)
+            checksums = attributes["checksums"]
+            if sorted(checksums) != sorted([*_ARRAYS, *diagnostics]):
+                raise ValueError("its arrays are not those that were written together")
+            arrays = {n: StoredArray.open(place / n, checksums=c) for n, c in checksums.items()}
+            if attributes["digest"] != _digest(place, attributes):
+                raise ValueError("its chunks or shapes are not those that were written together")
             for name, dtype in _ARRAYS.items():
                 if arrays[name].dtype != dtype:
                     raise ValueError(f"{name} holds {arrays[name].dtype}, not {np.dtype(dtype)}")
@@ -396,10 +401,8 @@ class StoredTransport(TransportOperator):
             provenance = attributes["provenance"]
             if not isinstance(provenance, dict):
                 raise ValueError("its provenance is not an object")
-            digest = attributes["digest"]
-            matrix = cls(
-                place, camera, (rows, cols), (high, wide), provenance, arrays, digest, memory
-            )
+            shapes = camera, (rows, cols), (high, wide)
+            matrix = cls(place, *shapes, provenance, arrays, memory, remedy)
         check_memory(place, arrays["indptr"].bytes)
         # Read now, so that damage of it is reported at once.
         assert len(matrix._indptr) > 0
@@ -429,30 +432,32 @@ class StoredTransport(TransportOperator):
             )
         return replace(self._rows(start, stop), diagnostics=self.diagnostics(start, stop))
 
-    def _rows(self, start: int, stop: int) -> SparseRows:
-        """Rows without their diagnostics, which images do not need."""
-        arrays = self.arrays
+    def sparse_rows(self, start: int, stop: int) -> csr_array:
+        """Some rows without background and diagnostics, (stop - start, N) float32."""
         ends = self._indptr[start : stop + 1]
         entries = slice(int(ends[0]), int(ends[-1]))
-        with as_damage_error(self.place, _RESTORE):
-            matrix = checked_matrix(
-                arrays["data"].read(entries),
-                arrays["indices"].read(entries),
+        with as_damage_error(self.place, self.remedy):
+            return checked_matrix(
+                self.arrays["data"].read(entries),
+                self.arrays["indices"].read(entries),
                 ends - ends[0],
                 (stop - start, self.shape[1]),
             )
-        return SparseRows(matrix, self.background(start, stop))
+
+    def _rows(self, start: int, stop: int) -> SparseRows:
+        """Rows without their diagnostics, which images do not need."""
+        return SparseRows(self.sparse_rows(start, stop), self.background(start, stop))
 
     def background(self, start: int, stop: int) -> NDArray[np.float32]:
         """Some rows of the background, (stop - start, B) float32."""
-        with as_damage_error(self.place, _RESTORE):
+        with as_damage_error(self.place, self.remedy):
             values = self.arrays["background"].read(slice(start, stop))
             return checked_float32(values, "background")
 
     def diagnostics(self, start: int, stop: int) -> dict[str, NDArray[Any]]:
         """The diagnostics of some rows by name, (stop - start,) each."""
         arrays = {name: self.arrays[name] for name in self.arrays if name not in _ARRAYS}
-        with as_damage_error(self.place, _RESTORE):
+        with as_damage_error(self.place, self.remedy):
             return {
                 name.removeprefix("diagnostics/"): array.read(slice(start, stop))
                 for name, array in arrays.items()
@@ -498,7 +503,7 @@ class StoredTransport(TransportOperator):
         return self._in_memory(self.rows(0, self.shape[0]), self.camera_shape)
 
     def _in_memory(self, rows: SparseRows, camera_shape: tuple[int, ...]) -> LightTransport:
-        with as_damage_error(self.place, _RESTORE):
+        with as_damage_error(self.place, self.remedy):
             return LightTransport(
                 rows.coefficients,
                 rows.background,
@@ -546,7 +551,7 @@ class StoredTransport(TransportOperator):
 
     @cached_property
     def _indptr(self) -> NDArray[np.int64]:
-        with as_damage_error(self.place, _RESTORE):
+        with as_damage_error(self.place, self.remedy):
             indptr = self.arrays["indptr"].read()
             check_indptr(indptr, self.arrays["data"].shape[0])
         return indptr.astype(np.int64)

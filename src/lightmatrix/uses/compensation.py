@@ -9,17 +9,17 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from enum import IntEnum
-from functools import cached_property
+from functools import cached_property, reduce
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from PIL import Image
 
 from lightmatrix.errors import InputError
 from lightmatrix.files.colours import colour_paths, holds_colour
-from lightmatrix.files.images import given_image, read_image, read_light, write_image
+from lightmatrix.files.extras import video_frames
+from lightmatrix.files.images import DISPLAY_GAMMA, write_image
 from lightmatrix.files.kinds import IMAGE, PATTERNS
 from lightmatrix.files.stacks import list_images
 from lightmatrix.files.writing import check_output
@@ -31,8 +31,8 @@ from lightmatrix.reprs import short_repr
 from lightmatrix.transport.matrix import LightTransport
 from lightmatrix.uses.loading import Transport, loaded
 from lightmatrix.uses.separation import pattern_or_white, separate
+from lightmatrix.uses.wanted import Picture, ambient_samples, mask_samples, wanted_samples
 
-Picture = NDArray[Any] | str | Path
 # Iterations of the solver. Against 300, 25 lose at most 0.2 dB on the bundled scenes at 64 x 64.
 USUAL_ITERATIONS = 25
 
@@ -45,6 +45,8 @@ class JointLight:
 
     # One projector each, or one primary of a colour projector.
     matrices: tuple[LightTransport, ...]
+    # (N,): 1 for projector pixels that may give light, 0 for those that stay black; None: all may.
+    usable: NDArray[np.float32] | None = None
 
     @property
     def camera_shape(self) -> tuple[int, ...]:
@@ -77,7 +79,7 @@ class JointLight:
             replace(matrix, sparse=abs(matrix.sparse), background=abs(matrix.background))
             for matrix in self.matrices
         ]
-        return JointLight(tuple(magnitudes))
+        return replace(self, matrices=tuple(magnitudes))
 
     def forward(self, light: NDArray[np.float32]) -> NDArray[np.float32]:
         """T p: camera samples (M,) of patterns (N,)."""
@@ -117,8 +119,12 @@ class JointLight:
 
     @cached_property
     def _whites(self) -> list[NDArray[np.float32]]:
-        """The light of each camera sample under white of each projector."""
-        return [matrix @ np.ones(matrix.shape[1], np.float32) for matrix in self.matrices]
+        """The light of each camera sample under white of each projector, of its usable pixels."""
+        usable = self.usable
+        if usable is None:
+            usable = np.ones(sum(matrix.shape[1] for matrix in self.matrices), np.float32)
+        patterns = zip(self.matrices, self.split(usable), strict=True)
+        return [matrix @ pattern.ravel() for matrix, pattern in patterns]
 
 
 def joint_light(transport: Transport | Sequence[Transport]) -> JointLight:
@@ -147,7 +153,7 @@ def joint_light(transport: Transport | Sequence[Transport]) -> JointLight:
     return JointLight(matrices)
 
 
-# Pictures that are wanted, masks, ambient light, and the images of the patterns.
+# The images of the patterns.
 
 
 def write_shown(
@@ -179,105 +185,6 @@ def encoding_of(
         return tuple(ProjectorResponse.of_provenance(one.provenance) for one in light.matrices)
     curve = given if isinstance(given, ProjectorResponse) else ProjectorResponse.parse(given)
     return (None if given == "linear" else curve,) * len(light.matrices)
-
-
-def wanted_samples(
-    wanted: Picture,
-    camera_shape: tuple[int, ...],
-    *,
-    gamma: float = 1.0,
-    resize: bool = False,
-    black: bool = False,
-) -> NDArray[np.float32]:
-    """The wanted light of each camera sample, (M,) in [0, 1].
-
-    A grey picture asks all channels of a colour camera for the same. `black` allows one that is all
-    black.
-    """
-    check_number("a gamma", gamma, least=0.1, most=10, hint="use 0.1 to 10, such as 2.2")
-    name = str(wanted) if isinstance(wanted, str | Path) else "the wanted picture"
-    image = given_image(name, wanted, read_light)
-    if not resize and image.shape[:2] != camera_shape[:2]:
-        # Shapes are refused before values, which a view may have without end.
-        _samples(image, camera_shape, name, "resize it with resize=True")
-    # Written so that it refuses NaN, too.
-    if image.size and not (image.min() >= 0 and image.max() <= 1):
-        raise InputError(
-            f"{name} has values from {image.min():g} to {image.max():g}",
-            hint="give values in [0, 1]: divide raw levels by their largest one, such as 255",
-        )
-    light = image.astype(np.float32) ** np.float32(gamma)
-    if light.ndim == 3 and len(camera_shape) == 2 and (light == light[..., :1]).all():
-        light = light[..., 0]
-    if light.ndim == 3 and len(camera_shape) == 2:
-        raise InputError(
-            f"{name} is in colour, for a camera that is not",
-            hint="convert it to grey, or take its mean over the colours",
-        )
-    rows, cols = camera_shape[:2]
-    if resize and light.ndim >= 2 and light.shape[:2] != (rows, cols):
-        # Averaged where it shrinks, which keeps its light.
-        channels = np.moveaxis(np.atleast_3d(light), 2, 0)
-        done = [
-            np.asarray(Image.fromarray(c).resize((cols, rows), Image.Resampling.BOX))
-            for c in channels
-        ]
-        light = np.stack(done, axis=-1).reshape(rows, cols, *light.shape[2:]).clip(0, 1)
-    samples = _samples(light, camera_shape, name, "resize it with resize=True")
-    if not (black or samples.any()):
-        raise InputError(f"{name} is all black", hint="black needs no compensation: show black")
-    return samples
-
-
-def _samples(
-    image: NDArray[Any], camera_shape: tuple[int, ...], name: str, hint: str
-) -> NDArray[np.float32]:
-    """An image as one value for each camera sample, (M,); grey counts for all channels."""
-    if image.shape == camera_shape:
-        values = image
-    elif len(camera_shape) == 3 and image.shape == camera_shape[:2]:
-        values = np.broadcast_to(image[..., None], camera_shape)
-    else:
-        raise InputError(
-            f"{name} has shape {image.shape}, for a camera of {' x '.join(map(str, camera_shape))}",
-            hint=hint,
-        )
-    return np.ascontiguousarray(values, np.float32).ravel()
-
-
-def mask_samples(mask: Picture | None, camera_shape: tuple[int, ...]) -> NDArray[np.bool_]:
-    """Which camera samples count, (M,): those where the mask is not 0."""
-    if mask is None:
-        return np.ones(int(np.prod(camera_shape)), np.bool_)
-    name = str(mask) if isinstance(mask, str | Path) else "the mask"
-    image = given_image(name, mask, read_image)
-    if image.ndim == 3 and len(camera_shape) == 2:
-        image = image.max(axis=2)
-    hint = "give one value for each camera pixel, 0 where the picture does not matter"
-    samples = _samples(image, camera_shape, name, hint)
-    if not np.isfinite(samples).all():
-        raise InputError(f"{name} has values that are not finite", hint="use 0 and 1")
-    chosen = samples != 0
-    if not chosen.any():
-        raise InputError(f"{name} leaves no camera pixel", hint="it must be above 0 somewhere")
-    return chosen
-
-
-def ambient_samples(ambient: Picture | None, camera_shape: tuple[int, ...]) -> NDArray[np.float32]:
-    """Light that is there without the projector, (M,) >= 0, in units of the clip level."""
-    if ambient is None:
-        return np.zeros(int(np.prod(camera_shape)), np.float32)
-    name = str(ambient) if isinstance(ambient, str | Path) else "the ambient light"
-    image = given_image(name, ambient, read_light)
-    if image.ndim == 3 and len(camera_shape) == 2:
-        image = image.mean(axis=2)
-    samples = _samples(image, camera_shape, name, "give a photograph of the same camera")
-    if not (np.isfinite(samples).all() and samples.min() >= 0):
-        raise InputError(
-            f"{name} has values from {np.min(samples):g} to {np.max(samples):g}",
-            hint="give light of at least 0, in units of the camera's clip level",
-        )
-    return samples
 
 
 # Least squares over patterns in [0, 1], and what it reaches.
@@ -327,12 +234,13 @@ class BoundedFit:
     ) -> NDArray[np.float32]:
         """The patterns (N,) float32 in [0, 1] after so many iterations from the start (N,)."""
         bounds = self._bounds + np.float32(self.ridge)
-        pattern = np.clip(start, 0, 1).astype(np.float32)
+        most = 1 if self.light.usable is None else self.light.usable
+        pattern = np.clip(start, 0, most).astype(np.float32)
         ahead, momentum = pattern, 1.0
         for _ in range(iterations):
             # A projected gradient step from the point ahead.
             updated = ahead - self.gradient(ahead, samples) / bounds
-            np.clip(updated, 0, 1, out=updated)
+            np.clip(updated, 0, most, out=updated)
             step = updated - pattern
             # Restart once the step goes against the gradient.
             if float(((ahead - updated) * bounds) @ step) > 0:
@@ -390,6 +298,8 @@ class Compensation:
         The exposure e for which `clipped` is told.
     encoding : tuple of ProjectorResponse or None
         What `encoded` and the written image encode each pattern by; None: as light.
+    uncompensated_psnr : float, optional
+        What `psnr` would be, at its best brightness, if the picture were shown as it is.
 
     Examples
     --------
@@ -408,6 +318,7 @@ class Compensation:
     reach: NDArray[np.uint8]
     exposure: float = 1.0
     encoding: tuple[ProjectorResponse | None, ...] = ()
+    uncompensated_psnr: float | None = None
 
     __repr__ = short_repr
 
@@ -442,8 +353,12 @@ class Compensation:
     @property
     def psnr(self) -> float:
         """The predicted error on samples that are neither masked nor in shadow, in dB."""
+        return self.psnr_of(self.predicted)
+
+    def psnr_of(self, photograph: NDArray[np.float32]) -> float:
+        """How far a photograph is from the target, on the samples that `psnr` counts, in dB."""
         counted = (self.reach != Reach.MASKED) & (self.reach != Reach.SHADOW)
-        missed = (self.predicted - self.target)[counted] / self.scale
+        missed = (photograph - self.target)[counted] / self.scale
         return float(-10 * np.log10(max(float(np.mean(missed**2)), 1e-12)))
 
     def as_dict(self) -> dict[str, Any]:
@@ -453,6 +368,7 @@ class Compensation:
             "scale": self.scale,
             "brightness": self.brightness,
             "predicted_psnr": self.psnr,
+            "uncompensated_psnr": self.uncompensated_psnr,
             **shares,
             "clipped": float(self.clipped.mean()),
             "projector_gamma": next((curve.gamma for curve in self.encoding if curve), None),
@@ -527,6 +443,21 @@ class Compensator:
         # On the bundled scenes half of this share costs 20 to 45 % of the brightness.
         return float(np.quantile(room, 0.02))
 
+    def uncompensated(self, found: Compensation, wanted: NDArray[np.float32]) -> Compensation:
+        """A compensation that also says how the wanted light (M,), shown as it is, would look.
+
+        Each projector pixel shows the mean of what the samples want that it lights, and the whole
+        is as bright as suits the target best.
+        """
+        lit = self.lit.astype(np.float32)
+        weight, asked = self.light.adjoint(lit), self.light.adjoint(lit * wanted)
+        plain = np.divide(asked, weight, out=np.zeros_like(asked), where=weight > 0)
+        seen, aim = self.light.forward(plain)[self.lit], (found.target.ravel() - self.ambient)
+        factor = max(float(seen @ aim[self.lit]) / max(float(seen @ seen), 1e-30), 0.0)
+        photograph = np.float32(factor) * self.light.forward(plain) + self.ambient
+        psnr = found.psnr_of(photograph.reshape(found.target.shape))
+        return replace(found, uncompensated_psnr=psnr)
+
     def start(self, target: NDArray[np.float32]) -> NDArray[np.float32]:
         """The pattern by gains of single pixels, (N,): what inverse methods without T do.
 
@@ -596,6 +527,7 @@ def compensator(
     *,
     ambient: Picture | None = None,
     mask: Picture | None = None,
+    projector_mask: Picture | None = None,
     exposure: float = 1.0,
 ) -> Compensator:
     """What compensations of one scene share, from arguments of `compensate`."""
@@ -603,6 +535,10 @@ def compensator(
     check_number("an exposure", exposure, most=1e9, above=True, hint=hint)
     light = joint_light(transport)
     shape = light.camera_shape
+    if projector_mask is not None:
+        shapes = [matrix.projector_shape for matrix in light.matrices]
+        usable = [mask_samples(projector_mask, shape, "projector") for shape in shapes]
+        light = replace(light, usable=np.concatenate(usable).astype(np.float32))
     return Compensator(light, ambient_samples(ambient, shape), mask_samples(mask, shape), exposure)
 
 
@@ -612,9 +548,10 @@ def compensate(
     *,
     ambient: Picture | None = None,
     mask: Picture | None = None,
+    projector_mask: Picture | None = None,
     brightness: float | None = None,
-    gamma: float = 1.0,
-    resize: bool = False,
+    gamma: float | None = None,
+    fit: str | None = None,
     exposure: float = 1.0,
     iterations: int = USUAL_ITERATIONS,
     projector_response: ProjectorResponse | str | Path | None = None,
@@ -637,19 +574,23 @@ def compensate(
         are found jointly. A store is loaded.
     wanted : (rows, cols) or (rows, cols, channels) array, str or Path
         The picture in [0, 1], as the camera is to see it. Grey for a colour camera: in the colours
-        that the scene has under a white pattern.
+        that the scene has under a white pattern. In colour for a grey camera: its luminance.
     ambient : array, str or Path, optional
         Light without the projector, in units of the clip level, such as a black frame. None: none.
     mask : array, str or Path, optional
         0 where the picture does not matter. None: it matters everywhere.
+    projector_mask : array, str or Path, optional
+        0 for projector pixels that stay black, of the projector's size. None: all give light.
     brightness : float, optional
         The light of wanted white, as a share of what the lit camera pixels see under a white
-        pattern (their median), above 0. None: as bright as possible while no more than one lit
-        pixel in 50 asks for more light than white gives it.
-    gamma : float
-        Display gamma of the picture, 0.1 to 10; 1 if it is linear, 2.2 for most photographs.
-    resize : bool
-        Whether to resize a picture of another size to the camera.
+        pattern (their median), above 0 and at most 10. None: as bright as possible while no more
+        than one lit pixel in 50 asks for more light than white gives it.
+    gamma : float, optional
+        Display gamma of the picture, 0.1 to 10; 1 if it is light. None: 2.2 for files of whole
+        levels, such as PNG and JPEG, and 1 for files of floats and arrays.
+    fit : {"cover", "contain", "stretch"}, optional
+        How a picture of another size is fitted to the camera: it covers all of it and is cut off,
+        is seen whole with black beside it, or is stretched. None: it is refused.
     exposure : float
         The exposure for which `Compensation.clipped` is told.
     iterations : int
@@ -689,9 +630,12 @@ def compensate(
     check_whole("iterations", iterations, hint="use at least 1, such as 25")
     if output is not None:
         check_output(output, IMAGE, overwrite=overwrite)
-    shared = compensator(transport, ambient=ambient, mask=mask, exposure=exposure)
-    samples = wanted_samples(wanted, shared.light.camera_shape, gamma=gamma, resize=resize)
+    shared = compensator(
+        transport, ambient=ambient, mask=mask, projector_mask=projector_mask, exposure=exposure
+    )
+    samples = wanted_samples(wanted, shared.light.camera_shape, gamma=gamma, fit=fit)
     found = shared.solve(samples, brightness, iterations=iterations)
+    found = shared.uncompensated(found, samples)
     found = replace(found, encoding=encoding_of(projector_response, shared.light))
     if output is not None:
         write_shown(output, found.encoded, overwrite=overwrite)
@@ -701,8 +645,8 @@ def compensate(
 def check_brightness(brightness: float | None) -> None:
     """Refuse a brightness that is not above 0; None is automatic."""
     if brightness is not None:
-        hint = "use a number above 0, such as 0.7, or leave it out"
-        check_number("a brightness", brightness, most=1e6, above=True, hint=hint)
+        hint = "give a share of the light of white, such as 0.7 for 70 %, or leave it out"
+        check_number("a brightness", brightness, most=10, above=True, hint=hint)
 
 
 @dataclass(frozen=True, eq=False)
@@ -757,9 +701,10 @@ def compensate_video(
     *,
     ambient: Picture | None = None,
     mask: Picture | None = None,
+    projector_mask: Picture | None = None,
     brightness: float | None = None,
-    gamma: float = 1.0,
-    resize: bool = False,
+    gamma: float | None = None,
+    fit: str | None = None,
     projector_response: ProjectorResponse | str | Path | None = None,
     output: str | Path | None = None,
     overwrite: bool = False,
@@ -771,9 +716,10 @@ def compensate_video(
     ----------
     transport : LightTransport, StoredTransport, str or Path
         T, or where `open` finds it.
-    frames : (K, rows, cols[, channels]) array, a sequence of images, or a folder of image files
-        The wanted pictures; a folder is read in natural order.
-    ambient, mask, brightness, gamma, resize, projector_response
+    frames : (K, rows, cols[, channels]) array, a sequence of images, or a folder or video file
+        The wanted pictures; a folder of image files is read in natural order. Video files need the
+        extra `video`.
+    ambient, mask, projector_mask, brightness, gamma, fit, projector_response
         As in `compensate`. The automatic brightness suits the whole video: each pixel at its
         brightest.
     output : str or Path, optional
@@ -805,34 +751,31 @@ def compensate_video(
     check_brightness(brightness)
     if output is not None:
         check_output(output, PATTERNS, overwrite=overwrite)
-    pictures: Any = list_images(frames) if isinstance(frames, str | Path) else frames
-    if not len(pictures):
-        raise InputError("a video without frames", hint="give at least one frame")
-    shared = compensator(transport, ambient=ambient, mask=mask)
+    shared = compensator(transport, ambient=ambient, mask=mask, projector_mask=projector_mask)
     shared.light.check_single()
+    pictures: Any = frames
+    if isinstance(frames, str | Path) and Path(frames).is_file():
+        pictures, gamma = video_frames(frames), DISPLAY_GAMMA if gamma is None else gamma
+    elif isinstance(frames, str | Path):
+        pictures = list_images(frames)
     shape = shared.light.camera_shape
-
-    def samples(index: int) -> NDArray[np.float32]:
-        picture = pictures[index]
-        return wanted_samples(picture, shape, gamma=gamma, resize=resize, black=True)
-
+    wanted = [wanted_samples(one, shape, gamma=gamma, fit=fit, black=True) for one in pictures]
+    if not wanted:
+        raise InputError("a video without frames", hint="give at least one frame")
     if brightness is None:
-        brightest = samples(0)
-        for index in range(1, len(pictures)):
-            np.maximum(brightest, samples(index), out=brightest)
-        brightness = shared.automatic_brightness(brightest)
-    patterns = np.empty((len(pictures), *shared.light.matrices[0].projector_shape), np.float32)
-    errors, reached = np.empty(len(pictures)), np.empty(len(pictures))
+        brightness = shared.automatic_brightness(reduce(np.maximum, wanted))
+    patterns = np.empty((len(wanted), *shared.light.matrices[0].projector_shape), np.float32)
+    errors, reached = np.empty(len(wanted)), np.empty(len(wanted))
     scale, last, iterations = 0.0, None, USUAL_ITERATIONS
-    for index in range(len(pictures)):
-        found = shared.solve(samples(index), brightness, start=last, iterations=iterations)
+    for index, samples in enumerate(wanted):
+        found = shared.solve(samples, brightness, start=last, iterations=iterations)
         patterns[index], scale = found.pattern, found.scale
         errors[index], reached[index] = found.psnr, found.reachable.mean()
         # From the pattern of the frame before, ten iterations are within 0.05 dB of 25 from the
         # start, in a picture that pans by a pixel a frame at 64 x 64.
         last, iterations = found.pattern.ravel(), 10
         if progress is not None:
-            progress(index + 1, len(pictures))
+            progress(index + 1, len(wanted))
     (encoding,) = encoding_of(projector_response, shared.light)
     if output is not None:
         shown = patterns if encoding is None else encoding.encoded(patterns)

@@ -12,6 +12,7 @@ from pathlib import Path
 from jinja2 import Environment, StrictUndefined
 from markupsafe import Markup
 
+from lightmatrix.capture.capture import Capture
 from lightmatrix.errors import InputError
 from lightmatrix.files.kinds import PAGE
 from lightmatrix.files.writing import atomic_file, check_output
@@ -84,6 +85,7 @@ def export_viewer(
     path: str | Path,
     transport: LightTransport | str | Path,
     *,
+    capture: Capture | str | Path | None = None,
     geometry: RigGeometry | str | Path | None = None,
     overwrite: bool = False,
 ) -> None:
@@ -98,6 +100,9 @@ def export_viewer(
     transport : LightTransport, str or Path
         T, or where `open` finds it; at most 32 MiB as the page takes it: 4 bytes an entry, and 2
         for each value of the background.
+    capture : Capture, str or Path, optional
+        The capture that T was estimated from. The page then offers its patterns, a byte a pixel,
+        which count towards the 32 MiB.
     geometry : RigGeometry, str or Path, optional
         The geometry of the rig, from `calibrate`. The page then has a layer of depth.
     overwrite : bool
@@ -124,8 +129,15 @@ def export_viewer(
             hint=f"at most {_MOST_BYTES >> 20} MiB fit: serve it (`serve_viewer`), crop it with "
             "LightTransport.crop, or estimate it with a larger bin_projector or bin_camera",
         )
-    scene = Scene(transport, geometry=geometry)
+    scene = Scene(transport, capture=capture, geometry=geometry)
+    size = page_size(matrix) + scene.pattern_count * matrix.shape[1]
+    if size > _MOST_BYTES:
+        raise InputError(
+            f"{name} and {scene.pattern_count} patterns: {size / 2**20:.0f} MiB in a page",
+            hint=f"at most {_MOST_BYTES >> 20} MiB fit: write the page without the capture",
+        )
     parts = {"matrix": scene.matrix_bytes}
+    parts |= {f"frame-{k}": scene.pattern(k) for k in range(scene.pattern_count)}
     for name in scene.layers:
         try:
             parts[f"layer-{name}"] = scene.layer(name)

@@ -31,5 +31,6 @@ the weights of a row taken from the rows around it. It runs in rounds (`schedule
    well it predicts these gives the estimated error of each row (`row_errors.py`). Where light grew,
    some rows are also checked against all atoms (`certified_everywhere` there).
 
-`estimator.py` holds the parameters. `docs/few-patterns.md` gives the mathematics and measurements.
+`estimator.py` holds the parameters. `docs/coherent.md` gives the mathematics,
+`docs/few-patterns.md` the measurements.
 """

@@ -17,7 +17,7 @@ from lightmatrix.solvers.fidelity import Fidelity
 
 # Half widths of the windows of each round, in camera and in projector pixels. The wide windows of
 # the first rounds gather evidence, the narrow ones of the last rounds settle it. Errors are flat
-# around these values (docs/few-patterns.md).
+# around these values (docs/coherent.md).
 WINDOWS = ((2, 1), (2, 1), (2, 1), (2, 1), (1, 1), (1, 1), (1, 1), (1, 1))
 # Standard deviations of the spots in projector pixels; 0 is a single pixel. Each is about 1.4 times
 # the one before, so that a mixture of two of them comes close to any size between.

@@ -10,7 +10,7 @@ Where neighbours' rows, moved back by the Jacobian, hold light, there a row is l
 And each neighbour's row, moved back and scaled to the known samples, is a guess at this one.
 Guesses count by how well they explain these samples. The pseudo-samples are their mean; the less
 the guesses differ, the more the pseudo-samples weigh. They stand in for clipped samples and for
-patterns that were never shown (`docs/few-patterns.md`).
+patterns that were never shown (`docs/coherent.md`).
 """
 
 from __future__ import annotations
@@ -259,7 +259,7 @@ class PseudoSampleConstants:
     """How pseudo-samples are made and weighed.
 
     Errors are flat around these values: 32 or 128 unseen patterns, or a common error of 0.01 or
-    0.04, change them by about a tenth (docs/few-patterns.md).
+    0.04, change them by about a tenth (docs/coherent.md).
     """
 
     # Random patterns, never shown, under which rows are predicted.

@@ -78,7 +78,7 @@ class Backgrounds:
             return Cells.none(self.shown, self.unseen if unseen else None)
         # The penalty of a cell's coefficient is this share of the clip level over the side of the
         # cell in pixels. Three times as much or as little changes errors by about a tenth
-        # (docs/few-patterns.md).
+        # (docs/coherent.md).
         penalties = 0.05 * cost / np.sqrt(self._sizes)
         count = None if unseen else self.shown.count
         return Cells(np.ascontiguousarray(self._means[:, :count]), penalties.astype(np.float32))
@@ -174,7 +174,7 @@ def _halos(shape: tuple[int, int], grid: tuple[int, int]) -> NDArray[np.float32]
 
 
 # lambda relative to the clip level. Errors are flat around it: three times as much or as little
-# changes them by about a tenth (docs/few-patterns.md).
+# changes them by about a tenth (docs/coherent.md).
 DEFAULT_REGULARIZATION = 0.1
 # lambda relative to the clip level in the first round, which only has to show where light may be.
 # Chosen by hand.

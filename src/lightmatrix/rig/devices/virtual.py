@@ -41,6 +41,8 @@ class VirtualSettings:
     bits: int = 12
     # Raw level of a sample without light.
     black: float = 64.0
+    # Gamma of the camera, as of webcams, whose levels are light ** (1 / gamma).
+    camera_gamma: float = 1.0
     # Read noise, as a share of the clip level.
     noise: float = 0.003
     # Seed of the noise.
@@ -49,7 +51,7 @@ class VirtualSettings:
     real: int = 1
 
     def __post_init__(self) -> None:
-        least = {"size": 2, "gamma": 0.1, "unit": 1e-6}
+        least = {"size": 2, "gamma": 0.1, "camera_gamma": 0.1, "unit": 1e-6}
         for name, value in vars(self).items():
             if name != "scene" and not least.get(name, 0.0) <= value < math.inf:
                 raise InputError(
@@ -261,10 +263,6 @@ class VirtualCamera(Camera):
         if not self._settings.fps:
             self._take(self._clock.now() + HARDWARE.trigger_delay)
 
-    def close(self) -> None:
-        self._waiting.clear()
-        self._closed = True
-
     def reopen(self) -> VirtualCamera:
         """The camera after it was closed or lost, without its frames."""
         self._closed = False
@@ -294,4 +292,7 @@ class VirtualCamera(Camera):
         light = self._light.between(start, stop)
         sensor = replace(self._sensor, exposure=(stop - start) / self._settings.unit)
         raw = sensor.expose(light[:, None], seed=self._settings.seed, first_frame=number)
+        if self._settings.camera_gamma != 1:
+            top = sensor.clip_level
+            raw = np.rint((raw / top) ** (1 / self._settings.camera_gamma) * top).astype(raw.dtype)
         return np.ascontiguousarray(raw.reshape(self._light.truth.camera_shape))

@@ -51,6 +51,7 @@ class WindowProjector(Projector):
     def __init__(self, glfw: Any, moderngl: Any, monitor: Any, number: int, gamma: str) -> None:
         self._glfw = glfw
         self._number = number
+        self._key = False
         name = _name(glfw, monitor)
         mode = glfw.get_video_mode(monitor)
         self._window: Any = _full_screen(glfw, monitor, mode)
@@ -122,6 +123,10 @@ class WindowProjector(Projector):
             )
         return shown
 
+    def asked_to_end(self) -> bool:
+        """Whether a key was pressed in the window since it was opened."""
+        return self._key
+
     def close(self) -> None:
         """Close the window; the screen is as it was before."""
         global _windows
@@ -135,6 +140,7 @@ class WindowProjector(Projector):
             self._glfw.terminate()
 
     def _pressed(self, window: Any, key: int, *_: int) -> None:
+        self._key = True
         # On a single monitor the window covers the terminal, so the Escape key closes it.
         if key == self._glfw.KEY_ESCAPE:
             self._glfw.set_window_should_close(window, True)

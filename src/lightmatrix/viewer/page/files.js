@@ -1,18 +1,25 @@
 // Pictures that come from files and go to files.
 
-/** A picture as grey levels of some size: it fills the size, cut off at the sides that are too long. */
+/** A picture as grey levels of some size, with black bars where its shape differs, and words for this. */
 export async function readGrey(file, rows, cols) {
   const bitmap = await createImageBitmap(file);
   const context = new OffscreenCanvas(cols, rows).getContext("2d");
-  const scale = Math.max(cols / bitmap.width, rows / bitmap.height);
+  const scale = Math.min(cols / bitmap.width, rows / bitmap.height);
   const [width, height] = [scale * bitmap.width, scale * bitmap.height];
   context.fillRect(0, 0, cols, rows);
   context.imageSmoothingQuality = "high";
   context.drawImage(bitmap, (cols - width) / 2, (rows - height) / 2, width, height);
   const { data } = context.getImageData(0, 0, cols, rows), levels = new Uint8Array(rows * cols);
-  // The weights of the colours in their brightness (ITU-R BT.601).
-  levels.forEach((_, k) => { levels[k] = Math.round(0.299 * data[4 * k] + 0.587 * data[4 * k + 1] + 0.114 * data[4 * k + 2]); });
-  return levels;
+  let coloured = false;
+  levels.forEach((_, k) => {
+    const [red, green, blue] = data.subarray(4 * k, 4 * k + 3);
+    // JPEG moves the channels of grey pixels apart by a few levels.
+    coloured ||= Math.max(red, green, blue) - Math.min(red, green, blue) > 8;
+    // The weights of the colours in their brightness (ITU-R BT.601).
+    levels[k] = Math.round(0.299 * red + 0.587 * green + 0.114 * blue);
+  });
+  const bars = Math.abs(cols - width) >= 1 || Math.abs(rows - height) >= 1 ? ", with black bars, as its shape differs" : "";
+  return { levels, words: `${file.name} (${bitmap.width} \u00d7 ${bitmap.height}) is shown${coloured ? " in grey" : ""} at ${Math.round(width)} \u00d7 ${Math.round(height)}${bars}.` };
 }
 
 /** Grey levels as a picture. */

@@ -17,6 +17,16 @@ export class Layers {
   get(name) { return this.#fetched[name]; }
 
   async fetch(name) { this.#fetched[name] ??= unpack(await this.source.layer(name)); }
+
+  /** Fetch the scene as the projector sees it: grey levels that lie behind the pattern. */
+  async fetchBehind(pixels) {
+    await this.fetch("dual");
+    const { header, arrays: { values } } = this.get("dual"), channels = values.length / pixels;
+    this.behind = Uint8Array.from({ length: pixels }, (_, k) => {
+      const light = values.subarray(k * channels, (k + 1) * channels).reduce((sum, value) => sum + value, 0) / channels;
+      return 255 * Math.min(1, Math.max(0, light / header.white)) ** (1 / 2.2);
+    });
+  }
 }
 
 /** What a pane shows now, and how: values, channels, look and the words for its scale. */
@@ -24,7 +34,7 @@ export function contentOf(viewer, side) {
   const overlay = viewer.overlay[side], layer = viewer.layers.get(viewer.shown[side]);
   if (overlay) return overlayContent(viewer, side, overlay);
   if (layer) return layerContent(viewer, side, layer);
-  if (side === "projector") return { values: viewer.pattern.levels, channels: 1, look: { gain: 1 / 255 } };
+  if (side === "projector") return { values: viewer.pattern.levels, channels: 1, look: { gain: 1 / 255, behind: viewer.field.behind.checked && viewer.layers.behind } };
   const { matrix, field, channels, gain } = viewer, values = matrix.photograph;
   const look = { gain, gamma: +field.gamma.value, marked: field.marked.checked };
   if (!field.false.checked) return { values, channels, look };

@@ -45,10 +45,10 @@ export class Pattern {
     this.levels.forEach((level, k, levels) => { levels[k] = 255 - level; });
   }
 
-  /** A disk in the middle, with which the viewer begins. */
+  /** The soft spotlight with which the viewer begins. */
   begin() {
-    const { rows, cols } = this, radius = Math.min(rows, cols) / 5;
-    this.fill((row, col) => +(Math.hypot(row + 0.5 - rows / 2, col + 0.5 - cols / 2) <= radius));
+    const { rows, cols } = this, radius = Math.min(rows, cols) / 4;
+    this.fill((row, col) => 0.05 + 0.95 * Math.exp(-(((row + 0.5 - rows / 2) ** 2 + (col + 0.5 - cols / 2) ** 2) / radius ** 2)));
     this.past = [];
   }
 

@@ -5,11 +5,11 @@ in vec2 corner; void main() { gl_Position = vec4(corner, 0.0, 1.0); }`;
 // `place` is the upper left corner of the image on the canvas and the size of one of its pixels.
 const FRAGMENT = `#version 300 es
 precision highp float; precision highp int;
-uniform highp sampler2D image; uniform sampler2D colours;
+uniform highp sampler2D image; uniform sampler2D colours, behind;
 uniform vec4 place; uniform vec2 size; uniform vec3 paper; uniform float canvasHeight;
-uniform float low, high, gain, gamma; uniform bool grey, coloured, logarithmic, marked;
+uniform float low, high, gain, gamma; uniform bool grey, coloured, logarithmic, marked, backed;
 out vec4 shown;
-const vec3 CLIPPED = vec3(0.90, 0.10, 0.12), UNKNOWN = vec3(0.7);
+const vec3 CLIPPED = vec3(0.90, 0.10, 0.12), UNKNOWN = vec3(0.7), DIM = vec3(0.26, 0.34, 0.48);
 void main() {
   vec2 at = (vec2(gl_FragCoord.x, canvasHeight - gl_FragCoord.y) - place.xy) / place.zw;
   if (any(lessThan(at, vec2(0.0))) || any(greaterThanEqual(at, size))) { shown = vec4(paper, 1.0); return; }
@@ -23,6 +23,8 @@ void main() {
     t = pow(clamp(t, 0.0, 1.0), 1.0 / gamma);
     shown = texelFetch(colours, ivec2(int(t * 255.0 + 0.5), 0), 0);
   } else shown = vec4(pow(clamp(light, 0.0, 1.0), vec3(1.0 / gamma)), 1.0);
+  // Where the pattern is dark, what lies behind it shows, dim and blue, so that it is not taken for light.
+  if (backed) shown.rgb = mix(DIM * texelFetch(behind, ivec2(at), 0).r, shown.rgb, min(4.0 * shown.r, 1.0));
   if (marked && any(greaterThanEqual(light, vec3(1.0)))) shown = vec4(CLIPPED, 1.0);
 }`;
 
@@ -51,13 +53,13 @@ export class Picture {
     gl.linkProgram(program);
     if (!gl.getProgramParameter(program, gl.LINK_STATUS) && !gl.isContextLost()) throw new Error(gl.getProgramInfoLog(program));
     gl.useProgram(program);
-    this.at = Object.fromEntries(["image", "colours", "place", "size", "paper", "canvasHeight", "low", "high", "gain", "gamma", "grey", "coloured", "logarithmic", "marked"].map((name) => [name, gl.getUniformLocation(program, name)]));
+    this.at = Object.fromEntries(["image", "colours", "place", "size", "paper", "canvasHeight", "low", "high", "gain", "gamma", "grey", "coloured", "logarithmic", "marked", "behind", "backed"].map((name) => [name, gl.getUniformLocation(program, name)]));
     gl.bindBuffer(gl.ARRAY_BUFFER, gl.createBuffer());
     gl.bufferData(gl.ARRAY_BUFFER, new Float32Array([-1, -1, 3, -1, -1, 3]), gl.STATIC_DRAW);
     gl.enableVertexAttribArray(0);
     gl.vertexAttribPointer(0, 2, gl.FLOAT, false, 0, 0);
     gl.pixelStorei(gl.UNPACK_ALIGNMENT, 1);
-    this.textures = [gl.createTexture(), gl.createTexture()];
+    this.textures = [gl.createTexture(), gl.createTexture(), gl.createTexture()];
     this.textures.forEach((texture, unit) => {
       gl.activeTexture(gl.TEXTURE0 + unit);
       gl.bindTexture(gl.TEXTURE_2D, texture);
@@ -65,7 +67,8 @@ export class Picture {
     });
     gl.uniform1i(this.at.image, 0);
     gl.uniform1i(this.at.colours, 1);
-    this.shape = this.colourName = null;
+    gl.uniform1i(this.at.behind, 2);
+    this.shape = this.colourName = this.behind = null;
   }
 
   /** Take the numbers of an image, (rows, cols) or (rows, cols, 3). */
@@ -89,6 +92,11 @@ export class Picture {
       gl.texImage2D(gl.TEXTURE_2D, 0, gl.RGB8, 256, 1, 0, gl.RGB, gl.UNSIGNED_BYTE, look.colours);
       this.colourName = look.colours;
     }
+    if (look.behind && look.behind !== this.behind) {
+      gl.activeTexture(gl.TEXTURE2);
+      gl.texImage2D(gl.TEXTURE_2D, 0, gl.R8, cols, rows, 0, gl.RED, gl.UNSIGNED_BYTE, look.behind);
+      this.behind = look.behind;
+    }
     gl.viewport(0, 0, width, height);
     gl.uniform4f(this.at.place, place.left, place.top, place.scale, place.scale);
     gl.uniform2f(this.at.size, cols, rows);
@@ -99,6 +107,7 @@ export class Picture {
     gl.uniform1i(this.at.coloured, !!look.colours);
     gl.uniform1i(this.at.logarithmic, !!look.logarithmic);
     gl.uniform1i(this.at.marked, !!look.marked);
+    gl.uniform1i(this.at.backed, !!look.behind);
     gl.drawArrays(gl.TRIANGLES, 0, 3);
   }
 
@@ -106,7 +115,7 @@ export class Picture {
   pixels(look) {
     const gl = this.gl, [, rows, cols] = this.source;
     const target = gl.createTexture(), frame = gl.createFramebuffer();
-    gl.activeTexture(gl.TEXTURE2);
+    gl.activeTexture(gl.TEXTURE3);
     gl.bindTexture(gl.TEXTURE_2D, target);
     gl.texStorage2D(gl.TEXTURE_2D, 1, gl.RGBA8, cols, rows);
     gl.bindFramebuffer(gl.FRAMEBUFFER, frame);

@@ -50,6 +50,7 @@ export class PageSource {
   async scene() { return this.#read("scene"); }
   async matrix() { return this.#read("matrix"); }
   async layer(name) { return this.#read(`layer-${name}`); }
+  async frame(number) { return unpack(this.#read(`frame-${number}`)); }
   watch() {}
 
   #read(name) {

@@ -53,7 +53,8 @@ export const TEMPLATE = `
     <fieldset><legend>Display</legend>
       ${slider("exposure", "Exposure", -8, 8, 0.05, 0)}${slider("gamma", "Gamma", 1, 4, 0.05, 2.2)}
       <div class="row"><label class="check"><input type="checkbox" name="false"><span>False colour</span></label>
-        <label class="check"><input type="checkbox" name="marked"><span>Mark clipped</span></label></div>
+        <label class="check"><input type="checkbox" name="marked"><span>Mark clipped</span></label>
+        <label class="check" title="The scene as the projector sees it, behind the pattern."><input type="checkbox" name="behind"><span>Scene behind the pattern</span></label></div>
       <div class="row"><button type="button" name="auto">Auto exposure</button><span class="zooms"><button type="button" name="out" aria-label="Zoom out">\u2212</button><button type="button" name="fit">Fit</button><button type="button" name="in" aria-label="Zoom in">+</button></span></div></fieldset>
     <fieldset><legend>Files and keys</legend>
       <div class="row"><button type="button" name="snapshot">Save photograph</button><button type="button" name="save">Save pattern</button></div>

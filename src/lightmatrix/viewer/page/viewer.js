@@ -52,6 +52,9 @@ export class Viewer {
     matrix.onerror = (message) => this.notice(message);
     new ResizeObserver(() => this.redraw()).observe(root);
     matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => this.redraw());
+    // For a matrix that stays in Python, this picture takes a pass over all of it.
+    this.field.behind.checked = !matrix.remote;
+    this.#input("behind");
     this.change();
   }
 
@@ -111,9 +114,13 @@ export class Viewer {
       const preset = PRESETS[this.field.preset.value];
       if (preset && (name === "preset" || preset[1].length)) this.fill(preset[1](+this.field.period.value, this.pattern.rows, this.pattern.cols));
     }
-    if (name === "compensated" && this.#file) this.usePicture(this.#file);
+    if (name === "compensated") {
+      if (this.#file) this.usePicture(this.#file);
+      else if (this.field.compensated.checked) this.say("Choose a picture: the camera will see it as it is.");
+    }
+    if (name === "behind") this.#fetchBehind();
     if (name === "frame") this.useFrame(+this.field.frame.value);
-    if (name === "tool") { this.#clearOverlays(); this.say(TOOLS[this.tool][2]); }
+    if (name === "tool") { this.pointing.ruler = null; this.#clearOverlays(); this.say(TOOLS[this.tool][2]); }
     this.#showValues();
     this.redraw();
     this.#writeAddress();
@@ -190,18 +197,18 @@ export class Viewer {
   async usePicture(file) {
     if (!file) return;
     const compensated = this.field.compensated.checked, [rows, cols] = this.sizes[compensated ? "camera" : "projector"];
-    let levels;
-    try { levels = await readGrey(file, rows, cols); } catch { this.notice(`${file.name} is not a picture that this browser can read. PNG and JPEG work.`); return; }
+    let levels, words;
+    try { ({ levels, words } = await readGrey(file, rows, cols)); } catch { this.notice(`${file.name} is not a picture that this browser can read. PNG and JPEG work.`); return; }
     this.notice("");
     this.#own();
     this.#file = file;
-    if (!compensated) { this.pattern.set(levels); this.change(); return; }
+    if (!compensated) { this.pattern.set(levels); this.change(); this.say(words); return; }
     this.say("Computing the pattern\u2026");
     try {
       const { header, arrays } = await this.source.line.ask(KIND.compensate, [], levels);
       this.pattern.set(arrays.levels);
       this.change();
-      this.say(header.words);
+      this.say(`${words} ${header.words}`);
     } catch (error) { this.say(""); this.notice(error.message); }
   }
 
@@ -254,6 +261,14 @@ export class Viewer {
     this.panes[side].select.value = name;
     this.redraw();
     this.#writeAddress();
+  }
+
+  /** The scene as the projector sees it, behind the pattern; only asked for once it is wanted. */
+  async #fetchBehind() {
+    const { behind } = this.field, [rows, cols] = this.sizes.projector;
+    if (!behind.checked || this.layers.behind) return;
+    try { await this.layers.fetchBehind(rows * cols); } catch { behind.checked = false; }
+    this.redraw();
   }
 
   /** Show the row of a camera pixel on the projector. */

@@ -1,0 +1,80 @@
+"""`lightmatrix project`: shows a picture, a folder or a video on a projector."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+from typer import Argument, Option
+
+import lightmatrix as lm
+from lightmatrix.cli import options
+from lightmatrix.cli.terminal import enter_was_pressed, say
+from lightmatrix.defaults import RIG_FILE, USUAL_PATIENCE
+from lightmatrix.errors import InputError
+
+
+def project(
+    source: Annotated[
+        Path, Argument(metavar="SHOWN", help="An image, a folder of images, or a video.")
+    ],
+    projector: options.ProjectorName = None,
+    camera: options.CameraName = None,
+    rig: options.RigName = None,
+    photograph: Annotated[
+        Path | None,
+        Option("-o", "--photograph", help="Image of what the camera sees of the first picture."),
+    ] = None,
+    seconds: Annotated[
+        float | None, Option(help="How long.", show_default="until a key is pressed")
+    ] = None,
+    fps: Annotated[
+        float | None, Option(help="Pictures a second.", show_default="25, or as the video says")
+    ] = None,
+    cell: Annotated[int, Option(help="Projector pixels along a side of each pixel.")] = 1,
+    projector_response: Annotated[
+        str | None,
+        Option(
+            metavar="FILE|gamma:2.2",
+            help="The pictures hold light, which this encodes.",
+            show_default="they hold grey values",
+        ),
+    ] = None,
+    patience: options.Patience = USUAL_PATIENCE,
+    rig_file: options.RigFile = Path(RIG_FILE),
+    overwrite: options.Overwrite = False,
+) -> None:
+    """Show a picture on a projector, pixel by pixel.
+
+    Any key in the window ends it, or Enter in the terminal. With a camera, or on a virtual rig, -o
+    writes a photograph of it.
+    """
+    with_camera = rig is not None or camera is not None
+    if not with_camera and projector is None:
+        raise InputError(
+            "no projector", hint="add --projector window:1; `lightmatrix rig list` names them"
+        )
+    if rig is not None and photograph is None and seconds is None:
+        raise InputError("nobody sees a virtual rig", hint="add -o PHOTOGRAPH.png")
+    opened = (
+        lm.open_rig(rig, projector=projector, camera=camera, patience=patience)
+        if with_camera
+        else lm.open_projector(str(projector))
+    )
+    try:
+        lm.project(
+            opened,
+            source,
+            seconds=seconds,
+            fps=fps,
+            cell=cell,
+            projector_response=projector_response,
+            until=enter_was_pressed,
+            photograph=photograph,
+            keep=rig_file,
+            overwrite=overwrite,
+        )
+    finally:
+        opened.close()
+    if photograph is not None:
+        say(str(photograph))

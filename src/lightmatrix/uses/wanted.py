@@ -1,0 +1,153 @@
+"""Pictures that are wanted, masks and ambient light, as one value for each camera sample."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image
+
+from lightmatrix.errors import InputError, warn
+from lightmatrix.files.extras import upright
+from lightmatrix.files.images import DISPLAY_GAMMA, given_image, is_grey, read_image, read_light
+from lightmatrix.ranges import check_number
+
+Picture = NDArray[Any] | str | Path
+
+
+def wanted_samples(
+    wanted: Picture,
+    camera_shape: tuple[int, ...],
+    *,
+    gamma: float | None = None,
+    fit: str | None = None,
+    black: bool = False,
+) -> NDArray[np.float32]:
+    """The wanted light of each camera sample, (M,) in [0, 1].
+
+    A grey picture asks all channels of a colour camera for the same, and of one in colour the
+    luminance counts for a grey camera. `black` allows one that is all black.
+    """
+    if gamma is not None:
+        check_number("a gamma", gamma, least=0.1, most=10, hint="use 0.1 to 10, such as 2.2")
+    if fit not in (None, "cover", "contain", "stretch"):
+        raise InputError(f"a fit of {fit!r}", hint="use cover, contain or stretch")
+    name = str(wanted) if isinstance(wanted, str | Path) else "the wanted picture"
+    image = given_image(name, wanted, _read_upright)
+    if isinstance(wanted, str | Path) and image.dtype != np.float32:
+        # Files of whole levels hold pictures for displays, files of floats hold light.
+        image = image / np.float32(np.iinfo(image.dtype).max)
+        gamma = DISPLAY_GAMMA if gamma is None else gamma
+    if fit is None and image.shape[:2] != camera_shape[:2]:
+        # Shapes are refused before values, which a view may have without end.
+        _samples(image, camera_shape, name, _FIT)
+    # Written so that it refuses NaN, too.
+    if image.size and not (image.min() >= 0 and image.max() <= 1):
+        raise InputError(
+            f"{name} has values from {image.min():g} to {image.max():g}",
+            hint="give values in [0, 1]: divide raw levels by their largest one, such as 255",
+        )
+    light = image.astype(np.float32) ** np.float32(1.0 if gamma is None else gamma)
+    if light.ndim == 3 and len(camera_shape) == 2:
+        if not is_grey(light):
+            warn(f"{name} is in colour, for a camera that is not: its luminance is taken")
+        # The weights of linear red, green and blue (ITU-R BT.709); grey stays as it is.
+        grey = (
+            light[..., 0]
+            if is_grey(light)
+            else light @ np.array([0.2126, 0.7152, 0.0722], np.float32)
+        )
+        light = np.asarray(grey, np.float32)
+    if fit is not None and light.ndim >= 2 and light.shape[:2] != camera_shape[:2]:
+        light = fitted(light, (camera_shape[0], camera_shape[1]), fit)
+    samples = _samples(light, camera_shape, name, _FIT)
+    if not (black or samples.any()):
+        raise InputError(f"{name} is all black", hint="black needs no compensation: show black")
+    return samples
+
+
+def _read_upright(path: str | Path) -> NDArray[Any]:
+    """A picture as viewers show it: turned as the camera that took it was."""
+    return upright(path, read_image(path))
+
+
+_FIT = 'fit it with fit="cover", "contain" or "stretch"'
+
+
+def fitted(image: NDArray[np.float32], shape: tuple[int, int], fit: str) -> NDArray[np.float32]:
+    """An image (rows, cols[, channels]) in [0, 1] of another shape; see `compensate`.
+
+    Pixels are averaged where it shrinks, which keeps its light.
+    """
+    ratios = shape[0] / image.shape[0], shape[1] / image.shape[1]
+    if fit != "stretch":
+        ratios = ((max if fit == "cover" else min)(ratios),) * 2
+    rows, cols = (max(1, round(n * r)) for n, r in zip(image.shape, ratios, strict=False))
+    how = Image.Resampling.BOX if max(ratios) <= 1 else Image.Resampling.BILINEAR
+    channels = np.moveaxis(np.atleast_3d(image), 2, 0)
+    done = [np.asarray(Image.fromarray(c).resize((cols, rows), how)) for c in channels]
+    resized = np.stack(done, axis=-1).reshape(rows, cols, *image.shape[2:]).clip(0, 1)
+    frame = np.zeros((*shape, *image.shape[2:]), np.float32)
+    # Both have the same middle.
+    parts = _overlap(shape[0], rows), _overlap(shape[1], cols)
+    frame[parts[0][0], parts[1][0]] = resized[parts[0][1], parts[1][1]]
+    return frame
+
+
+def _overlap(frame: int, image: int) -> tuple[slice, slice]:
+    """The parts of a frame and of an image that overlap along an axis, if their middles agree."""
+    size, shift = min(frame, image), (frame - image) // 2
+    return slice(max(shift, 0), max(shift, 0) + size), slice(max(-shift, 0), max(-shift, 0) + size)
+
+
+def _samples(
+    image: NDArray[Any], shape: tuple[int, ...], name: str, hint: str, device: str = "camera"
+) -> NDArray[np.float32]:
+    """An image as one value for each sample of a device, (M,); grey counts for all channels."""
+    if image.shape == shape:
+        values = image
+    elif len(shape) == 3 and image.shape == shape[:2]:
+        values = np.broadcast_to(image[..., None], shape)
+    else:
+        size = " x ".join(map(str, shape))
+        raise InputError(f"{name} has shape {image.shape}, for a {device} of {size}", hint=hint)
+    return np.ascontiguousarray(values, np.float32).ravel()
+
+
+def mask_samples(
+    mask: Picture | None, shape: tuple[int, ...], device: str = "camera"
+) -> NDArray[np.bool_]:
+    """Which samples of a camera or a projector count, (M,): those where the mask is not 0."""
+    if mask is None:
+        return np.ones(int(np.prod(shape)), np.bool_)
+    name = str(mask) if isinstance(mask, str | Path) else "the mask"
+    image = given_image(name, mask, read_image)
+    if image.ndim == 3 and len(shape) == 2:
+        image = image.max(axis=2)
+    hint = f"give one value for each pixel of the {device}, 0 for those that do not count"
+    samples = _samples(image, shape, name, hint, device)
+    if not np.isfinite(samples).all():
+        raise InputError(f"{name} has values that are not finite", hint="use 0 and 1")
+    chosen = samples != 0
+    if not chosen.any():
+        raise InputError(f"{name} leaves no {device} pixel", hint="it must be above 0 somewhere")
+    return chosen
+
+
+def ambient_samples(ambient: Picture | None, camera_shape: tuple[int, ...]) -> NDArray[np.float32]:
+    """Light that is there without the projector, (M,) >= 0, in units of the clip level."""
+    if ambient is None:
+        return np.zeros(int(np.prod(camera_shape)), np.float32)
+    name = str(ambient) if isinstance(ambient, str | Path) else "the ambient light"
+    image = given_image(name, ambient, read_light)
+    if image.ndim == 3 and len(camera_shape) == 2:
+        image = image.mean(axis=2)
+    samples = _samples(image, camera_shape, name, "give a photograph of the same camera")
+    if not (np.isfinite(samples).all() and samples.min() >= 0):
+        raise InputError(
+            f"{name} has values from {np.min(samples):g} to {np.max(samples):g}",
+            hint="give light of at least 0, in units of the camera's clip level",
+        )
+    return samples
