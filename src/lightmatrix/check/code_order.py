@@ -108,9 +108,10 @@ class CodeLattice:
         left = np.zeros(len(both[0]))
         if pairs and not missing.any():
             # A pattern and its inverse add up to white.
-            first, second = (self.samples[frames[code.frames[[*each]]]] for each in zip(*pairs))
-            whole = (first + second).mean(axis=0)
-            left = np.abs(first + second - whole).mean(axis=0) / np.maximum(whole, 1e-6)
+            paired = frames[code.frames[np.array(pairs)]]
+            sums = self.samples[paired].sum(axis=1)
+            whole = sums.mean(axis=0)
+            left = np.abs(sums - whole).mean(axis=0) / np.maximum(whole, 1e-6)
         return np.stack(both), left
 
     def apart(self, code: Code, frames: Order) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
