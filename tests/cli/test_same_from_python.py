@@ -16,7 +16,7 @@ from lightmatrix.cli import main
 from lightmatrix.cli import patterns as patterns_command
 from lightmatrix.cli.app import STAGES
 from lightmatrix.estimators import settings as estimate_settings
-from lightmatrix.judgement.judgement import verdict
+from lightmatrix.judgement.judgement import verdicts
 from lightmatrix.patterns import making
 from lightmatrix.planning.plan import Advice
 from lightmatrix.rig.rig_measurements import PARTS
@@ -191,7 +191,7 @@ def test_estimate_from_two_binned_folders(
 def test_info(work: Path, capsys: pytest.CaptureFixture[str]) -> None:
     printed = _run(f"info {work}/scene.zarr", capsys)
     transport = lm.open(work / "scene.zarr")
-    judged = verdict(transport)
+    judged = verdicts(transport).transport
     assert printed == {
         "verdict": judged.level, "sentence": judged.sentence,
         "verdicts": lm.verdicts(transport).as_dict(),

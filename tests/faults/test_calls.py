@@ -48,6 +48,7 @@ ARRAYS: tuple[Any, ...] = (
     np.array("x"),
     [[1], [1, 2]],
 )
+PATHS: tuple[Any, ...] = (None, 5, b"x")
 WHOLE: tuple[Any, ...] = (*NUMBERS, 2.7, np.float64(2.7), 0, -1)
 SHAPES: tuple[Any, ...] = (*ARRAYS, 64, (2.7, 1), (0, 8), (10**400, 8), "88", (8,), (8, 8, 8))
 
@@ -129,6 +130,20 @@ CALLS: dict[str, tuple[Callable[[Any], Any], tuple[Any, ...]]] = {
     "uncertainty": (lambda v: _matches(uncertainty=v), ARRAYS[1:]),
     "matches' projector": (lambda v: _matches(projector_shape=v), SHAPES[1:]),
     "correspondence": (lm.correspondence, ARRAYS),
+    "estimate": (lm.estimate, PATHS),
+    "check": (lm.check, PATHS),
+    "open": (lm.open, PATHS),
+    "open_colour": (lm.open_colour, PATHS),
+    "read_image": (lm.read_image, PATHS),
+    "write_image": (lambda v: lm.write_image(v, PICTURE), PATHS),
+    "Capture.open": (lm.Capture.open, PATHS),
+    "Capture.from_folders": (lambda v: lm.Capture.from_folders(v, v), PATHS),
+    "truth": (lm.truth, PATHS),
+    "plan": (lm.plan, PATHS),
+    "geometry_of": (lambda v: lm.geometry_of(T, v), PATHS[1:]),
+    "curve": (lambda v: lm.cancel_global(T, PICTURE, projector_response=v), PATHS[1:]),
+    "save path": (lambda v: lm.save(v, T), PATHS),
+    "export path": (lambda v: lm.export(v, T), PATHS),
     "save": (lambda v: lm.save("new.zarr", v), ARRAYS),
     "export": (lambda v: lm.export("new.npz", v), ARRAYS),
     "max_min": (lm.max_min, ARRAYS),
@@ -148,7 +163,7 @@ CALLS: dict[str, tuple[Callable[[Any], Any], tuple[Any, ...]]] = {
     "compensate": (lambda v: lm.compensate(T, v), ARRAYS[2:]),
     "compensate ambient": (lambda v: lm.compensate(T, PICTURE, ambient=v), ARRAYS[2:]),
     "compensate mask": (lambda v: lm.compensate(T, PICTURE, mask=v), ARRAYS[2:]),
-    "compensate gamma": (lambda v: lm.compensate(T, PICTURE, gamma=v), NUMBERS),
+    "compensate gamma": (lambda v: lm.compensate(T, PICTURE, gamma=v), NUMBERS[1:]),
     "compensate iterations": (lambda v: lm.compensate(T, PICTURE, iterations=v), WHOLE),
     "compensate_video": (lambda v: lm.compensate_video(T, [v]), ARRAYS[2:]),
     "cancel_global": (lambda v: lm.cancel_global(T, v, direct=T), ARRAYS[2:]),

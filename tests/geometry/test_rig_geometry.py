@@ -63,14 +63,10 @@ def test_what_is_projected_is_triangulated(seed: int) -> None:
 def test_lenses_can_be_undone(seed: int) -> None:
     geometry = rig(seed)
     pixels = np.random.default_rng(seed).uniform(0, 600, (40, 2))
-    for there, back in (
-        (geometry.undistort_camera, geometry.distort_camera),
-        (geometry.undistort_projector, geometry.distort_projector),
-    ):
-        ideal = there(pixels)
-        finite = np.isfinite(ideal).all(axis=1)
-        np.testing.assert_allclose(back(ideal)[finite], pixels[finite], atol=1e-3)
-        assert finite.mean() > 0.8
+    points = geometry.camera_centre + 900 * geometry.camera_rays(pixels)
+    finite = np.isfinite(points).all(axis=1)
+    np.testing.assert_allclose(geometry.project_camera(points)[finite], pixels[finite], atol=1e-3)
+    assert finite.mean() > 0.8
 
 
 @given(st.integers(0, 10_000))
@@ -208,7 +204,7 @@ def test_files_of_opencv_are_read(tmp_path: Path, ending: str) -> None:
     [
         ("", "holds no geometry"),
         ("col,row\n1,2\n", "holds no geometry"),
-        ("{}", "is not a lightmatrix-geometry file"),
+        ("{}", "holds no geometry"),
         ('{"format": "lightmatrix-geometry", "version": 2}', "format version 2"),
         ('{"format": "lightmatrix-geometry", "version": 1}', "lacks camera_distortion"),
         ('{"cam_K": [[1, 0, 0], [0, 1, 0], [0, 0, 1]]}', "names no projector intrinsics"),
@@ -231,7 +227,7 @@ def test_impossible_rigs_are_refused() -> None:
         (good, 2 * good, shape, "same centre"),
         (np.diag([1, 1, 0, 1])[:3], other, shape, "singular"),
         (good[:2], other, shape, "not finite"),
-        (good, other, (4, 0), "image size"),
+        (good, other, (4, 0), "an image of the camera"),
     ):
         with pytest.raises(lm.InputError, match=message):
             lm.RigGeometry.from_matrices(camera, projector, size, shape)

@@ -100,7 +100,7 @@ def test_an_unplugged_camera(served: GigECamera) -> None:
 @pytest.mark.parametrize(
     ("options", "words"),
     [
-        (",PixelFormat=Mono12p", "Mono12p cannot be used, it does not offer that"),
+        (",PixelFormat=Mono12p", "Mono12p is not offered by it"),
         (",Gian=3", "no feature Gian"),
         (",GainRaw=loud", "GainRaw=loud was refused"),
         (",trigger=Line7", "no trigger 'Line7'"),

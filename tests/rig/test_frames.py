@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from lightmatrix.rig.devices.base import Frame
-from lightmatrix.rig.photograph import AveragedFrame, References, Shot, copied_rows
+from lightmatrix.rig.photograph import AveragedFrame, References, Shot
 from lightmatrix.rig.rig_measurements import _possible
 
 from .rig_mixtures import run
@@ -23,27 +23,9 @@ def _photograph(light: Any, seed: int) -> Any:
 
 
 def _average(light: Any, count: int = 4) -> AveragedFrame:
-    shots = [Shot(Frame(_photograph(light, k), k, 0.0, TOP), 0.01, 0.0) for k in range(count)]
+    shots = [Shot(Frame(_photograph(light, k), k, 0.0, TOP), 0.01) for k in range(count)]
     mean = np.mean([shot.data for shot in shots], axis=0, dtype=np.float32)
     return AveragedFrame(np.asarray(mean), shots, NOISE, 0.001)
-
-
-@pytest.mark.parametrize(
-    ("rows", "copied"), [(slice(0, 6), 6), (slice(12, 20), 8), (slice(5, 9), 0), (slice(0, 0), 0)]
-)
-def test_rows_of_an_earlier_frame_are_recognized_at_both_ends(rows: slice, copied: int) -> None:
-    data, earlier = _photograph(800.0, 1), _photograph(800.0, 2)
-    data[rows] = earlier[rows]
-    changing = np.full(SHAPE[0], 0.97)
-    assert copied_rows(data, earlier, changing, TOP) == copied
-
-
-def test_equal_rows_that_clip_or_do_not_change_are_no_copies() -> None:
-    clipped = np.full(SHAPE, 4095, np.uint16)
-    assert copied_rows(clipped, clipped, np.full(SHAPE[0], 0.97), TOP) == 0
-    dark = np.zeros(SHAPE, np.uint16)
-    assert copied_rows(dark, dark, np.zeros(SHAPE[0]), TOP) == 0
-    assert copied_rows(dark, dark[:-1], np.full(SHAPE[0], 0.97), TOP) == 0
 
 
 def test_black_frames_lose_their_noise_but_neither_hot_pixels_nor_light() -> None:

@@ -78,8 +78,8 @@ def test_a_camera_in_use() -> None:
 @pytest.mark.parametrize(
     ("options", "words"),
     [
-        (",PixelFormat=RGBa8", "RGBa8 cannot be used, lightmatrix does not unpack it"),
-        (",PixelFormat=Mono16", "Mono16 cannot be used, it does not offer that"),
+        (",PixelFormat=RGBa8", "RGBa8 is not unpacked by us"),
+        (",PixelFormat=Mono16", "Mono16 is not offered by it"),
         (",Gian=3", "no feature Gian"),
         (",Width=wide", "Width=wide was refused"),
         (",trigger=software", "no trigger 'software'"),

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
 import contextlib
 import http.client
 import http.server
@@ -15,9 +14,7 @@ import sys
 import threading
 import time
 from collections.abc import Iterator
-from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
-from unittest import mock
 
 import pytest
 from playwright.sync_api import Browser
@@ -25,7 +22,6 @@ from playwright.sync_api import Browser
 import lightmatrix as lm
 from lightmatrix.cli import main
 from lightmatrix.viewer import export as export_module
-from lightmatrix.viewer import server as server_module
 from tests.viewer import hostile, running
 from tests.viewer.running import shown
 
@@ -174,55 +170,6 @@ def test_hostile_requests_change_nothing(server: running.Server) -> None:
     assert ask(server, f"/{server.token}/").status == 200
     assert server.process.poll() is None
     assert process.memory_info().rss - before < GROWTH
-
-
-def test_idle_strangers_do_not_lock_the_owner_out(
-    server: running.Server, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    place = ("127.0.0.1", server.port)
-    idle = [socket.create_connection(place, timeout=120) for _ in range(200)]
-    assert ask(server, f"/{server.token}/").status == 200
-    # The oldest ones were closed meanwhile.
-    with contextlib.suppress(ConnectionError):
-        assert idle[0].recv(1) == b""
-    for connection in idle:
-        connection.close()
-
-    async def late() -> list[bool]:
-        monkeypatch.setattr(server_module.Strangers, "_SECONDS", 0.01)
-        strangers = server_module.Strangers()
-        transports = [mock.Mock(get_extra_info=lambda _, k=k: ("127.0.0.1", k)) for k in range(2)]
-        for transport in transports:
-            strangers.came(transport)
-        strangers.showed_the_token(("127.0.0.1", 1))
-        await asyncio.sleep(0.1)
-        return [transport.abort.called for transport in transports]
-
-    # In a thread of its own, since the browser's fixture occupies this one.
-    with ThreadPoolExecutor() as threads:
-        assert threads.submit(asyncio.run, late()).result() == [True, False]
-
-
-def test_pings_whose_answers_nobody_reads_are_not_kept(server: running.Server) -> None:
-    import psutil
-
-    request = (
-        f"GET /{server.token}/socket HTTP/1.1\r\nHost: {server.host}\r\nUpgrade: websocket\r\n"
-        f"Connection: Upgrade\r\nOrigin: http://{server.host}\r\nSec-WebSocket-Version: 13\r\n"
-        "Sec-WebSocket-Key: AAAAAAAAAAAAAAAAAAAAAA==\r\n\r\n"
-    )
-    pings = (b"\x89\xfd" + bytes(4 + 125)) * 1000
-    process = psutil.Process(server.process.pid)
-    with socket.create_connection(("127.0.0.1", server.port), timeout=120) as connection:
-        connection.sendall(request.encode())
-        assert connection.recv(12) == b"HTTP/1.1 101"
-        before = process.memory_info().rss
-        connection.settimeout(1)
-        with contextlib.suppress(TimeoutError):
-            for _ in range(500):
-                connection.sendall(pings)
-        assert process.memory_info().rss - before < GROWTH
-    assert ask(server, f"/{server.token}/").status == 200
 
 
 def test_a_window_too_many_is_told_so(server: running.Server, browser: Browser) -> None:

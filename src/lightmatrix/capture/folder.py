@@ -52,6 +52,7 @@ from lightmatrix.patterns.colour import ColourPatterns
 from lightmatrix.patterns.folder import fill_pattern_folder, read_patterns
 from lightmatrix.patterns.pattern_set import PatternSet
 from lightmatrix.patterns.projector_curve import ProjectorResponse
+from lightmatrix.ranges import as_path
 from lightmatrix.reprs import jsonable
 
 
@@ -67,7 +68,7 @@ def read_capture(
     folder: str | Path, *, allow_outside: bool = False, counted: bool = True
 ) -> CaptureParts:
     """Read a capture folder, with outside files only if `allow_outside`."""
-    place = Path(folder)
+    place = as_path(folder)
     if not place.is_dir():
         problem = "is a file, not a capture folder" if place.exists() else "no such folder"
         raise InputError(f"{place}: {problem}", hint="give a folder with patterns/ and images/")
@@ -436,7 +437,7 @@ def _read_black(
 
 
 def check_depth(frames: Frames, decoder: Decoder) -> None:
-    """Refuse swapped bytes, negative levels, and 16-bit files of fewer bits without a clip level.
+    """Refuse negative levels, and 16-bit files of fewer bits without a clip level.
 
     A camera of 12 bits clips at 4095. With 65535 in its place no sample would count as clipped: the
     estimate would be wrong without any sign of it.
@@ -455,13 +456,6 @@ def check_depth(frames: Frames, decoder: Decoder) -> None:
         raise InputError(
             f"half of the levels that were looked at are below {dark:g}",
             hint="scale the images so that 0 is no light",
-        )
-    # One frame may lack some bits by chance, and a few levels without noise all may.
-    swapped = frames.dtype == np.uint16 and have_swapped_bytes([middle])
-    if swapped and len(np.unique(middle)) > 16 and have_swapped_bytes(level_blocks(frames)):
-        raise InputError(
-            "the two bytes of each level are swapped: the bits that all levels use have a gap",
-            hint="write the images in the byte order that their format or header states",
         )
     if not decoder.clip_assumed:
         return
@@ -490,22 +484,6 @@ def check_depth(frames: Frames, decoder: Decoder) -> None:
         f"the images have 16 bits, but no level above {top}: a camera {which}",
         hint=f'{hint}, or "clip" in capture.json; clip=65535 if they are just dark',
     )
-
-
-def have_swapped_bytes(levels: Iterable[NDArray[np.uint16]]) -> bool:
-    """Whether the bits that levels use have a gap, and none once their bytes are exchanged.
-
-    The bits of a camera are neighbours, wherever they stand in the 16 bits of a file: those of
-    12 bits are 0x0fff or 0xfff0, with swapped bytes 0xff0f or 0xf0ff.
-    """
-    used = 0
-    for block in levels:
-        used |= int(np.bitwise_or.reduce(block, axis=None))
-
-    def gap(bits: int) -> bool:
-        return "0" in f"{bits:b}".strip("0")
-
-    return gap(used) and not gap((used >> 8) | (used & 255) << 8)
 
 
 def read_mask(mask: str | Path | None, shape: tuple[int, ...]) -> NDArray[np.bool_] | None:
@@ -546,7 +524,7 @@ def _stated_response(response: Response | str | None, stack: Frames) -> Response
 
 def read_white_frame(path: str | Path, settings: ReadSettings) -> Samples:
     """The M samples of a photograph that do not clip without light, (M, 1), at exposure 1."""
-    file = Path(path)
+    file = as_path(path)
     if not file.exists() or file.is_dir():
         problem = "is a folder" if file.is_dir() else "no such file"
         raise InputError(

@@ -23,6 +23,7 @@ from lightmatrix.files.kinds import CAPTURE
 from lightmatrix.files.writing import atomic_folder, check_output
 from lightmatrix.files.zarr_arrays import create_array
 from lightmatrix.patterns.pattern_set import PatternSet
+from lightmatrix.ranges import as_path
 from lightmatrix.resources.disk import check_disk_space, scratch_array
 
 Progress = Callable[[int, int], None]
@@ -80,7 +81,7 @@ def pack(
     """
     check_output(output, CAPTURE, overwrite=overwrite)
     opened = open_capture(capture)
-    source = None if isinstance(capture, Capture) else Path(capture)
+    source = None if isinstance(capture, Capture) else as_path(capture)
 
     def copy_truth(part: Path) -> None:
         for name in (TRUTH, GEOMETRY, DEPTH):

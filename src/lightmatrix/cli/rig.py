@@ -35,7 +35,9 @@ def list_(as_json: Json = False) -> None:
     """List projectors and cameras, and what is not installed."""
     back_ends = lm.list_devices()
     if as_json:
-        show_json({"back_ends": [asdict(back) for back in back_ends]})
+        calls = ("open", "find")
+        listed = [{k: v for k, v in asdict(b).items() if k not in calls} for b in back_ends]
+        show_json({"back_ends": listed})
         return
     for role in ("projector", "camera"):
         say(f"{role}s")
@@ -46,7 +48,7 @@ def list_(as_json: Json = False) -> None:
             if back.problem:
                 say(f"             {back.problem}", style="yellow")
                 say(f"             {back.hint}")
-            elif back.finds and not back.found:
+            elif back.find is not None and not back.found:
                 say("             none is found")
 
 

@@ -28,7 +28,7 @@ from lightmatrix.check.curves import FOUND_RESPONSE, with_projector, with_respon
 from lightmatrix.check.finding import FINDINGS, OF_THE_RIG, Finding
 from lightmatrix.check.refusals import refuse_unordered, refuse_unusable, warn_of
 from lightmatrix.errors import InputError, warn
-from lightmatrix.estimators.choice import check_and_choose, choose_estimator
+from lightmatrix.estimators.choice import choose_estimator
 from lightmatrix.estimators.corrected import corrected, terms_to_correct
 from lightmatrix.estimators.plain import PlainEstimator
 from lightmatrix.estimators.resource_estimate import estimate_resources
@@ -206,21 +206,19 @@ def estimate(
     # Workers are checked before the frames are read, which takes longer.
     with dask_pool(workers, cluster) if several else nullcontext() as pool:
         refuse_unusable(capture)
-        check_frames = partial(refuse_unordered, capture) if check else list
+        findings = refuse_unordered(capture) if check else []
         remarks: dict[str, Any] = {}
         camera_unknown = capture.decoder.response.name == AUTOMATIC
         if camera_unknown or capture.projector_unknown:
             # A curve that is found is no fault of the capture.
             found_later = ["response"] * camera_unknown + ["projector"] * capture.projector_unknown
-            findings = [each for each in check_frames() if each.kind not in found_later]
+            findings = [each for each in findings if each.kind not in found_later]
             with _bar("looking for the response", progress is True):
                 found = find_responses(capture, settings)
             warn(f"response: {found}")
             capture = found.applied_to(capture)
             remarks = {FOUND_RESPONSE: found.provenance()}
-            estimator = choose_estimator(capture, settings, resources)
-        else:
-            estimator, findings = check_and_choose(check_frames, capture, settings, resources)
+        estimator = choose_estimator(capture, settings, resources)
         # What the regression may explain is told once it is done.
         later = [each for each in findings if correct == "auto" and each.kind in OF_THE_RIG]
         warn_of(each for each in findings if each not in later)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
@@ -52,8 +53,7 @@ _SCANNED = tuple(_SCAN_STEP**k for k in range(-1, 6))
 _CURVED, _CERTAIN = 0.0025, 8.0
 
 
-@dataclass(frozen=True, eq=False)
-class Refined:
+class Refined(NamedTuple):
     """A curve, the relative uncertainty of its gamma, and whether it is more than a gamma."""
 
     response: Response
@@ -114,28 +114,15 @@ def find_response(
     search = _Search(window_of_levels(whole), settings, curves=not compressed)
     found = search.settled(raised(stated, start.power))
     # Windows of projector pixels explain anything with few frames, and so does a wrong T.
-    if whole.count < _FEW_FRAMES and (found is None or found.missed > _MISSED):
+    if whole.count < _FEW_FRAMES and (found is None or found[1] > _MISSED):
         other = search.settled(raised(stated, search.scanned(stated)))
-        if other is not None and (found is None or other.missed < _CLEARLY * found.missed):
+        if other is not None and (found is None or other[1] < _CLEARLY * found[1]):
             found = other
     if found is None:
         raise _undetermined()
-    response = found.refined.response
-    return FoundResponse(
-        response,
-        exponent(response),
-        found.refined.uncertainty * exponent(response),
-        largest_difference(response, stated),
-        search.estimates,
-    )
-
-
-@dataclass(frozen=True, eq=False)
-class _Settled:
-    """Where a search ended, and the prediction error of the T from which the curve follows."""
-
-    refined: Refined
-    missed: float
+    response, uncertainty, _ = found[0]
+    gamma, difference = exponent(response), largest_difference(response, stated)
+    return FoundResponse(response, gamma, uncertainty * gamma, difference, search.estimates)
 
 
 @dataclass(eq=False)
@@ -147,27 +134,27 @@ class _Search:
     curves: bool
     estimates: int = 0
 
-    def settled(self, response: Response) -> _Settled | None:
-        """The response at which a search from `response` ends; None if it does not settle."""
+    def settled(self, response: Response) -> tuple[Refined, float] | None:
+        """The response at which a search from `response` ends; None if it does not settle.
+
+        Beside it stands the prediction error of the T from which it follows.
+        """
         curved = False
         for _ in range(_MOST_ESTIMATES):
-            read = with_response(self.part, response)
-            transport = self._estimated(read)
+            read, transport = self._estimated(response)
             better = refined_response(read, transport, curved=curved, curves=self.curves)
             if better is None:
                 return None
             change = largest_difference(better.response, response)
             response, curved = better.response, better.curved
             if change < _SMALL:
-                return _Settled(better, _missed(transport))
+                return better, prediction_error(transport) or 0.0
         return None
 
     def scanned(self, stated: Response) -> float:
         """The power of the light, among those of a scan, at which T predicts best."""
-        misses = [
-            _missed(self._estimated(with_response(self.part, raised(stated, power))))
-            for power in _SCANNED
-        ]
+        scan = (self._estimated(raised(stated, power))[1] for power in _SCANNED)
+        misses = [prediction_error(transport) or 0.0 for transport in scan]
         best = int(np.argmin(misses))
         if best in (0, len(misses) - 1):
             return _SCANNED[best]
@@ -177,14 +164,11 @@ class _Search:
         offset = 0.5 * (before - after) / curvature if curvature > 0 else 0.0
         return float(_SCANNED[best] * _SCAN_STEP**offset)
 
-    def _estimated(self, read: Capture) -> LightTransport:
+    def _estimated(self, response: Response) -> tuple[Capture, LightTransport]:
+        """The part, read by a response, and its T."""
         self.estimates += 1
-        return choose_estimator(read, self.settings).estimate(read)
-
-
-def _missed(transport: LightTransport) -> float:
-    """The prediction error of photographs held out; 0 if none was."""
-    return prediction_error(transport) or 0.0
+        read = with_response(self.part, response)
+        return read, choose_estimator(read, self.settings).estimate(read)
 
 
 def refined_response(
@@ -229,19 +213,11 @@ def refuse_pictures(capture: Capture) -> None:
         )
 
 
-def _undetermined() -> InputError:
+def _undetermined(what: str = "camera's response") -> InputError:
     return InputError(
-        "the photographs do not determine the camera's response",
-        hint="measure it with `lightmatrix response`, or give one, such as gamma:2.2 or srgb",
+        f"the photographs do not determine the {what}",
+        hint="measure it with `lightmatrix response`, or give one, such as gamma:2.2",
     )
-
-
-# `lm.find_projector_response`: the projector's gamma, from photographs of grey patterns.
-
-
-# The search ends after six estimates, or when an estimate changes neither gamma by 1.5 %: the next
-# change would be a tenth of it. One to three estimates were needed on simulated captures.
-_MOST_ESTIMATES_UNKNOWN_PROJECTOR, _SMALL_UNKNOWN_PROJECTOR = 6, 0.015
 
 
 def find_projector_response(
@@ -293,10 +269,16 @@ def find_projector_response(
     _refuse_other_patterns(whole)
     # Fewer frames determine no gamma, as they determine none of the camera's.
     if whole.count < 12:
-        raise _undetermined_unknown_projector()
+        raise _undetermined("projector's gamma")
     camera = camera or whole.decoder.response.name == AUTOMATIC
-    stated = whole.decoder.response
-    start, gamma = _start(whole, camera)
+    stated = start = whole.decoder.response
+    survey = Survey.take(whole.patterns, whole.frames, whole.decoder, whole.mask)
+    learned = np.zeros(whole.count, bool)
+    if camera:
+        start, gamma = both_from_windows(survey, learned)
+    else:
+        found = gamma_from_windows(survey, learned)
+        gamma = 1.0 if found is None else found.power
     # The search estimates T of a window of at most 45 x 45 camera pixels, about the 2,000 rows that
     # a step uses. Windows of 64 x 64 gave the same gammas to 0.4 %, for 1.7 times the time.
     part, estimates = window_of_levels(with_response(whole, start), 45), 0
@@ -306,19 +288,21 @@ def find_projector_response(
         estimates += 1
         better = gammas_from_greys(part, transport, gamma, camera=camera)
         if better is None:
-            raise _undetermined_unknown_projector()
+            raise _undetermined("projector's gamma")
         known, before = part.decoder.response, gamma
         part, gamma, last = better
         change = abs(gamma / before - 1)
         if camera:
             change = max(change, abs(exponent(part.decoder.response) / exponent(known) - 1))
-        if change < _SMALL_UNKNOWN_PROJECTOR:
+        # When an estimate changes neither gamma by 1.5 %, the next change would be a tenth of it.
+        if change < 0.015:
             break
-        if estimates == _MOST_ESTIMATES_UNKNOWN_PROJECTOR:
-            raise _undetermined_unknown_projector()
+        # One to three estimates were needed on simulated captures.
+        if estimates == 6:
+            raise _undetermined("projector's gamma")
     # A gamma whose standard error is above 2.5 % is not determined.
     if last.errors.max() > 0.025:
-        raise _undetermined_unknown_projector()
+        raise _undetermined("projector's gamma")
     response = part.decoder.response
     # The uncertainty is twice the standard error, and at least 0.5 %, as that of the camera's
     # gamma.
@@ -332,16 +316,6 @@ def find_projector_response(
         ProjectorResponse.of_gamma(gamma),
         uncertainty[-1] * gamma,
     )
-
-
-def _start(capture: Capture, camera: bool) -> tuple[Response, float]:
-    """Responses to begin with: the camera's, if it is unknown, and the projector's gamma."""
-    survey = Survey.take(capture.patterns, capture.frames, capture.decoder, capture.mask)
-    learned = np.zeros(capture.count, bool)
-    if camera:
-        return both_from_windows(survey, learned)
-    found = gamma_from_windows(survey, learned)
-    return capture.decoder.response, 1.0 if found is None else found.power
 
 
 def find_responses(capture: Capture, settings: EstimateSettings) -> FoundResponse:
@@ -364,10 +338,3 @@ def _refuse_other_patterns(capture: Capture) -> None:
             hint="do not bin the projector, or measure its curve with `projector_response`",
         )
     refuse_pictures(capture)
-
-
-def _undetermined_unknown_projector() -> InputError:
-    return InputError(
-        "the photographs do not determine the projector's gamma",
-        hint="measure it with `projector_response`",
-    )

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from lightmatrix.ranges import as_path
+
 COLOURS = ("red", "green", "blue")
 
 
@@ -14,5 +16,5 @@ def holds_colour(folder: str | Path) -> bool:
 
 def colour_paths(folder: str | Path) -> tuple[Path, Path, Path]:
     """The stores of red, green and blue in a folder."""
-    red, green, blue = (Path(folder) / f"{name}.zarr" for name in COLOURS)
+    red, green, blue = (as_path(folder) / f"{name}.zarr" for name in COLOURS)
     return red, green, blue

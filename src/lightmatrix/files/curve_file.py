@@ -15,6 +15,7 @@ from lightmatrix.errors import InputError
 from lightmatrix.files.kinds import RESPONSE, RESPONSE_FORMAT
 from lightmatrix.files.reading import read_json
 from lightmatrix.files.writing import atomic_file
+from lightmatrix.ranges import as_path
 
 _VERSION = 1
 
@@ -47,7 +48,7 @@ class CurveFile:
     @classmethod
     def load(cls, path: str | Path, device: str) -> CurveFile:
         """Read what `save` wrote for a camera or for a projector."""
-        file = Path(path)
+        file = as_path(path)
         content = read_json(file, RESPONSE_FORMAT, _VERSION)
         if content.get("device") != device:
             other = str(content.get("device"))[:20]

@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from lightmatrix.errors import InputError
+from lightmatrix.ranges import as_path
 
 # Bytes of the longest text that is read, far more than any description or curve of ours takes.
 MOST_TEXT = 16 << 20
@@ -26,7 +27,7 @@ MOST_VALUES = 1 << 28
 
 def regular_file(path: str | Path) -> Path:
     """The path, if it names a regular file or a link to one."""
-    file = Path(path)
+    file = as_path(path)
     try:
         mode = file.stat().st_mode
     except (OSError, ValueError) as error:
@@ -51,14 +52,15 @@ def read_bytes(path: str | Path, most: int = MOST_TEXT) -> bytes:
     """The content of a regular file of at most `most` bytes."""
     file = regular_file(path)
     try:
-        large = file.stat().st_size > most
+        size = file.stat().st_size
         with file.open("rb") as stream:
-            content = b"" if large else stream.read(most + 1)
+            # Python takes all the memory at once. Files of the system have a size of 0.
+            content = stream.read(min(size or MOST_TEXT, most) + 1)
     except OSError as error:
         raise InputError(
             f"{file}: cannot be read ({error.strerror or error})", hint="check its permissions"
         ) from error
-    if large or len(content) > most:
+    if max(size, len(content)) > most:
         raise InputError(
             f"{file}: is larger than {most / 2**20:g} MiB", hint="check that it is the right file"
         )

@@ -24,6 +24,7 @@ from filelock import FileLock, Timeout
 
 from lightmatrix.errors import OutputError, warn
 from lightmatrix.files.kinds import ANOTHER_NAME, MARKER, FolderKind, OutputKind
+from lightmatrix.ranges import as_path
 
 # The first line of the marker of a folder of running results (`running.py`).
 RUNNING = "lightmatrix running results"
@@ -37,7 +38,7 @@ def check_output(path: str | Path, kind: OutputKind, *, overwrite: bool = False)
     An empty folder may always be replaced, other outputs of this kind with `overwrite`. An
     OutputError refuses a wrong ending, anything else there, and a folder without write access.
     """
-    output = Path(path)
+    output = as_path(path)
     if kind.suffixes and output.suffix.lower() not in kind.suffixes:
         raise OutputError(
             f"{output}: the name of the output ends in {output.suffix or 'nothing'}",
@@ -72,7 +73,7 @@ def final_target(path: str | Path) -> Path:
     An OutputError says if a link leads nowhere, or there is a device, pipe, socket, mount point, or
     a folder that holds the home or current folder.
     """
-    output = Path(path)
+    output = as_path(path)
     with as_output_error(output):
         for part in (output, *output.parents):
             if part.is_symlink() and not part.exists():

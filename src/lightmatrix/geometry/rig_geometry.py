@@ -17,6 +17,8 @@ from lightmatrix.files.extras import load_opencv
 from lightmatrix.files.kinds import GEOMETRY, GEOMETRY_FORMAT
 from lightmatrix.files.reading import parse_json, read_json, read_text
 from lightmatrix.files.writing import atomic_file
+from lightmatrix.ranges import as_path, check_sides
+from lightmatrix.regions import Region
 from lightmatrix.reprs import jsonable, short_repr
 
 Shape = tuple[int, int]
@@ -53,30 +55,13 @@ def numbers(values: ArrayLike, shape: tuple[int, ...], what: str) -> NDArray[np.
 
 def distortion(values: ArrayLike, device: str) -> NDArray[np.float64]:
     """Five coefficients; OpenCV leaves out those at the end that are 0."""
-    given = np.ravel(np.asarray(values))
-    if len(given) > 5 and not np.any(given[5:]):
-        given = given[:5]
+    given = np.trim_zeros(np.ravel(np.asarray(values)), "b")
     if len(given) > 5:
         raise InputError(
             f"the {device}'s distortion has {len(given)} coefficients",
             hint="calibrate with OpenCV's model of five: k1, k2, p1, p2, k3",
         )
     return numbers(np.append(given, np.zeros(5 - len(given))), (5,), f"{device}'s distortion")
-
-
-def image_shape(shape: Any, device: str) -> Shape:
-    """Rows and columns as whole numbers of at least 1."""
-    try:
-        rows, cols = (int(size) for size in shape)
-        whole = (rows, cols) == tuple(shape)
-    except (TypeError, ValueError, OverflowError):
-        rows = cols = 0
-        whole = False
-    if not whole or min(rows, cols) < 1:
-        raise InputError(
-            f"an image size of {shape} of the {device}", hint="give (rows, cols) in pixels"
-        )
-    return rows, cols
 
 
 # Lens distortion, after Brown (1971), with OpenCV's five coefficients.
@@ -107,18 +92,15 @@ def undistort(points: NDArray[np.float64], lens: NDArray[np.float64]) -> NDArray
     with np.errstate(all="ignore"):
         # Each step doubles the correct digits, so that strong distortions converge in about six.
         for _ in range(12):
-            seen, (xx, xy, yx, yy) = _seen(ideal, lens)
+            seen, (xx, xy, yy) = _seen(ideal, lens)
             dx, dy = (points - seen).T
-            determinant = xx * yy - xy * yx
-            step = np.column_stack([yy * dx - xy * dy, xx * dy - yx * dx]) / determinant[:, None]
-            ideal = ideal + step
-            if not (np.abs(step) > 1e-9).any():
-                break
-        error, (xx, xy, yx, yy) = _seen(ideal, lens)
+            determinant = xx * yy - xy**2
+            ideal += np.column_stack([yy * dx - xy * dy, xx * dy - xy * dx]) / determinant[:, None]
+        seen, (xx, xy, yy) = _seen(ideal, lens)
         # The lens leads back to within a thousandth of a pixel at a focal length of 10,000 pixels.
         # Where the determinant is negative, it has folded the image over.
-        good = np.abs(error - points).max(axis=1) < 1e-7
-        good &= (xx * yy - xy * yx > 0) & (xx + yy > 0)
+        good = np.abs(seen - points).max(axis=1) < 1e-7
+        good &= (xx * yy - xy**2 > 0) & (xx + yy > 0)
     return np.where(good[:, None], ideal, np.nan)
 
 
@@ -140,7 +122,7 @@ def through_lens(
 def _seen(
     points: NDArray[np.float64], lens: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], tuple[NDArray[np.float64], ...]]:
-    """Distorted points and the four derivatives dx'/dx, dx'/dy, dy'/dx, dy'/dy."""
+    """Distorted points and the derivatives dx'/dx, dx'/dy = dy'/dx, dy'/dy."""
     k1, k2, p1, p2, k3 = lens
     x, y = points.T
     square = x * x + y * y
@@ -156,7 +138,7 @@ def _seen(
     mixed = 2 * x * y * slope + 2 * p1 * x + 2 * p2 * y
     xx = radial + 2 * x * x * slope + 2 * p1 * y + 6 * p2 * x
     yy = radial + 2 * y * y * slope + 6 * p1 * y + 2 * p2 * x
-    return seen, (xx, mixed, mixed, yy)
+    return seen, (xx, mixed, yy)
 
 
 # Projection matrices: their scale, and the lens, rotation and place that they consist of.
@@ -253,49 +235,28 @@ def read_geometry(
     start = text.lstrip()[:64]
     if start.startswith("{") and "opencv-matrix" not in text:
         content = parse_json(text, str(file))
-        known = " ".join(_NAMES.values()).split()
-        if (
-            not isinstance(content, dict)
-            or content.get("format")
-            or not any(_plain(name) in known for name in content)
-        ):
+        if not isinstance(content, dict) or "format" in content:
             return checked_fields(read_json(file, GEOMETRY_FORMAT, VERSION), str(file))
         values = {name: _array(value) for name, value in content.items()}
     elif start.startswith(("<?xml", "<opencv_storage", "%YAML", "---", "{")):
         values = _opencv_values(file, text)
     else:
-        raise _not_a_geometry(file)
+        values = {}
     return _arguments(file, values, camera_shape, projector_shape)
 
 
 def checked_fields(content: Any, file: str) -> dict[str, Any]:
     """The fields of a geometry in an object of JSON, in which others are ignored."""
-    if not isinstance(content, dict):
-        raise InputError(f"{file}: holds no geometry of a rig", hint="write it again")
     names = set(RigGeometry.__dataclass_fields__)
-    fields = {name: value for name, value in content.items() if name in names}
+    given = content if isinstance(content, dict) else {}
+    fields = {name: value for name, value in given.items() if name in names}
     missing = sorted(names - {"units", "rms"} - set(fields))
-    if missing:
-        raise InputError(
-            f"{file}: lacks {', '.join(missing)}",
-            hint="write it again with `lightmatrix calibrate`",
-        )
     units, rms = fields.get("units"), fields.get("rms", {})
     named = isinstance(rms, dict) and all(type(value) in (int, float) for value in rms.values())
-    if not isinstance(units, str | None) or not named:
-        raise InputError(
-            f'{file}: "units" is no text, or "rms" holds no numbers',
-            hint="write it again with `lightmatrix calibrate`",
-        )
+    if missing or not isinstance(units, str | None) or not named:
+        wrong = f"lacks {', '.join(missing)}" if missing else "its units or rms are damaged"
+        raise InputError(f"{file}: {wrong}", hint="write it again with `lightmatrix calibrate`")
     return fields
-
-
-def _not_a_geometry(file: Path) -> InputError:
-    return InputError(
-        f"{file}: holds no geometry of a rig",
-        hint="give a file of `lightmatrix calibrate`, or of OpenCV with camera and projector "
-        "matrices, R and T",
-    )
 
 
 def _plain(name: str) -> str:
@@ -347,7 +308,11 @@ def _arguments(
             found[name] = fitting[0]
     missing = [name.replace("_", " ") for name in _NEEDED if name not in found]
     if len(missing) == len(_NEEDED):
-        raise _not_a_geometry(file)
+        raise InputError(
+            f"{file}: holds no geometry of a rig",
+            hint="give a file of `lightmatrix calibrate`, or of OpenCV with camera and projector "
+            "matrices, R and T",
+        )
     if missing:
         raise InputError(
             f"{file}: names no {' and no '.join(missing)}",
@@ -425,10 +390,11 @@ class RigGeometry:
         for device in ("camera", "projector"):
             matrix = normalised(getattr(self, f"{device}_matrix"), device)
             lens = distortion(getattr(self, f"{device}_distortion"), device)
-            shape = image_shape(getattr(self, f"{device}_shape"), device)
+            shape = getattr(self, f"{device}_shape")
+            check_sides(f"an image of the {device}", shape)
             object.__setattr__(self, f"{device}_matrix", matrix)
             object.__setattr__(self, f"{device}_distortion", lens)
-            object.__setattr__(self, f"{device}_shape", shape)
+            object.__setattr__(self, f"{device}_shape", tuple(map(int, shape)))
         # Less than 1e-9 of the distance to the origin is rounding.
         centres = np.stack([centre_of(self.camera_matrix), centre_of(self.projector_matrix)])
         if np.linalg.norm(centres[1] - centres[0]) <= 1e-9 * np.abs(centres).max():
@@ -464,8 +430,8 @@ class RigGeometry:
         RigGeometry
             Errors are those of the class.
         """
-        whole = np.asarray(camera), np.asarray(projector)
-        return cls(*whole, camera_shape, projector_shape, units=units)
+        matrices = np.asarray(camera), np.asarray(projector)
+        return cls(*matrices, camera_shape, projector_shape, units=units)
 
     @classmethod
     def from_intrinsics(
@@ -507,9 +473,8 @@ class RigGeometry:
         turn = numbers(rotation, (3, 3), "rotation")
         moved = numbers(np.ravel(np.asarray(translation)), (3,), "translation")
         if not np.allclose(turn @ turn.T, np.eye(3), atol=1e-4) or np.linalg.det(turn) < 0:
-            raise InputError(
-                "the rotation is no rotation matrix", hint="give R with R R' = 1 and det R = 1"
-            )
+            hint = "give R with R R' = 1 and det R = 1"
+            raise InputError("the rotation is no rotation matrix", hint=hint)
         camera = numbers(camera_intrinsics, (3, 3), "camera's K")
         projector = numbers(projector_intrinsics, (3, 3), "projector's K")
         return cls(
@@ -580,21 +545,15 @@ class RigGeometry:
         """Where an ideal lens shows projector pixels (n, 2) as (col, row); NaN where it cannot."""
         return through_lens(undistort, points, self.projector_intrinsics, self.projector_distortion)
 
-    def distort_camera(self, points: ArrayLike) -> NDArray[np.float64]:
-        """Where the camera shows undistorted pixels (n, 2) as (col, row)."""
-        return through_lens(distort, points, self.camera_intrinsics, self.camera_distortion)
-
-    def distort_projector(self, points: ArrayLike) -> NDArray[np.float64]:
-        """Where the projector shows undistorted pixels (n, 2) as (col, row)."""
-        return through_lens(distort, points, self.projector_intrinsics, self.projector_distortion)
-
     def project_camera(self, points: ArrayLike) -> NDArray[np.float64]:
         """Where the camera sees points (n, 3) of the world: (n, 2) as (col, row), distorted."""
-        return self.distort_camera(projected(self.camera_matrix, points))
+        ideal = projected(self.camera_matrix, points)
+        return through_lens(distort, ideal, self.camera_intrinsics, self.camera_distortion)
 
     def project_projector(self, points: ArrayLike) -> NDArray[np.float64]:
         """The projector pixels (n, 2) as (col, row), distorted, that light points (n, 3)."""
-        return self.distort_projector(projected(self.projector_matrix, points))
+        ideal = projected(self.projector_matrix, points)
+        return through_lens(distort, ideal, self.projector_intrinsics, self.projector_distortion)
 
     def camera_rays(self, points: ArrayLike) -> NDArray[np.float64]:
         """Where camera pixels (n, 2) as (col, row) look: (n, 3), of depth 1 along the axis."""
@@ -648,9 +607,8 @@ class RigGeometry:
 
     def depth(self, points: ArrayLike) -> NDArray[np.float64]:
         """Distance (n,) of points (n, 3) from the camera along its axis, in `units`."""
-        return np.asarray(
-            points_of(points, 3) @ self.camera_matrix[2, :3] + self.camera_matrix[2, 3]
-        )
+        axis = self.camera_matrix[2]
+        return np.asarray(points_of(points, 3) @ axis[:3] + axis[3])
 
     def scaled(self, camera: int | Shape = 1, projector: int | Shape = 1) -> RigGeometry:
         """The geometry for images that are binned by blocks of (rows, cols) pixels.
@@ -685,13 +643,7 @@ class RigGeometry:
 
     def cropped(self, corner: Shape, shape: Shape) -> RigGeometry:
         """The geometry for photographs of which a rectangle from corner (row, col) is cut out."""
-        ends = (corner[0] + shape[0], corner[1] + shape[1])
-        if min(corner) < 0 or ends[0] > self.camera_shape[0] or ends[1] > self.camera_shape[1]:
-            raise InputError(
-                f"a crop of {shape[0]} x {shape[1]} pixels from row {corner[0]}, column "
-                f"{corner[1]}, of photographs of {self.camera_shape[0]} x {self.camera_shape[1]}",
-                hint="keep the crop within the photographs",
-            )
+        Region(corner, shape, self.camera_shape)  # Refuses a crop beyond the photographs.
         cut = binned_matrix(self.camera_matrix, (1, 1), corner)
         return replace(self, camera_matrix=cut, camera_shape=shape)
 
@@ -735,12 +687,10 @@ class RigGeometry:
         MissingExtraError
             If a file of OpenCV is read and OpenCV is not installed.
         """
-        file = Path(path)
+        file = as_path(path)
         content = read_geometry(file, camera_shape, projector_shape)
         try:
-            if "rotation" in content:
-                return cls.from_intrinsics(**content)
-            return cls(**content)
+            return cls.from_intrinsics(**content) if "rotation" in content else cls(**content)
         except InputError as error:
             raise InputError(f"{file}: {error.message}", hint=error.hint) from error
 

@@ -22,7 +22,7 @@ from lightmatrix.judgement.metrics import (
     unclipped_rows,
     unseen_patterns,
 )
-from lightmatrix.ranges import check_number
+from lightmatrix.ranges import as_path, check_number
 from lightmatrix.reprs import html_table, labelled, text_table
 from lightmatrix.simulation import library
 from lightmatrix.simulation.colour import is_of_all_primaries, of_primary
@@ -115,7 +115,11 @@ class ColourErrors:
 
     def as_dict(self) -> dict[str, Any]:
         """Names and values, JSON-ready, with the errors of each primary under its name."""
-        return self._joint | {name: getattr(self, name).as_dict() for name in COLOURS}
+        joint = {
+            "relative_error": self.relative_error,
+            "relighting_error": self.relighting_error,
+        }
+        return joint | {name: getattr(self, name).as_dict() for name in COLOURS}
 
     def __repr__(self) -> str:
         return text_table("Errors in colour", labelled(self.table()))
@@ -125,17 +129,11 @@ class ColourErrors:
 
     def table(self) -> dict[str, float]:
         """The two errors that matter most, of the three together and of each."""
-        return self._joint | {
-            f"{error}_{colour}": getattr(getattr(self, colour), error)
+        names = "relative_error", "relighting_error"
+        return {name: getattr(self, name) for name in names} | {
+            f"{name}_{colour}": getattr(getattr(self, colour), name)
             for colour in COLOURS
-            for error in self._joint
-        }
-
-    @property
-    def _joint(self) -> dict[str, float]:
-        return {
-            "relative_error": self.relative_error,
-            "relighting_error": self.relighting_error,
+            for name in names
         }
 
 
@@ -226,7 +224,7 @@ def evaluate_colour(
         estimates = list(colour_paths(estimates))
     if isinstance(truths, Truth | str | Path):
         # The truths of one capture in colour, or of a folder for each primary.
-        folders = [] if isinstance(truths, Truth) else [Path(truths) / one for one in COLOURS]
+        folders = [] if isinstance(truths, Truth) else [as_path(truths) / one for one in COLOURS]
         if folders and all(folder.is_dir() for folder in folders):
             truths = folders
         else:

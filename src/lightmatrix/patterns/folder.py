@@ -33,6 +33,7 @@ from lightmatrix.patterns.bits import BitPatterns
 from lightmatrix.patterns.colour import ColourPatterns, colour_images
 from lightmatrix.patterns.making import remake_patterns
 from lightmatrix.patterns.pattern_set import ImagePatterns, PatternSet, to_grey
+from lightmatrix.ranges import as_path
 from lightmatrix.resources.memory import check_memory
 from lightmatrix.resources.threads import work_ahead
 
@@ -123,7 +124,7 @@ def read_patterns(source: str | Path) -> PatternSet:
     >>> lm.read_patterns("patterns")
     BernoulliPatterns(shape=(8, 8), count=4, density=0.5, seed=0)
     """
-    place = Path(source)
+    place = as_path(source)
     entries = list_entries(place)
     # A stack in one file was not written from an operator.
     paths = [entry for entry in entries if isinstance(entry, Path)]

@@ -337,7 +337,6 @@ def _begin(
         record.save()
     photographer = Photographer(rig, known.settle.seconds)
     references = rig.persistently(lambda: take_references(photographer, seconds))
-    photographer.changing = references.black.changing
     black, white = record.read_image(_BLACK), record.read_image(_WHITE)
     if black is None or white is None or not record.state.frames:
         record.keep_image(_BLACK, references.black.without_noise)

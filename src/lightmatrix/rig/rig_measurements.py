@@ -33,7 +33,7 @@ from lightmatrix.planning.exposure_advice import (
     advise_exposures,
     clipped_share,
 )
-from lightmatrix.ranges import check_number
+from lightmatrix.ranges import as_path, check_number
 from lightmatrix.rig.devices.base import exposure_limits, same_exposure, set_exposure
 from lightmatrix.rig.photograph import (
     FIRST_SETTLE,
@@ -508,7 +508,7 @@ def measure_rig(
 
 def kept_measurements(rig: Rig, keep: str | Path | None) -> RigMeasurements:
     """What a file holds of this rig; nothing but the names of its devices if it is of another."""
-    if keep is not None and Path(keep).exists():
+    if keep is not None and as_path(keep).exists():
         kept = RigMeasurements.load(keep)
         if kept.of_rig(rig):
             return kept

@@ -20,7 +20,7 @@ from lightmatrix.errors import InputError
 from lightmatrix.patterns.colour import ColourPatterns
 from lightmatrix.patterns.folder import read_patterns
 from lightmatrix.patterns.pattern_set import PatternSet
-from lightmatrix.ranges import as_float, check_seed
+from lightmatrix.ranges import as_float, as_path, check_seed
 from lightmatrix.regions import Region
 from lightmatrix.simulation import library, realism
 from lightmatrix.simulation.colour import in_all_primaries, in_primary, is_of_all_primaries
@@ -88,7 +88,7 @@ class SimulatedCapture(Capture):
         def save_truth(part: Path) -> None:
             self.truth.save_beside(part)
 
-        if Path(folder).suffix.lower() == ".zarr":
+        if as_path(folder).suffix.lower() == ".zarr":
             pack_capture(self, folder, write_extras=save_truth, overwrite=overwrite)
             return
         decoder = self.decoder

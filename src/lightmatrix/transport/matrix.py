@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_array, issparse
 
 from lightmatrix.errors import InputError
+from lightmatrix.files.images import encode_image
 from lightmatrix.files.numpy_files import as_float32
 from lightmatrix.patterns.pattern_set import check_grid
 from lightmatrix.ranges import check_finite, check_type, real_array
@@ -104,7 +105,14 @@ class LightTransport(TransportOperator):
         )
 
     def _repr_html_(self) -> str:
-        return html_table("Light transport matrix", labelled(self.summary()))
+        # The scene under a white pattern, of at most 256 pixels a side.
+        white = self.relight(np.ones(self.projector_shape, np.float32))
+        image = white.reshape(*self.camera_shape[:2], -1)[:: -(-white.shape[0] // 256)]
+        image = image[:, :: -(-white.shape[1] // 256)]
+        image = image if image.shape[2] == 3 else image.mean(axis=2)
+        shown = np.clip(image / max(float(np.quantile(image, 0.99)), 1e-12), 0, 1) ** (1 / 2.2)
+        picture = encode_image((255 * shown).astype(np.uint8), "png")
+        return html_table("Light transport matrix", labelled(self.summary()), picture)
 
     def __post_init__(self) -> None:
         # Compiled routines trust the indices, and a store is only opened if all of this is so.

@@ -23,7 +23,7 @@ from lightmatrix.files.numpy_files import read_npz
 from lightmatrix.files.reading import check_version, parse_json
 from lightmatrix.files.writing import atomic_file, check_output
 from lightmatrix.geometry.rig_geometry import RigGeometry, checked_fields
-from lightmatrix.ranges import check_type
+from lightmatrix.ranges import as_path, check_type
 from lightmatrix.transport.correspondence import Correspondence
 from lightmatrix.transport.matrix import LightTransport
 from lightmatrix.transport.operator import HOW_TO_GIVE
@@ -178,7 +178,7 @@ def import_npz(
 
 def read_sparse_npz(path: str | Path) -> SparseFile:
     """Read a sparse matrix in the form CSR."""
-    file = Path(path)
+    file = as_path(path)
     content = read_npz(file)
     for name in (kinds.TRANSPORT_MARK, kinds.TRUTH_MARK):
         if name in content:
@@ -290,7 +290,7 @@ def read_correspondence(path: str | Path) -> Correspondence:
     >>> lm.read_correspondence("matches.npz").projector_shape
     (64, 64)
     """
-    file = Path(path)
+    file = as_path(path)
     content = read_npz(file)
     if kinds.CORRESPONDENCE_MARK not in content:
         raise InputError(

@@ -10,7 +10,6 @@ from __future__ import annotations
 import hashlib
 import json
 import math
-import zipfile
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
@@ -26,7 +25,7 @@ from zarr.codecs import BloscCodec
 
 from lightmatrix.errors import InputError
 from lightmatrix.files.colours import COLOURS, colour_paths
-from lightmatrix.files.kinds import COLOUR_STORES, CORRESPONDENCE_MARK, PARTIAL, STORE, holds_member
+from lightmatrix.files.kinds import COLOUR_STORES, CORRESPONDENCE, PARTIAL, STORE
 from lightmatrix.files.reading import read_bytes
 from lightmatrix.files.writing import atomic_folder
 from lightmatrix.files.zarr_arrays import (
@@ -38,7 +37,7 @@ from lightmatrix.files.zarr_arrays import (
     read_group,
     write_parts,
 )
-from lightmatrix.ranges import check_type
+from lightmatrix.ranges import as_path, check_type
 from lightmatrix.resources.memory import check_memory
 from lightmatrix.transport.correspondence import Correspondence
 from lightmatrix.transport.matrix import ColourTransport, LightTransport
@@ -218,7 +217,7 @@ def open(path: str | Path) -> LightTransport:
     >>> lm.open("scene.zarr")
     LightTransport(camera 64 x 64, projector 64 x 64, 1922182 entries, metal)
     """
-    if Path(path).suffix.lower() == ".npz":
+    if as_path(path).suffix.lower() == ".npz":
         return import_npz(path)
     return StoredTransport.open(path).load()
 
@@ -229,11 +228,11 @@ def open_matches(
     """Open a store, a T.npz or a correspondence; what is in memory is returned unchanged."""
     if isinstance(source, LightTransport | Correspondence):
         return source
-    path = Path(source)
+    path = as_path(source)
     if path.suffix.lower() == ".npz" and path.is_file():
-        # Damaged files are left to the reader of T to name.
-        with suppress(zipfile.BadZipFile, OSError):
-            if holds_member(path, CORRESPONDENCE_MARK):
+        # Files that cannot be read are left to the reader of T to name.
+        with suppress(OSError):
+            if CORRESPONDENCE.recognize(path):
                 return read_correspondence(path)
     return open(path)
 
@@ -362,7 +361,7 @@ class StoredTransport(TransportOperator):
             If there is none, it is incomplete, damaged, or of a later format version. Rows are
             checked when they are read, and a damaged chunk is named then.
         """
-        place = Path(path)
+        place = as_path(path)
         if not place.exists():
             if place.with_name(place.name + PARTIAL).exists():
                 raise InputError(

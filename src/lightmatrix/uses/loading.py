@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from lightmatrix.errors import InputError
-from lightmatrix.ranges import check_finite
+from lightmatrix.ranges import as_path, check_finite
 from lightmatrix.resources.memory import available_bytes
 from lightmatrix.transport import store
 from lightmatrix.transport.matrix import LightTransport
@@ -27,7 +27,7 @@ def loaded(source: Transport, times: float) -> LightTransport:
             "lm.LightTransport.from_matrix(matrix, camera_shape, projector_shape)",
         )
     if isinstance(source, str | Path):
-        if Path(source).suffix.lower() == ".npz":
+        if as_path(source).suffix.lower() == ".npz":
             return store.open(source)
         # Nothing is kept: the matrix is loaded whole below.
         source = store.StoredTransport.open(source, memory=0)

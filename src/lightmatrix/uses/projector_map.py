@@ -21,6 +21,7 @@ from lightmatrix.files.extras import write_exr
 from lightmatrix.files.images import fill_image
 from lightmatrix.files.writing import atomic_file, atomic_folder, check_output
 from lightmatrix.geometry.rig_geometry import RigGeometry
+from lightmatrix.ranges import as_path
 from lightmatrix.reprs import short_repr
 from lightmatrix.transport.correspondence import (
     REACH,
@@ -117,7 +118,7 @@ class ProjectorMap:
         InputError
             On a geometry of another rig.
         """
-        output = Path(path)
+        output = as_path(path)
         suffix = output.suffix.lower()
         if not suffix:
             if isinstance(geometry, str | Path):
@@ -246,7 +247,7 @@ _WRITERS: Mapping[str, Callable[[ProjectorMap, Path, Path], None]] = {
 
 def map_files(path: str | Path) -> dict[Path, kinds.OutputKind]:
     """The files or the folder that a map is written to, with their kinds."""
-    output = Path(path)
+    output = as_path(path)
     suffix = output.suffix.lower()
     if suffix == ".png":
         pair = (output.with_name(f"{output.stem}-{axis}{output.suffix}") for axis in "xy")

@@ -17,6 +17,7 @@ from lightmatrix.files.kinds import printable
 from lightmatrix.geometry.rig_geometry import RigGeometry
 from lightmatrix.patterns.pattern_set import PatternSet
 from lightmatrix.pictures.style import white_level
+from lightmatrix.ranges import as_path
 from lightmatrix.transport import store
 from lightmatrix.transport.matrix import LightTransport
 from lightmatrix.transport.store import StoredTransport
@@ -49,7 +50,7 @@ class Scene:
         capture: Capture | str | Path | None = None,
         geometry: RigGeometry | str | Path | None = None,
     ) -> None:
-        self._path = None if isinstance(transport, LightTransport) else Path(transport)
+        self._path = None if isinstance(transport, LightTransport) else as_path(transport)
         self.matrix = opened(transport, page_bytes)
         name = self.matrix.provenance.get("scene", "Light transport")
         # The name of a file may hold bytes that are no text, which no page can.

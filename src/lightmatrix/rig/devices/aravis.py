@@ -29,12 +29,8 @@ class AravisCamera(GenICamCamera):
         # it: the traceback of an error would keep it alive.
         self._stream: Any = None
         self._camera: Any = aravis.Camera.new(address.argument or None)
-        try:
-            with self._talking("be set up"):
-                self._set_up()
-        except BaseException:
-            self.close()
-            raise
+        with self._opening(), self._talking("be set up"):
+            self._set_up()
 
     def _set_up(self) -> None:
         self._require_control()
@@ -83,17 +79,7 @@ class AravisCamera(GenICamCamera):
             self._stamps.count(buffer.get_frame_id())
             self._stream.push_buffer(buffer)
 
-    def trigger(self) -> None:
-        """Ask for one frame; nothing unless the camera was opened with trigger=software."""
-        self._check_open()
-        if self._trigger == "software":
-            with self._talking("be triggered"):
-                self._camera.software_trigger()
-
-    def close(self) -> None:
-        """Stop the camera and give it back."""
-        if self._closed:
-            return
+    def _give_back(self) -> None:
         # A camera that is gone delays each command by seconds.
         if not self._gone:
             with suppress(*self._errors):
@@ -103,7 +89,9 @@ class AravisCamera(GenICamCamera):
                 self._camera.clear_triggers()
         # The stream's thread ends with its last reference, and then the control of the camera.
         self._stream = self._camera = None
-        self._closed = True
+
+    def _fire(self) -> None:
+        self._camera.software_trigger()
 
     def _exposure_range(self) -> tuple[float, float]:
         return self._range

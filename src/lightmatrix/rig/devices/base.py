@@ -6,7 +6,8 @@ import re
 import time
 from abc import ABC, abstractmethod
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from importlib import import_module
 from typing import Any, ClassVar
@@ -268,7 +269,22 @@ class Camera(ABC):
 
     def close(self) -> None:
         """Give the device back; may be called twice."""
-        self._closed = True
+        if not self._closed:
+            self._give_back()
+            self._closed = True
+
+    def _give_back(self) -> None:
+        """What closing takes."""
+        return
+
+    @contextmanager
+    def _opening(self) -> Iterator[None]:
+        """Give the device back if it cannot be set up."""
+        try:
+            yield
+        except BaseException:
+            self.close()
+            raise
 
     def _details(self) -> dict[str, Any]:
         """Facts that only this kind of camera has."""

@@ -34,12 +34,8 @@ class DSLRCamera(Camera):
         # Pictures that still lie in the camera, each with the time at which it was taken.
         self._waiting: deque[tuple[Any, float]] = deque()
         self._count = 0
-        try:
-            with self._talking("be set up"):
-                self._set_up()
-        except BaseException:
-            self.close()
-            raise
+        with self._opening(), self._talking("be set up"):
+            self._set_up()
 
     def _set_up(self) -> None:
         settings = self._settings()
@@ -71,12 +67,10 @@ class DSLRCamera(Camera):
     def get_image(self, timeout: float) -> Frame:
         """The next picture, timed when the camera reported it, which is after its exposure."""
         self._check_open()
-        until = time.monotonic() + timeout
-        while not self._waiting:
-            left = until - time.monotonic()
-            if left <= 0:
-                raise self._timeout(timeout, "can it focus? switch the lens to manual focus")
-            self._listen(left)
+        if not self._waiting:
+            # A picture is there when `trigger` returns, or never comes.
+            time.sleep(timeout)
+            raise self._timeout(timeout, "can it focus? switch the lens to manual focus")
         where, when = self._waiting.popleft()
         self._count += 1
         with self._talking("hand over a picture"):
@@ -104,14 +98,10 @@ class DSLRCamera(Camera):
             time.sleep(left)
         self._waiting.append((where, time.monotonic()))
 
-    def close(self) -> None:
-        """Give the camera back."""
-        if self._closed:
-            return
+    def _give_back(self) -> None:
         with suppress(self._gphoto2.GPhoto2Error):
             self._camera.exit()
         self._camera = None
-        self._closed = True
 
     def _exposure_range(self) -> tuple[float, float]:
         return min(self._speeds), max(self._speeds)
@@ -127,17 +117,6 @@ class DSLRCamera(Camera):
         nearest = min(self._speeds, key=lambda speed: abs(math.log(speed / seconds)))
         with self._talking("set its exposure"):
             self._set(str(self._shutter), self._speeds[nearest])
-
-    def _listen(self, seconds: float) -> None:
-        """Wait for a picture that somebody takes at the camera."""
-        began = time.monotonic()
-        with self._talking("be listened to"):
-            kind, what = self._camera.wait_for_event(max(1, int(1000 * seconds)))
-        if kind == self._gphoto2.GP_EVENT_FILE_ADDED:
-            self._waiting.append((what, time.monotonic()))
-        # Some drivers return at once without an event.
-        elif time.monotonic() - began < 0.01:
-            time.sleep(min(0.01, seconds))
 
     def _frame(self, name: str, content: bytes, when: float) -> Frame:
         suffix = Path(name).suffix.lower()

@@ -263,10 +263,6 @@ class VirtualCamera(Camera):
         if not self._settings.fps:
             self._take(self._clock.now() + HARDWARE.trigger_delay)
 
-    def close(self) -> None:
-        self._waiting.clear()
-        self._closed = True
-
     def reopen(self) -> VirtualCamera:
         """The camera after it was closed or lost, without its frames."""
         self._closed = False
