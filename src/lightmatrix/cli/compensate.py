@@ -79,7 +79,7 @@ def compensate(
         Option(
             metavar="FILE|gamma:2.2|linear",
             help="Light of the projector's grey values, by which the pattern is encoded.",
-            show_default="that of the rig's file, or of T's capture",
+            show_default="that of the rig's file or of T's capture, or gamma:2.2",
         ),
     ] = None,
     green: options.Green = None,
@@ -194,8 +194,12 @@ def compensate(
     _show(summary, cancelled=cancel_global, live=live)
     gamma_shown = summary["projector_gamma"]
     if gamma_shown is None:
+        say("it holds light, for a projector without a gamma")
+    elif summary["projector_gamma_assumed"]:
         say(
-            "it holds light: most projectors need --projector-response gamma:2.2, or a measured one"
+            f"encoded for a projector of gamma {gamma_shown:.2g}, which is assumed: "
+            "`lightmatrix rig response` measures it, --projector-response states it",
+            style="yellow",
         )
     else:
         say(f"encoded for a projector of gamma {gamma_shown:.2g}, by {source}")
