@@ -148,7 +148,7 @@ def test_what_a_term_takes_out_is_its_regressor(
         patterns = lm.ImagePatterns(greys)
     still = transport.relight(patterns.images()).reshape(32, -1).T
 
-    def of(values: np.ndarray) -> capture_of_samples:
+    def of(values: np.ndarray) -> lm.Capture:
         level = np.full(32, 10, np.float32)
         samples = Samples(values.astype(np.float32), np.zeros(values.shape, bool), level)
         return capture_of_samples(patterns, samples, (64, 24), 1.0)

@@ -95,14 +95,9 @@ class LightTransport(TransportOperator):
     provenance: Mapping[str, Any] = field(default_factory=dict)
 
     def __repr__(self) -> str:
-        camera, projector = (
-            " x ".join(map(str, shape)) for shape in (self.camera_shape, self.projector_shape)
-        )
         made = self.provenance.get("estimator") or self.provenance.get("scene")
         by = f", {made}" if made else ""
-        return (
-            f"LightTransport(camera {camera}, projector {projector}, {self.sparse.nnz} entries{by})"
-        )
+        return f"LightTransport({self.sizes}, {self.sparse.nnz} entries{by})"
 
     def _repr_html_(self) -> str:
         # The scene under a white pattern, of at most 256 pixels a side.

@@ -135,6 +135,12 @@ class TransportOperator(Operator):
         """The shapes of the camera and of the projector."""
         return self.camera_shape, self.projector_shape
 
+    @property
+    def sizes(self) -> str:
+        """Both shapes in words."""
+        camera, projector = (" x ".join(map(str, shape)) for shape in self.image_shapes)
+        return f"camera {camera}, projector {projector}"
+
     @cached_property
     def pooling(self) -> csr_array:
         """The operator m: means over the cells of the background grid, (B, N)."""

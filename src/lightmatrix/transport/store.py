@@ -334,13 +334,7 @@ class StoredTransport(TransportOperator):
     _kept: dict[int, SparseRows] = field(default_factory=dict, repr=False)
 
     def __repr__(self) -> str:
-        camera, projector = (
-            " x ".join(map(str, shape)) for shape in (self.camera_shape, self.projector_shape)
-        )
-        return (
-            f"StoredTransport({self.place}, camera {camera}, projector {projector}, "
-            f"{self.entries} entries)"
-        )
+        return f"StoredTransport({self.place}, {self.sizes}, {self.entries} entries)"
 
     @classmethod
     def open(cls, path: str | Path, *, memory: int = 1 << 30, remedy: str = _RESTORE) -> Self:
