@@ -11,11 +11,11 @@ from typer import Argument, Option
 import lightmatrix as lm
 from lightmatrix.cli import options
 from lightmatrix.cli.terminal import (
+    Stages,
     enter_was_pressed,
     progress,
     say,
     show_json,
-    stages,
 )
 from lightmatrix.defaults import RIG_FILE, USUAL_PATIENCE
 from lightmatrix.errors import InputError
@@ -79,7 +79,7 @@ def compensate(
         Option(
             metavar="FILE|gamma:2.2|linear",
             help="Light of the projector's grey values, by which the pattern is encoded.",
-            show_default="that of the rig's file, or of T's capture",
+            show_default="that of the rig's file or of T's capture, or gamma:2.2",
         ),
     ] = None,
     green: options.Green = None,
@@ -180,7 +180,7 @@ def compensate(
             common["live"] = _Live(refine, quiet=as_json)
         elif refine is not None:
             common["steps"] = refine
-        with opened, stages() as shown:
+        with opened, Stages() as shown:
             common |= {"keep": rig_file, "settle": settle, "measuring": shown.measured}
             found = lm.refine_compensation(opened, scene, wanted, **common)
     else:
@@ -194,8 +194,12 @@ def compensate(
     _show(summary, cancelled=cancel_global, live=live)
     gamma_shown = summary["projector_gamma"]
     if gamma_shown is None:
+        say("it holds light, for a projector without a gamma")
+    elif summary["projector_gamma_assumed"]:
         say(
-            "it holds light: most projectors need --projector-response gamma:2.2, or a measured one"
+            f"encoded for a projector of gamma {gamma_shown:.2g}, which is assumed: "
+            "`lightmatrix rig response` measures it, --projector-response states it",
+            style="yellow",
         )
     else:
         say(f"encoded for a projector of gamma {gamma_shown:.2g}, by {source}")

@@ -31,10 +31,11 @@ from lightmatrix.files.kinds import GEOMETRY
 from lightmatrix.files.writing import check_output
 from lightmatrix.geometry.matches import fit_fundamental, fit_homography, moved, sampson
 from lightmatrix.geometry.rig_geometry import RigGeometry
+from lightmatrix.patterns.codes import find_codes
 from lightmatrix.patterns.stripes import stripes_of
 from lightmatrix.ranges import check_number
 from lightmatrix.reprs import short_repr
-from lightmatrix.shape.decode import decode, find_codes
+from lightmatrix.shape.decode import decode
 from lightmatrix.transport.correspondence import Correspondence, correspondence
 from lightmatrix.transport.matrix import LightTransport
 from lightmatrix.transport.store import open_matches

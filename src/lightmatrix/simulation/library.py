@@ -26,17 +26,6 @@ from lightmatrix.simulation.truth import Truth, view_geometry
 def read_bundled(path: Path) -> Truth:
     """Read a file of `tools/bundled_scenes.py`."""
     content = read_npz(path)
-    try:
-        version = int(content["lightmatrix_packed"])
-    except (KeyError, TypeError, ValueError) as error:
-        raise InputError(
-            f"{path} is not a bundled scene", hint="install lightmatrix again"
-        ) from error
-    if version != 1:
-        raise InputError(
-            f"{path} has format version {version}, but this lightmatrix reads 1",
-            hint="update lightmatrix, or install it again",
-        )
     sums = content["sums"].astype(np.float64)
     rows, cols = (int(v) for v in content["projector_shape"])
     shape = (len(sums), rows * cols)

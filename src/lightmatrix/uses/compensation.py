@@ -174,6 +174,10 @@ def write_shown(
         write_image(place, image, overwrite=overwrite)
 
 
+# What is assumed of projectors of which nothing is known: nearly all follow pictures for displays.
+ASSUMED = ProjectorResponse.of_gamma(DISPLAY_GAMMA)
+
+
 def encoding_of(
     given: ProjectorResponse | str | Path | None, light: JointLight
 ) -> tuple[ProjectorResponse | None, ...]:
@@ -182,9 +186,16 @@ def encoding_of(
     None is light, as of a response that is linear.
     """
     if given is None:
-        return tuple(ProjectorResponse.of_provenance(one.provenance) for one in light.matrices)
+        found = (ProjectorResponse.of_provenance(one.provenance) for one in light.matrices)
+        return tuple(curve or ASSUMED for curve in found)
     curve = given if isinstance(given, ProjectorResponse) else ProjectorResponse.parse(given)
     return (None if given == "linear" else curve,) * len(light.matrices)
+
+
+def described(encoding: Sequence[ProjectorResponse | None]) -> dict[str, Any]:
+    """The gamma of what patterns are encoded by, None for light, and whether it is assumed."""
+    gamma = next((curve.gamma for curve in encoding if curve), None)
+    return {"projector_gamma": gamma, "projector_gamma_assumed": ASSUMED in encoding}
 
 
 # Least squares over patterns in [0, 1], and what it reaches.
@@ -371,7 +382,7 @@ class Compensation:
             "uncompensated_psnr": self.uncompensated_psnr,
             **shares,
             "clipped": float(self.clipped.mean()),
-            "projector_gamma": next((curve.gamma for curve in self.encoding if curve), None),
+            **described(self.encoding),
         }
 
 
@@ -598,7 +609,7 @@ def compensate(
     projector_response : ProjectorResponse, str or Path, optional
         What the grey values of the projector are in light, by which the output is encoded: a file
         from `projector_response`, "gamma:2.2", or "linear", which writes light. None: as the
-        patterns of T were.
+        patterns of T were, or a gamma of 2.2 if these do not tell.
     output : str or Path, optional
         Image file to write the pattern to, to be shown: .png, .tiff, .exr or .npy. Three
         patterns of one size become one in colour; otherwise several become NAME-1.png, NAME-2.png.
@@ -691,7 +702,7 @@ class CompensatedVideo:
             "scale": self.scale,
             "predicted_psnr": float(self.predicted_psnr.mean()),
             "reached": float(self.reached.mean()),
-            "projector_gamma": None if self.encoding is None else self.encoding.gamma,
+            **described([self.encoding]),
         }
 
 
