@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import http.client
 import http.server
 import os
@@ -201,18 +200,6 @@ def test_pings_whose_answers_nobody_reads_are_not_kept(server: running.Server) -
                 connection.sendall(pings)
         assert process.memory_info().rss - before < GROWTH
     assert ask(server, f"/{server.token}/").status == 200
-
-
-def test_a_window_too_many_is_told_so(server: running.Server, browser: Browser) -> None:
-    from websockets.exceptions import ConnectionClosed
-
-    with contextlib.ExitStack() as windows:
-        for _ in range(16):
-            windows.enter_context(connect(server))  # type: ignore[arg-type]
-        with pytest.raises(ConnectionClosed, match="1013"), connect(server) as extra:  # type: ignore[attr-defined]
-            extra.recv(timeout=120)
-        with shown(browser, server.address) as page:
-            page.get_by_text("The server serves no more windows").wait_for()
 
 
 def test_hostile_messages_change_nothing(tmp_path: Path) -> None:

@@ -37,7 +37,7 @@ def calibrate(
     baseline: Annotated[
         str, Option(metavar="200mm", help="Without a board: from the camera to the projector.")
     ] = "1",
-    output: Annotated[Path, output_option("The geometry to write: .json.")] = Path("rig.json"),
+    output: Annotated[Path, output_option("The geometry to write: .json.")] = Path("geometry.json"),
     overwrite: Overwrite = False,
     as_json: Json = False,
 ) -> None:

@@ -11,11 +11,11 @@ from typer import Argument, Option
 import lightmatrix as lm
 from lightmatrix.cli import options
 from lightmatrix.cli.terminal import (
+    Stages,
     enter_was_pressed,
     progress,
     say,
     show_json,
-    stages,
 )
 from lightmatrix.defaults import RIG_FILE, USUAL_PATIENCE
 from lightmatrix.errors import InputError
@@ -180,7 +180,7 @@ def compensate(
             common["live"] = _Live(refine, quiet=as_json)
         elif refine is not None:
             common["steps"] = refine
-        with opened, stages() as shown:
+        with opened, Stages() as shown:
             common |= {"keep": rig_file, "settle": settle, "measuring": shown.measured}
             found = lm.refine_compensation(opened, scene, wanted, **common)
     else:

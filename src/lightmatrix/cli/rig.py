@@ -19,7 +19,7 @@ from lightmatrix.cli.options import (
     RigFile,
     RigName,
 )
-from lightmatrix.cli.terminal import say, show_json, stages
+from lightmatrix.cli.terminal import Stages, say, show_json
 from lightmatrix.defaults import RIG_FILE, USUAL_PATIENCE
 
 app = typer.Typer(
@@ -111,7 +111,7 @@ def _add_command(part: str) -> None:
         as_json: Json = False,
     ) -> None:
         opened = lm.open_rig(rig, projector=projector, camera=camera, patience=patience)
-        with opened, stages() as shown:
+        with opened, Stages() as shown:
             known = lm.measure_rig(
                 opened,
                 [part],

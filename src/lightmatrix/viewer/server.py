@@ -121,13 +121,10 @@ def _header(scope: dict[str, Any], name: bytes) -> list[str]:
 Receive = Callable[[], Awaitable[dict[str, Any]]]
 Send = Callable[[dict[str, Any]], Awaitable[None]]
 
-# Windows that may be open at once. More are turned away, so that a broken page cannot use up
-# sockets.
-MOST_SOCKETS = 16
 # Seconds between two looks at the store.
 _WATCH_SECONDS = 1.0
-# WebSocket's codes for "you broke the rules" and "come again later".
-_VIOLATION, _TRY_LATER = 1008, 1013
+# WebSocket's code for "you broke the rules".
+_VIOLATION = 1008
 _BINARY, _TEXT = "application/octet-stream", "text/plain; charset=utf-8"
 
 
@@ -136,7 +133,6 @@ class Answers:
 
     def __init__(self, scene: Scene, guard: Guard) -> None:
         self._scene, self._guard = scene, guard
-        self._sockets = 0
 
     async def __call__(self, scope: dict[str, Any], receive: Receive, send: Send) -> None:
         path = self._guard.inner_path(scope)
@@ -189,12 +185,6 @@ class Answers:
         if path != "socket":
             await send({"type": "websocket.close", "code": _VIOLATION})
             return
-        if self._sockets >= MOST_SOCKETS:
-            # The page learns the code only of a connection that was accepted.
-            await send({"type": "websocket.accept"})
-            await send({"type": "websocket.close", "code": _TRY_LATER})
-            return
-        self._sockets += 1
         watching = None
         try:
             await send({"type": "websocket.accept"})
@@ -204,7 +194,6 @@ class Answers:
             # The window was closed while it was being answered.
             return
         finally:
-            self._sockets -= 1
             if watching is not None:
                 watching.cancel()
 
