@@ -129,9 +129,9 @@ def open_video(address: Address) -> VideoCamera:
     """Open a video device by the system's name for it: "video:/dev/video0,exposure=0.01".
 
     The exposure in seconds is the one that was set on the camera. Further options: size=720x1280,
-    rows by columns; fps=30; format, one of FFmpeg's (x11grab, dshow); pixels, which is all (three channels of a
-    colour camera, the default) or green. FFmpeg takes input_format, pixel_format, channel,
-    rtbufsize, grab_x, grab_y and draw_mouse.
+    rows by columns; fps=30; format, one of FFmpeg's (x11grab, dshow); pixels, which is all (three
+    channels of a colour camera, the default) or green. FFmpeg takes input_format, pixel_format,
+    channel, rtbufsize, grab_x, grab_y and draw_mouse.
     """
     address.check_options((*_OPTIONS, *_FFMPEG_OPTIONS))
     exposure = address.stated_exposure
