@@ -20,7 +20,7 @@ def refuse_unusable(capture: Capture) -> None:
     """Refuse a capture that no estimate can come from, whatever the order of its frames.
 
     It has one frame only, a projector of one pixel, no pattern that varies, nothing but dark or
-    clipped samples, all pixels masked, levels far below 0, or
+    clipped samples, all pixels masked, levels with their two bytes swapped or far below 0, or
     16-bit files of fewer bits, or float files far above 1, without a stated clip level.
     """
     _refuse_useless_patterns(capture.patterns)

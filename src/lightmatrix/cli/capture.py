@@ -11,7 +11,7 @@ import lightmatrix as lm
 from lightmatrix.cli import options
 from lightmatrix.cli.claims import claim
 from lightmatrix.cli.options import described
-from lightmatrix.cli.terminal import progress, say, show_json, stages
+from lightmatrix.cli.terminal import Stages, progress, say, show_json
 from lightmatrix.defaults import MOST_FRAMES, RIG_FILE, USUAL_FRAMES, USUAL_PATIENCE
 from lightmatrix.files.kinds import LIVE_CAPTURE, STORE
 
@@ -86,7 +86,7 @@ def capture(
         claim(store, STORE, overwrite=overwrite, parts="tiles")
     with (
         lm.open_rig(rig, projector=projector, camera=camera, patience=patience) as opened,
-        stages() as shown,
+        Stages() as shown,
     ):
         captured = lm.take_capture(
             output,

@@ -14,7 +14,7 @@ from typer import Option
 import lightmatrix as lm
 from lightmatrix.check.finding import Finding
 from lightmatrix.cli.claims import claim
-from lightmatrix.cli.options import Json, Overwrite, Verbose, described, output_option, size
+from lightmatrix.cli.options import Json, Overwrite, Verbose, described, output_option, refuse, size
 from lightmatrix.cli.source import Source, refuse_unknown_projector, with_source
 from lightmatrix.cli.terminal import as_options, progress, say, show_json, show_table
 from lightmatrix.defaults import ADMM_ITERATIONS, COHERENT_UP_TO, PASSES
@@ -118,7 +118,7 @@ _reporting = functools.partial(Option, rich_help_panel="Check and report")
     ),
     viewer=_reporting("--viewer", help="Add the viewer to the report, as viewer.html."),
     geometry=_reporting(
-        metavar="RIG.json",
+        metavar="GEOMETRY.json",
         help="Where camera and projector stand, for depth and normals in the report: a file of "
         "`calibrate`.",
     ),
@@ -251,14 +251,9 @@ def estimate(
 def _refuse_settings(settings: EstimateSettings, others: Mapping[str, object]) -> None:
     """Refuse what is set of an estimate in colour, which has no settings, and `others`, by name."""
     usual = asdict(lm.EstimateSettings(coherent=settings.coherent or None))
-    given = [name for name, value in asdict(settings).items() if value != usual[name]]
-    given += [name for name, value in others.items() if value]
-    if given:
-        options = ", ".join(f"--{name.replace('_', '-')}" for name in given)
-        raise InputError(
-            f"{options} for patterns in colour",
-            hint="leave it out: their estimate has no such option",
-        )
+    changed = {name: value != usual[name] for name, value in asdict(settings).items()}
+    named = {f"--{name.replace('_', '-')}": value for name, value in {**changed, **others}.items()}
+    refuse(named, "patterns in colour")
 
 
 def _check_report(output: Path, report: Path | None, viewer: bool, geometry: Path | None) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import inspect
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Annotated, Any, TypeVar
 
@@ -93,6 +93,13 @@ USUAL_SIZE = "x".join(map(str, defaults.USUAL_SIZE))
 USUAL_PAGE_MEMORY = f"{defaults.PAGE_BYTES >> 20}MiB"
 # Numbers of pixels fit into 32 bits.
 MOST_PIXELS = 2**31 - 1
+
+
+def refuse(options: Mapping[str, object], what: str) -> None:
+    """Raise InputError if any of some options, by name, has a value, as `what` has none."""
+    given = [name for name, value in options.items() if value not in (None, False)]
+    if given:
+        raise InputError(f"{', '.join(given)} for {what}", hint="leave it out")
 
 
 def size(text: str) -> tuple[int, int]:

@@ -7,10 +7,9 @@ from pathlib import Path
 from typer import Argument, Option
 
 import lightmatrix as lm
-from lightmatrix.cli.options import Json, Overwrite, ResponseCurve, described, output_option
+from lightmatrix.cli.options import Json, Overwrite, ResponseCurve, described, output_option, refuse
 from lightmatrix.cli.source import level_or_file, numbers
 from lightmatrix.cli.terminal import say, show_json
-from lightmatrix.errors import InputError
 
 
 @described(
@@ -60,7 +59,7 @@ def response(
     exposure (--response is the camera's curve), and use the result as --projector-response.
     """
     if projector:
-        _refuse("--projector", {"--exposure": exposure, "--black": black})
+        refuse({"--exposure": exposure, "--black": black}, "a projector's curve")
         grey = None if levels is None else numbers(levels, "--levels")
         ramp = lm.projector_response(
             photographs,
@@ -77,7 +76,7 @@ def response(
         say(f"{output}: the projector's gamma is about {ramp.gamma:.2f}")
         say(f"use it with: lightmatrix estimate ... --projector-response {output}")
         return
-    _refuse("a camera's curve", {"--levels": levels, "--response": camera})
+    refuse({"--levels": levels, "--response": camera}, "a camera's curve")
     measured = lm.camera_response(
         photographs,
         None if exposure is None else numbers(exposure, "--exposure"),
@@ -109,10 +108,3 @@ def response(
             style="yellow",
         )
     say(f"use it with: lightmatrix estimate ... --response {output}")
-
-
-def _refuse(what: str, options: dict[str, str | None]) -> None:
-    unfit = [name for name, value in options.items() if value is not None]
-    if unfit:
-        hint = "leave it out" if what == "--projector" else "add --projector, or leave it out"
-        raise InputError(f"{unfit[0]} does not go with {what}", hint=hint)

@@ -19,7 +19,7 @@ from lightmatrix.cli.options import (
     RigFile,
     RigName,
 )
-from lightmatrix.cli.terminal import say, show_json, stages
+from lightmatrix.cli.terminal import Stages, say, show_json
 from lightmatrix.defaults import RIG_FILE, USUAL_PATIENCE
 
 app = typer.Typer(
@@ -103,14 +103,22 @@ def _add_command(part: str) -> None:
                 show_default="as measured",
             ),
         ] = None,
+        response: Annotated[
+            str, typer.Option(help="Response of the camera: linear, gamma:2.2, srgb, FILE.")
+        ] = "linear",
         patience: Patience = USUAL_PATIENCE,
         rig_file: RigFile = Path(RIG_FILE),
         as_json: Json = False,
     ) -> None:
         opened = lm.open_rig(rig, projector=projector, camera=camera, patience=patience)
-        with opened, stages() as shown:
+        with opened, Stages() as shown:
             known = lm.measure_rig(
-                opened, [part], keep=rig_file, settle=settle, progress=shown.measured
+                opened,
+                [part],
+                keep=rig_file,
+                settle=settle,
+                response=response,
+                progress=shown.measured,
             )
         measured: dict[str, Any] = known.as_dict()[part]
         if as_json:

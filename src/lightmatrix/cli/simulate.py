@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -11,7 +10,7 @@ import typer
 
 import lightmatrix as lm
 from lightmatrix.cli.claims import claim
-from lightmatrix.cli.options import USUAL_SIZE, Json, Overwrite, Seed, described, size
+from lightmatrix.cli.options import USUAL_SIZE, Json, Overwrite, Seed, described, refuse, size
 from lightmatrix.cli.terminal import progress, say, show_json
 from lightmatrix.defaults import EXPOSURES_EXAMPLE, PROCEDURAL, USUAL_COUNT, USUAL_NOISE
 from lightmatrix.errors import InputError
@@ -100,7 +99,7 @@ def simulate(
             truth = lm.ProceduralScene(camera_shape, patterns.shape, seed).truth()
             capture = lm.simulate(truth, patterns, progress=report, **common, **rig)
         else:
-            _refuse({"--camera-size": camera, "--size": projector, "-k": count}, scene)
+            refuse({"--camera-size": camera, "--size": projector, "-k": count}, scene)
             if pattern_folder is None:
                 raise InputError("--patterns is missing", hint="make some: lightmatrix patterns")
             capture = lm.simulate(scene, pattern_folder, progress=report, **common, **rig)
@@ -143,15 +142,5 @@ def _patterns(
         return lm.BernoulliPatterns(
             size(projector or USUAL_SIZE), USUAL_COUNT if count is None else count, seed=seed
         )
-    _refuse({"--size": projector, "-k": count}, "patterns of a folder")
+    refuse({"--size": projector, "-k": count}, "patterns of a folder")
     return lm.read_patterns(folder)
-
-
-def _refuse(options: Mapping[str, object], scene: str) -> None:
-    """Raise InputError if any of these options has a value."""
-    present = [name for name, value in options.items() if value is not None]
-    if present:
-        raise InputError(
-            f"{', '.join(present)} for {scene}",
-            hint="leave it out; lightmatrix simulate --help says which options go together",
-        )

@@ -33,7 +33,6 @@ class DSLRCamera(Camera):
         self._trigger = "software"
         # Pictures that still lie in the camera, each with the time at which it was taken.
         self._waiting: deque[tuple[Any, float]] = deque()
-        self._count = 0
         with self._opening(), self._talking("be set up"):
             self._set_up()
 
@@ -72,7 +71,6 @@ class DSLRCamera(Camera):
             time.sleep(timeout)
             raise self._timeout(timeout, "can it focus? switch the lens to manual focus")
         where, when = self._waiting.popleft()
-        self._count += 1
         with self._talking("hand over a picture"):
             file = self._camera.file_get(
                 where.folder, where.name, self._gphoto2.GP_FILE_TYPE_NORMAL
@@ -133,7 +131,7 @@ class DSLRCamera(Camera):
             except InputError as error:
                 raise self._error(f"{name} came damaged", "check the USB cable") from error
         self._shape, self._bits = image.shape, 8 * image.dtype.itemsize
-        return Frame(image, self._count, when, float(np.iinfo(image.dtype).max))
+        return Frame(image, when, float(np.iinfo(image.dtype).max))
 
     def _settings(self) -> dict[str, tuple[str, ...]]:
         """Settings by name with their choices; none for a free text."""

@@ -107,7 +107,7 @@ class GenTLCamera(GenICamCamera):
         # The data is copied because the buffer will hold another frame.
         data = self._format.image(image.data.tobytes(), image.height, image.width)
         timestamp = self._stamps.time(stamp, arrival)
-        return Frame(data, int(buffer.module.frame_id), timestamp, self._format.clip_level)
+        return Frame(data, timestamp, self._format.clip_level)
 
     def _switch_off_automatics(self) -> None:
         for name in ("ExposureAuto", "GainAuto", "BlackLevelAuto", "BalanceWhiteAuto"):

@@ -49,8 +49,8 @@ class VideoCamera(Camera):
         if not self._grey and self._pixels == "all":
             self._shape += (3,)
         self._stamps = FrameStamps()
-        # Older frames are dropped, and their numbers are missing.
-        self._frames: deque[tuple[Any, int, float]] = deque(maxlen=4)
+        # Older frames are dropped.
+        self._frames: deque[tuple[Any, float]] = deque(maxlen=4)
         self._news = threading.Condition()
         self._failure: Exception | None = None
         self._reader = threading.Thread(target=self._read, daemon=True)
@@ -67,11 +67,11 @@ class VideoCamera(Camera):
                     hint = "does another program get pictures? try a smaller size or fps"
                     raise self._timeout(timeout, hint)
             self._check_open()
-            picture, number, timestamp = self._frames.popleft()
+            picture, timestamp = self._frames.popleft()
         data = picture.to_ndarray(**({} if self._grey else {"format": "rgb24"}))
         if not self._grey and self._pixels == "green":
             data = np.ascontiguousarray(data[..., 1])
-        return Frame(data, number, timestamp, self._clip_level)
+        return Frame(data, timestamp, self._clip_level)
 
     def flush(self) -> None:
         """Discard frames that wait."""
@@ -100,16 +100,14 @@ class VideoCamera(Camera):
         }
 
     def _read(self) -> None:
-        number = 0
         try:
             for picture in self._container.decode(self._stream):
                 arrival = time.monotonic()
                 timestamp = self._stamps.time(picture.time, arrival)
-                number += 1
                 with self._news:
                     if self._closed:
                         return
-                    self._frames.append((picture, number, timestamp))
+                    self._frames.append((picture, timestamp))
                     self._news.notify_all()
             raise EOFError("it ended")
         # The error is kept for whoever asks for the next frame.
