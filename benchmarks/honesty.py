@@ -36,7 +36,7 @@ from benchmarks.synthetic_captures import (
 from experiments.harness import Row, show, write_json
 from experiments.harness import options as options_of
 from lightmatrix.check.finding import NOTES
-from lightmatrix.judgement.judgement import verdict
+from lightmatrix.judgement.judgement import verdicts
 from lightmatrix.judgement.metrics import relative_error
 from lightmatrix.pictures.style import COLOURS, figure, fix_ticks, save
 from lightmatrix.rig_model.terms import TERMS
@@ -163,7 +163,7 @@ def measure(case: Case) -> Outcome:
         except lm.InputError as error:
             return Outcome(case, "refused", error.message, seconds=seconds())
     kinds = tuple(sorted({each["kind"] for each in estimate.provenance["findings"]}))
-    judged = verdict(estimate)
+    judged = verdicts(estimate).transport
     true = relative_error(estimate, drawn.truth)
     return Outcome(case, judged.level, judged.sentence, kinds, true, judged.error, seconds())
 

@@ -43,7 +43,7 @@ from experiments.harness import options as options_of
 from lightmatrix.capture.capture import Capture
 from lightmatrix.capture.exposures import exposure_sequence, parse_exposures
 from lightmatrix.capture.sensor import Sensor
-from lightmatrix.judgement.judgement import verdict
+from lightmatrix.judgement.judgement import verdicts
 from lightmatrix.judgement.metrics import relative_error
 from lightmatrix.patterns.pattern_set import block_mean
 from lightmatrix.rig_model.model import RigModel
@@ -316,7 +316,7 @@ def measure(case: Case, way: str) -> Row:
             nothing = {"error": None, "verdict": "refused", "sentence": error.message}
             return {**nothing, "names": [], "findings": [], "seconds": 0.0}
     seconds = time.process_time() - started
-    judged = verdict(estimate)
+    judged = verdicts(estimate).transport
     return {
         "error": error_of(case, estimate, truth),
         "verdict": judged.level,

@@ -12,7 +12,19 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from experiments import few_patterns, fig4, fig5, fig6, fig7, harness, responses, rigs, shape, uses
+from experiments import (
+    few_patterns,
+    fig4,
+    fig5,
+    fig6,
+    fig7,
+    harness,
+    mapping,
+    responses,
+    rigs,
+    shape,
+    uses,
+)
 from lightmatrix.cli.terminal import progress
 from lightmatrix.errors import LightMatrixError
 
@@ -28,6 +40,7 @@ EXPERIMENTS: dict[str, harness.Experiment[Any]] = {
         responses.RESPONSES_EXPERIMENT,
         uses.USES_EXPERIMENT,
         shape.SHAPE_EXPERIMENT,
+        mapping.MAPPING,
     )
 }
 

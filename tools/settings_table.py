@@ -15,11 +15,10 @@ from typing import Any
 
 from lightmatrix import solvers
 from lightmatrix.estimators.coherent.estimator import CoherentEstimator
-from lightmatrix.estimators.multiscale import MultiScaleEstimator
 from lightmatrix.estimators.plain import PlainEstimator
 
 PAGE = Path(__file__).parent.parent / "docs" / "settings.md"
-ESTIMATORS = (PlainEstimator, CoherentEstimator, MultiScaleEstimator)
+ESTIMATORS = (PlainEstimator, CoherentEstimator)
 HEAD = """# Settings of the solvers and estimators
 
 Most users need none of these: the options of `lightmatrix estimate` choose them. Each section is a

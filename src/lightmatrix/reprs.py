@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import base64
 import html
 from collections.abc import Mapping
 from dataclasses import fields
@@ -70,14 +71,18 @@ def short_repr(self: Any) -> str:
     return f"{type(self).__name__}({', '.join(values)})"
 
 
-def html_table(title: str, rows: Mapping[str, Any]) -> str:
-    """Names and values as a small table of HTML, for ``_repr_html_``."""
+def html_table(title: str, rows: Mapping[str, Any], picture: bytes = b"") -> str:
+    """Names and values as a small table of HTML, for ``_repr_html_``, below a PNG if given."""
     lines = "".join(
         f"<tr><td style='text-align:left'>{html.escape(name)}</td>"
         f"<td style='text-align:left'>{html.escape(shown_value(value))}</td></tr>"
         for name, value in rows.items()
     )
-    return f"<table><caption><b>{html.escape(title)}</b></caption><tbody>{lines}</tbody></table>"
+    caption = f"<b>{html.escape(title)}</b>"
+    if picture:
+        source = f"data:image/png;base64,{base64.b64encode(picture).decode()}"
+        caption += f"<br><img alt='' width=256 src='{source}'>"
+    return f"<table><caption>{caption}</caption><tbody>{lines}</tbody></table>"
 
 
 def text_table(title: str, rows: Mapping[str, Any]) -> str:

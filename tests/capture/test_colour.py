@@ -189,7 +189,7 @@ def test_every_other_use_of_a_colour_matrix(
 
 
 def test_patterns_in_one_primary(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    line = f"patterns bernoulli -k 8 --size 8 --colour green -o {tmp_path}/green"
+    line = f"patterns bernoulli -k 8 --size 8 --primary green -o {tmp_path}/green"
     assert main(line.split()) == 0
     image = lm.read_image(tmp_path / "green" / "pattern_0003.png")
     assert image.shape == (8, 8, 3)

@@ -53,24 +53,15 @@ def test_slstudio_orders_by_number(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("name", "text"),
-    [
-        ("exposures.json", json.dumps({"a.png": 0.25, "b.png": 1})),
-        ("exposures.json", "[0.25, 1]"),
-        ("exposures.csv", "file,exposure\na.png,0.25\nb.png,1\n"),
-        ("exposures.csv", "0.25\n1\n"),
-        ("exposures.csv", " a.png , 0.25\n b.png , 1\n"),
-    ],
+    "text", ["file,exposure\na.png,0.25\nb.png,1\n", " a.png , 0.25\n b.png , 1\n"]
 )
-def test_brackets_repeat_their_pattern_at_every_exposure(
-    tmp_path: Path, name: str, text: str
-) -> None:
+def test_brackets_repeat_their_pattern_at_every_exposure(tmp_path: Path, text: str) -> None:
     write(tmp_path / "s/patterns", PICTURES[:3, ..., 0], "{}.png")
     for pattern in range(3):
         for number, letter in enumerate("ab"):
             image = PHOTOGRAPHS[2 * pattern + number, ..., 0]
             lm.write_image(tmp_path / f"s/{pattern + 9:02}/{letter}.png", image)
-    (tmp_path / "s" / name).write_text(text)
+    (tmp_path / "s/exposures.csv").write_text(text)
     assert lm.convert(tmp_path / "s", tmp_path / "c") == "brackets"
     capture = lm.Capture.open(tmp_path / "c")
     assert capture.exposures.tolist() == [0.25, 1] * 3
@@ -82,19 +73,16 @@ def test_brackets_repeat_their_pattern_at_every_exposure(
 
 @pytest.mark.parametrize(
     ("text", "words"),
-    [("[1, 0]", "not above 0"), ('{"a.png": 1}', "has no exposure"), ("{", "cannot be read"),
-     ('{"a.png": "fast"}', "no list"), ("3", "no list"), ("[" * 100_000, "nested too deeply"),
-     ("a.png,0,5\nb.png,0,25\n", "one column, or two"), ("a.png,1\na.png,2\n", "twice"),
-     ("1,5\n0,25\n", "decimal commas"), ("exposure\n1,5\n0, 25\n", "decimal commas"),
-     ("a.png,1\nb.png\n", "one column, or two"), ("b.png,1\na.png,fast\n", "no list"),
-     ("a.png," + "1" * 200_000, "field larger"), ("", "not above 0")],
+    [("a.png,1\nb.png,0", "no list"), ("a.png,1", "has no exposure"), ("a.png,fast\n", "no list"),
+     ("a.png,0,5\nb.png,0,25\n", "no list"), ("a.png,1\na.png,2\n", "no list"),
+     ("1\n0.25\n", "no list"), ("a.png,1\nb.png\n", "no list"),
+     ("a.png," + "1" * 200_000, "field larger"), ("", "no list")],
 )  # fmt: skip
 def test_bad_exposures_are_named(tmp_path: Path, text: str, words: str) -> None:
     write(tmp_path / "s/patterns", PICTURES[:1, ..., 0], "{}.png")
     for letter in "ab":
         lm.write_image(tmp_path / f"s/0/{letter}.png", PHOTOGRAPHS[0, ..., 0])
-    kind = "json" if text[:1] in tuple("[{3") else "csv"
-    (tmp_path / f"s/exposures.{kind}").write_text(text)
+    (tmp_path / "s/exposures.csv").write_text(text)
     with pytest.raises(lm.InputError, match=words):
         lm.convert(tmp_path / "s", tmp_path / "c")
 
@@ -110,7 +98,7 @@ def test_other_folders_are_refused_with_the_layouts(tmp_path: Path) -> None:
     with pytest.raises(lm.InputError, match="2 patterns, but 1 numbered"):
         lm.convert(tmp_path, tmp_path / "c")
     write(tmp_path / "2", PHOTOGRAPHS[:1, ..., 0], "{}.png")
-    with pytest.raises(lm.InputError, match="neither"):
+    with pytest.raises(lm.InputError, match="no such file"):
         lm.convert(tmp_path, tmp_path / "c")
 
 

@@ -12,7 +12,7 @@ from scipy.fft import dctn, idctn
 
 import lightmatrix as lm
 from benchmarks.synthetic_captures import SCENES, draw
-from lightmatrix.capture.clip_level import find_pile
+from lightmatrix.capture.clip_level import Pile, find_pile
 from lightmatrix.check import levels
 from lightmatrix.check.all_checks import check_capture
 from lightmatrix.check.levels import (
@@ -67,7 +67,12 @@ def test_two_thirds_of_the_samples_may_clip() -> None:
 
 @pytest.mark.parametrize(
     ("clip", "scale", "dtype", "end"),
-    [(235, 1, "u1", 255), (128, 0.5, "u1", 255), (4031, 16, "u2", 4095), (0.951, 1 / 255, "f4", 1)],
+    [
+        (235, 1, "u1", 255),
+        (128, 0.5, "u1", 255),
+        (4031, 16, "u2", 4095),
+        (0.951, 1 / 255, "f4", 1),
+    ],
 )
 def test_a_clip_level_below_the_stated_one_is_named_and_taken(
     clip: float, scale: float, dtype: str, end: float, tmp_path: Path
@@ -96,6 +101,14 @@ def test_a_clip_level_below_the_stated_one_is_named_and_taken(
         )
     assert read.decoder.clip == pytest.approx(clip)
     assert not read.decoder.clip_assumed
+
+
+def test_levels_are_written_shortly() -> None:
+    assert [Pile(level, 0.1).shown for level in (4031, 0.951, 2.55e-38)] == [
+        "4031",
+        "0.951",
+        "2.55e-38",
+    ]
 
 
 def test_other_checks_judge_by_the_level_at_which_photographs_clip() -> None:

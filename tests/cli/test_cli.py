@@ -252,7 +252,7 @@ def test_rare_options_are_shown_on_request(capsys: pytest.CaptureFixture[str]) -
 
 @pytest.mark.parametrize(
     ("command", "option"),
-    [("capture", "--patience X"), ("rig settle", "--patience X"), ("view", "--page-memory TEXT")],
+    [("capture", "--patience X"), ("rig settle", "--patience X"), ("view", "--page-memory SIZE")],
 )
 def test_rare_options_of_other_commands(
     command: str, option: str, capsys: pytest.CaptureFixture[str]
@@ -270,9 +270,11 @@ def test_every_command_has_help(capsys: pytest.CaptureFixture[str]) -> None:
     assert {"patterns", "simulate", "estimate", "plan", "demo"} <= set(COMMANDS)
     for command in COMMANDS:
         assert re.search(rf"^ *{command} ", overview, re.MULTILINE)
-        assert main([command, "--help"]) == 0
+        assert main([command, "--help-all"]) == 0
         text = capsys.readouterr().out
         assert text.startswith(f"Usage: lightmatrix {command}")
+        # Types of Python are no words of a reader.
+        assert not re.search(r"<\w|\bTEXT\b|\bInt\b", text)
 
 
 def test_the_installed_command_runs_without_a_terminal() -> None:

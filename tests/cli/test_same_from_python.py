@@ -16,7 +16,7 @@ from lightmatrix.cli import main
 from lightmatrix.cli import patterns as patterns_command
 from lightmatrix.cli.app import STAGES
 from lightmatrix.estimators import settings as estimate_settings
-from lightmatrix.judgement.judgement import verdict
+from lightmatrix.judgement.judgement import verdicts
 from lightmatrix.patterns import making
 from lightmatrix.planning.plan import Advice
 from lightmatrix.rig.rig_measurements import PARTS
@@ -191,7 +191,7 @@ def test_estimate_from_two_binned_folders(
 def test_info(work: Path, capsys: pytest.CaptureFixture[str]) -> None:
     printed = _run(f"info {work}/scene.zarr", capsys)
     transport = lm.open(work / "scene.zarr")
-    judged = verdict(transport)
+    judged = verdicts(transport).transport
     assert printed == {
         "verdict": judged.level, "sentence": judged.sentence,
         "verdicts": lm.verdicts(transport).as_dict(),
@@ -289,8 +289,8 @@ def _wanted(work: Path) -> Path:
         ("-o x.png", {}),
         ("-o x.npy --brightness 0.4 --gamma 2.2", {"brightness": 0.4, "gamma": 2.2}),
         (
-            "-o x.tiff --mask {wanted} --black {black} --exposure 0.5",
-            {"mask": "{wanted}", "ambient": "{black}", "exposure": 0.5},
+            "-o x.tiff --mask {wanted} --black {black}",
+            {"mask": "{wanted}", "ambient": "{black}"},
         ),
     ],
 )
@@ -394,7 +394,7 @@ def test_compensate_on_a_rig(
         ("{wanted} --rig virtual:metal --black b.png", "a rig and --black"),
         ("{wanted} --rig virtual:metal --beside x.zarr", "several matrices"),
         (". --green g.zarr --blue b.zarr", "several matrices"),
-        ("{wanted} --brightness bright", "a brightness of 'bright'"),
+        ("{wanted} --brightness bright", "Invalid value for '--brightness'"),
         ("{wanted} --green g.zarr", "--blue is missing"),
         ("--cancel-global --rig virtual:metal", "--cancel-global with options"),
         ("--cancel-global --brightness 0.7", "--cancel-global with options"),

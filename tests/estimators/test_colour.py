@@ -181,7 +181,7 @@ def test_the_commands_take_colour_from_patterns_to_pictures(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     SCENE.save(Path("T.npz"))
-    command = f"patterns bernoulli --colour rgb -k 20 --grey 8 --size {SIDE} -o p"
+    command = f"patterns bernoulli --primary rgb -k 20 --grey 8 --size {SIDE} -o p"
     assert _run(command) == 0
     assert _run("simulate T.npz --patterns p --exposure 0.3 -o c") == 0
     assert _run("estimate c -o scene --no-check") == 0
@@ -203,5 +203,5 @@ def test_the_commands_take_colour_from_patterns_to_pictures(
     assert _run("estimate c -o other --solver romp --report r") == 2
     assert "--solver, --report for patterns in colour" in capsys.readouterr().err
     assert _run("show scene --row 1,1 -o row.png") == 2
-    assert _run("patterns hadamard --colour rgb -o q") == 2
+    assert _run("patterns hadamard --primary rgb -o q") == 2
     assert _run("patterns bernoulli --grey 3 -o q") == 2

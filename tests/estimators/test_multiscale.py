@@ -14,7 +14,6 @@ from lightmatrix.capture.capture import Capture
 from lightmatrix.capture.samples import Samples
 from lightmatrix.capture.sensor import Sensor
 from lightmatrix.cli import main
-from lightmatrix.errors import InputError
 from lightmatrix.estimators import multiscale
 from lightmatrix.estimators.multiscale import MultiScaleEstimator, active_blocks, scales, split
 from lightmatrix.estimators.plain import PlainEstimator
@@ -64,9 +63,12 @@ def capture(truth: Truth) -> Capture:
 
 
 @pytest.mark.parametrize("solver", SOLVERS, ids=lambda solver: type(solver).__name__)
-def test_keeping_everything_gives_the_plain_estimate(capture: Capture, solver: Solver) -> None:
+def test_keeping_everything_gives_the_plain_estimate(
+    capture: Capture, solver: Solver, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(multiscale, "_ACTIVE", 0)
     plain = PlainEstimator(solver, 0.05).estimate(capture)
-    whole = MultiScaleEstimator(solver, 0.05, active=0)
+    whole = MultiScaleEstimator(solver, 0.05)
     estimate = whole.estimate(capture)
     assert (estimate.diagnostics["candidates"] == 1024).all()
     difference = np.linalg.norm((estimate.sparse - plain.sparse).data)
@@ -97,14 +99,14 @@ def test_sparse_unclipped_rows_are_recovered(truth: Truth, solver: Solver) -> No
 
 def test_nothing_is_found_outside_the_candidates(capture: Capture) -> None:
     """Rows of a camera block share their candidates, dilated blocks of 2 x 2 pixels."""
-    estimate = MultiScaleEstimator(ActiveSet(), 0.05, camera_block=6).estimate(capture)
+    estimate = MultiScaleEstimator(ActiveSet(), 0.05).estimate(capture)
     counts = estimate.diagnostics["candidates"].reshape(capture.camera_shape)
-    for top in range(0, 18, 6):
-        for left in range(0, 13, 6):
-            assert np.ptp(counts[top : top + 6, left : left + 6]) == 0
+    for top in range(0, 18, 8):
+        for left in range(0, 13, 8):
+            assert np.ptp(counts[top : top + 8, left : left + 8]) == 0
     assert (counts < 1024).any()
     assert (np.diff(estimate.sparse.indptr) <= counts.ravel()).all()
-    again = MultiScaleEstimator(ActiveSet(), 0.05, camera_block=6).estimate(capture)
+    again = MultiScaleEstimator(ActiveSet(), 0.05).estimate(capture)
     np.testing.assert_array_equal(estimate.sparse.toarray(), again.sparse.toarray())
 
 
@@ -256,23 +258,10 @@ def test_the_command_line_estimates_by_scales(
         assert wrong.split("=")[0].strip("-").replace("-", " ") in capsys.readouterr().err
 
 
-@pytest.mark.parametrize(
-    ("options", "message"),
-    [
-        ({"coarsest": 6}, "power of two"),
-        ({"coarsest": 0}, "power of two"),
-        ({"camera_block": 0}, "at least 1"),
-        ({"active": -0.1}, "share"),
-        ({"active": 1.0}, "share"),
-    ],
-)
-def test_parameters_out_of_range_are_refused(options: dict[str, Any], message: str) -> None:
-    with pytest.raises(InputError) as refused:
-        MultiScaleEstimator(ActiveSet(), **options)
-    assert message in f"{refused.value.message} {refused.value.hint}"
-
-
-def test_a_coarsest_scale_of_one_pixel_is_the_plain_estimate(capture: Capture) -> None:
-    estimate = MultiScaleEstimator(ActiveSet(), 0.05, coarsest=1).estimate(capture)
+def test_a_coarsest_scale_of_one_pixel_is_the_plain_estimate(
+    capture: Capture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(multiscale, "_BLOCK", 1)
+    estimate = MultiScaleEstimator(ActiveSet(), 0.05).estimate(capture)
     plain = PlainEstimator(ActiveSet(), 0.05).estimate(capture)
     np.testing.assert_allclose(estimate.sparse.toarray(), plain.sparse.toarray(), atol=2e-3)

@@ -16,7 +16,7 @@ from experiments.other_cameras import seen
 from experiments.rigs import rig_capture, rig_truth
 from experiments.uses import compensation_rows, separation_rows
 from lightmatrix.estimators.coherent.estimator import CoherentEstimator
-from lightmatrix.judgement.judgement import verdict
+from lightmatrix.judgement.judgement import verdicts
 from lightmatrix.judgement.metrics import relative_error
 from lightmatrix.shape.shape import Shape
 from lightmatrix.simulation import library
@@ -128,7 +128,7 @@ def test_an_impossible_estimate_is_called_doubtful() -> None:
     case = rigs.Case("l_objects", "blur 2", 16, side=SIDE)
     estimate = lm.estimate(rig_capture(case, shuffled))
     assert relative_error(estimate, shuffled.transport()) > 0.3
-    judged = verdict(estimate)
+    judged = verdicts(estimate).transport
     assert judged.level == "doubtful"
     assert "More patterns" in judged.sentence
 

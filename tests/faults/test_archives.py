@@ -166,14 +166,13 @@ def _files() -> list[Case]:
             Case(
                 f"an endless device for {name}",
                 command,
-                f"{Path(name).name}|memory",
+                f"{Path(name).name}: is a pipe or device",
                 device(name, 5),
-                code=(2, 3),
                 limits=ROOM,
             )
             for name, command in endless.items()
         ),
-        Case("a truth that is a bomb", line, "T.npz|memory", _bomb, code=(2, 3), limits=ROOM),
+        Case("a truth that is a bomb", line, "not enough memory", _bomb, code=3, limits=ROOM),
         Case("a truth with words of markup", line, (), markup, code=0),
         Case("an export as a truth, with its background apart", apart, "plain.npz"),
     ]

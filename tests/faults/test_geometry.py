@@ -58,7 +58,7 @@ FILES: dict[str, tuple[str | bytes, str]] = {
         "too large|not finite|cannot be read",
     ),
     "devices in one place": (_geometry(projector_matrix=_MATRIX), "same centre"),
-    "an image without pixels": (_geometry(camera_shape=[0, 8]), "image size"),
+    "an image without pixels": (_geometry(camera_shape=[0, 8]), "an image of the camera"),
     "six coefficients": (_geometry(camera_distortion=[0.1] * 6), "6 coefficients"),
     "XML that is cut": ("<?xml version='1.0'?><opencv_storage><cam_K", "no geometry|cannot read"),
     "a camera of another size": (_geometry(camera_shape=[12, 10]), "12 x 10"),

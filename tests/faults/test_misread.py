@@ -88,8 +88,6 @@ CASES = [
         "info scene.zarr --pictures scene.zarr --overwrite",
         "holds a light transport matrix",
     ),
-    _surroundings("MPLBACKEND", "nonsense", "info scene.zarr --pictures new"),
-    _surroundings("SOURCE_DATE_EPOCH", "yesterday", "info scene.zarr --pictures new"),
     _surroundings("ZARR_THREADING__MAX_WORKERS", "-1", "info scene.zarr"),
 ]
 

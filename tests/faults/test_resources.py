@@ -42,7 +42,7 @@ def _memory() -> list[Case]:
             f"{room} MiB of memory{', 64 threads' if many else ''}: {name}",
             commands[name],
             (),
-            code=(0, 3),
+            code=0 if (room, name) == (96, "relight") else (0, 3),
             # Where no memory is left to clean up, the next run of the output does it.
             leaves=("new.zarr.partial", ".new.zarr.part"),
             limits=Limits(memory=room << 20, environment=many),
@@ -63,22 +63,13 @@ def _sizes() -> list[Case]:
         "a render of 10^6 x 10^6": "render wall --size 1000000x1000000 --spp 1 -o new.npz",
     }
     return [
-        *(
-            Case(
-                name,
-                command,
-                (),
-                code=(0, 2, 3) if name.startswith(("a plan", "a blur")) else (2, 3),
-                limits=Limits(memory=1 << 30),
-            )
-            for name, command in huge.items()
-        ),
+        *(Case(name, command, limits=Limits(memory=1 << 30)) for name, command in huge.items()),
         *(
             Case(
                 f"{value} threads",
                 ESTIMATE,
                 (),
-                code=(0, 2, 3),
+                code=(0, 3) if value.isdigit() else 0,
                 # Without a limit the system makes thousands of threads, which takes seconds.
                 limits=Limits(memory=4 << 30, environment=(("RAYON_NUM_THREADS", value),)),
             )

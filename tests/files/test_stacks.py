@@ -213,18 +213,6 @@ def test_a_page_is_named_by_its_number(tmp_path: Path) -> None:
     assert ImageStack.open(tmp_path / "s.tif").name(3) == "s.tif, image 3"
 
 
-@pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
-def test_a_stack_in_which_0_is_white_is_turned_back(tmp_path: Path, dtype: type) -> None:
-    levels = np.arange(12, dtype=np.uint8).reshape(3, 4) * np.uint8(20)
-    stack: NDArray[Any] = np.stack([levels, levels[::-1]]).astype(dtype)
-    top = np.iinfo(dtype).max
-    tifffile.imwrite(tmp_path / "s.tif", top - stack, photometric="miniswhite", truncate=True)
-    with tifffile.TiffFile(tmp_path / "s.tif") as tiff:
-        assert (len(tiff.pages), tiff.series[0].shape) == (1, (2, 3, 4))
-    frames = ImageStack.open(tmp_path / "s.tif")
-    np.testing.assert_array_equal([frames.read(0), frames.read(1)], stack)
-
-
 def test_grey_images_in_three_channels_are_read_as_one(tmp_path: Path) -> None:
     frames = [noise(np.uint8, (12, 10)) // (k + 1) for k in range(5)]
     frames[0][:] = 0

@@ -39,7 +39,7 @@ from lightmatrix.files.kinds import FileKind, FolderKind
 
 folder, mode = Path(sys.argv[1]), sys.argv[2]
 out = folder / "out"
-folders, texts = FolderKind("capture"), FileKind("text", (), lambda file: True)
+folders, texts = FolderKind("capture"), FileKind("text", (), "")
 
 def replace(text):
     if mode == "file":

@@ -11,7 +11,7 @@ import pytest
 import lightmatrix as lm
 from benchmarks import synthetic_captures
 from benchmarks.synthetic_captures import draw
-from lightmatrix.judgement.judgement import Level, OwnError, Verdict, verdict, verdicts
+from lightmatrix.judgement.judgement import Level, OwnError, Verdict, verdicts
 from lightmatrix.judgement.metrics import relative_error, relighting_error
 from lightmatrix.simulation.procedural import ProceduralScene
 from tests.helpers.transports import random_transport
@@ -25,11 +25,11 @@ def transport() -> lm.LightTransport:
 
 
 def test_the_verdict_follows_the_estimated_errors(transport: lm.LightTransport) -> None:
-    assert verdict(transport).level == "not tested"
+    assert verdicts(transport).transport.level == "not tested"
 
     def judged(**facts: float) -> str:
         diagnostics = {name: np.full(30, value) for name, value in facts.items()}
-        return str(verdict(replace(transport, diagnostics=diagnostics)))
+        return str(verdicts(replace(transport, diagnostics=diagnostics)).transport)
 
     assert judged(estimated_error=0.01).startswith("Good. Estimated error of T: 1 %.")
     assert judged(estimated_error=0.1).startswith("Fair. ")
@@ -45,7 +45,7 @@ def test_the_verdict_follows_the_estimated_errors(transport: lm.LightTransport) 
     known = np.isfinite(errors)
     expected = np.sqrt((energy[known] * errors[known] ** 2).sum() / energy[known].sum())
     assert OwnError(mixed).estimated == pytest.approx(expected, rel=1e-5)
-    assert verdict(mixed).level == "fair"
+    assert verdicts(mixed).transport.level == "fair"
 
 
 def test_what_no_error_estimate_shows_makes_the_verdict_doubtful() -> None:
@@ -67,7 +67,7 @@ def test_rows_that_clip_singly_count_by_their_light(transport: lm.LightTransport
     def judged(exposure: object) -> Verdict:
         known = {"estimated_error": np.full(30, 0.01)}
         made = {"capture_description": {"exposure": exposure}}
-        return verdict(replace(transport, diagnostics=known, provenance=made))
+        return verdicts(replace(transport, diagnostics=known, provenance=made)).transport
 
     assert judged(0.5 / brightest.max()).level == "good"
     levels = {}
@@ -197,7 +197,7 @@ def test_no_error_is_stated_where_it_cannot_be_known(
     assert error is not None
     assert relative_error(estimate, case.truth) > max(0.05, 1.2 * error)
     assert OwnError(estimate).stated is None
-    judged = verdict(estimate)
+    judged = verdicts(estimate).transport
     assert judged.level == "doubtful"
     assert reason in judged.sentence
 
@@ -220,7 +220,7 @@ def test_intact_captures_state_about_the_true_error(scene: str, patterns: str) -
     stated, true = OwnError(estimate).stated, relative_error(estimate, case.truth)
     assert stated is not None
     assert true / 2 < stated < 2 * true
-    assert verdict(estimate).level in ("good", "fair")
+    assert verdicts(estimate).transport.level in ("good", "fair")
 
 
 @pytest.mark.parametrize(
@@ -247,7 +247,7 @@ def test_a_wrong_estimate_is_doubtful(
     kinds = {finding.kind for finding in lm.check(case.capture)}
     estimate = lm.estimate(case.capture, check=False)
     assert relative_error(estimate, case.truth) > 0.25
-    assert verdict(estimate).with_findings(kinds).level == "doubtful"
+    assert verdicts(estimate).transport.with_findings(kinds).level == "doubtful"
 
 
 def _half_dark(size: int, generator: np.random.Generator) -> synthetic_captures.Floats:
@@ -260,7 +260,7 @@ def test_pixels_one_by_one_are_not_tested() -> None:
     case = draw("wall", "one pixel", "intact", 16, 5)
     estimate = lm.estimate(case.capture, check=False)
     assert relative_error(estimate, case.truth) < 0.05
-    assert verdict(estimate).level == "not tested"
+    assert verdicts(estimate).transport.level == "not tested"
 
 
 def test_rows_that_are_only_bounded_raise_the_stated_error() -> None:

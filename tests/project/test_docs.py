@@ -16,6 +16,7 @@ import pytest
 import typer
 from axe_playwright_python.sync_playwright import Axe
 from browser import opened
+from PIL import Image
 
 import lightmatrix as lm
 from lightmatrix.cli import main
@@ -91,8 +92,10 @@ def test_the_commands_of_a_page_work(
     name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    # What the settings give is tested elsewhere; checks and coherent estimates take seconds.
-    quick = partial(lm.estimate, coherent=False, check=False)
+    # What the settings give is tested elsewhere. Coherent estimates take seconds, and so do checks
+    # of three colours, and of as many photographs as a report takes.
+    checked = name not in ("colour", "report")
+    quick = partial(lm.estimate, coherent=False, check=checked)
     monkeypatch.setattr(lm, "estimate", quick)
     monkeypatch.setattr(lm, "estimate_colour", partial(lm.estimate_colour, check=False))
     truth = ProceduralScene((24, 32), (32, 32), seed=1).truth()
@@ -101,7 +104,7 @@ def test_the_commands_of_a_page_work(
     quick(capture, output="scene.zarr")
     camera = np.array([[30.0, 0, 16, 0], [0, 30, 12, 0], [0, 0, 1, 0]])
     projector = np.array([[30.0, 0, 16, -9], [0, 30, 16, 0], [0, 0, 1, 0]])
-    lm.RigGeometry.from_matrices(camera, projector, (24, 32), (32, 32)).save("rig.json")
+    lm.RigGeometry.from_matrices(camera, projector, (24, 32), (32, 32)).save("geometry.json")
     if name == "colour":
         _in_colour(capture)
         ProceduralScene((12, 12), (12, 12), seed=1).truth().save(Path("small.npz"))
@@ -115,12 +118,34 @@ def test_the_commands_of_a_page_work(
         for colour in ("red", "green", "blue") if "$colour" in line else ("",):
             words = line.replace("$colour", colour)
             if " estimate " in words:
-                words += " --no-check" + " --no-coherent" * bool(colour)
+                words += " --no-check" * (not checked) + " --no-coherent" * bool(colour)
             assert main(shlex.split(words)[1:]) == 0, words
     blocks = re.findall(r"```python\n(.*?)```", text, flags=re.DOTALL)
     assert blocks
     (tmp_path / "script.py").write_text("\n".join(blocks))
     runpy.run_path("script.py")
+
+
+@pytest.mark.usefixtures("small_scenes")
+def test_the_page_of_a_picture_on_a_wall(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Its commands run at a smaller size, and the camera sees more of the picture each time."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(lm, "estimate", partial(lm.estimate, check=False, correct="none"))
+    colours = np.random.default_rng(0).integers(60, 255, (6, 8, 3), np.uint8)
+    Image.fromarray(np.kron(colours, np.ones((8, 8, 1), np.uint8))).save("picture.jpg")
+    text = (ROOT / "docs" / "picture-on-a-wall.md").read_text()
+    (block,) = re.findall(r"^RIG=(.*)$", text, flags=re.MULTILINE)
+    said = ""
+    for line in re.findall(r"^(lightmatrix .*)$", text, flags=re.MULTILINE):
+        words = line.replace("$RIG", f"{block},size=32,real=0").replace("-k 64", "-k 24")
+        assert main(shlex.split(words)[1:]) == 0, words
+        said += capsys.readouterr().out
+    before, after = map(float, re.findall(r"([0-9.]+) dB", said.split("photograph 0")[0]))
+    assert before > after + 5
+    assert "by the rig" in said
+    assert {path.name for path in Path().iterdir()} >= {"seen.png", "better.png", "wall.mpcdi"}
 
 
 def _in_colour(capture: SimulatedCapture) -> None:

@@ -132,11 +132,12 @@ def test_nothing_dumps_its_arrays() -> None:
         assert "\n" not in text
         assert len(text) < 420, text
         assert type(thing).__name__.removeprefix("Simulated") in text
-    for thing in (capture, transport):
+    for thing, words in ((capture, "64 x 64"), (transport, "64 x 64"), (lm.scenes(), "vase")):
         shown = thing._repr_html_()
         assert shown.startswith("<table>")
-        assert len(shown) < 2500
-        assert "64 x 64" in shown
+        assert len(shown) < 10_000
+        assert words in shown
+    assert "<img" in transport._repr_html_()
 
 
 def test_names_in_a_notebook_are_text() -> None:
@@ -146,7 +147,7 @@ def test_names_in_a_notebook_are_text() -> None:
         transport.background,
         transport.camera_shape,
         transport.projector_shape,
-        provenance={"scene": "<script>"},
+        provenance={"estimator": "<script>"},
     )
     assert "<script>" not in odd._repr_html_()
     assert "&lt;script&gt;" in odd._repr_html_()

@@ -103,24 +103,15 @@ class CameraContract:
                 camera.exposure = impossible
         assert camera.exposure == pytest.approx(0.01, rel=0.2)
 
-    def test_frames_are_numbered_and_dated(self, camera: Camera) -> None:
-        # A camera that runs freely on a machine that is busy may lose a frame; its number tells.
-        for _ in range(1 if self.triggered else 5):
-            if not self.triggered:
-                camera.flush()
-            frames, copies, asked = [], [], []
-            for _ in range(5):
-                asked.append(time.monotonic())
-                self.take(camera)
-                frames.append(camera.get_image(60))
-                copies.append(frames[-1].data.copy())
-            numbers = [frame.id - frames[0].id for frame in frames]
-            assert numbers == sorted(set(numbers))
-            if numbers == [0, 1, 2, 3, 4]:
-                break
-        assert numbers == [0, 1, 2, 3, 4]
+    def test_frames_are_dated(self, camera: Camera) -> None:
+        frames, copies, asked = [], [], []
+        for _ in range(5):
+            asked.append(time.monotonic())
+            self.take(camera)
+            frames.append(camera.get_image(60))
+            copies.append(frames[-1].data.copy())
         times = [frame.timestamp for frame in frames]
-        assert times == sorted(times)
+        assert times == sorted(set(times))
         assert times[-1] <= time.monotonic()
         if self.triggered:
             assert all(when < taken for when, taken in zip(asked, times, strict=True))

@@ -104,14 +104,13 @@ class FaultyCamera(VirtualCamera):
 
     def _keep(self, frame: Frame) -> None:
         faults = self._faults
-        draw = np.random.default_rng([self._settings.seed, 2, frame.id])
+        draw = np.random.default_rng([self._settings.seed, 2, self._id - 1])
         fate = draw.random()
         before, self._last = self._last, frame.data
         if fate < faults.dropped:
             return
         if before is not None and fate < faults.dropped + faults.duplicate:
-            # Some drivers hand out the old buffer under a new number, others under its own.
-            frame = replace(frame, data=before, id=frame.id - int(draw.integers(2)))
+            frame = replace(frame, data=before)
         elif before is not None and fate < faults.dropped + faults.duplicate + faults.torn:
             row = int(draw.integers(1, len(before)))
             frame = replace(frame, data=np.concatenate([frame.data[:row], before[row:]]))

@@ -28,7 +28,7 @@ class TestFolderProjector(ProjectorContract):
     @pytest.fixture
     def projector(self, tmp_path: Path) -> Iterator[Projector]:
         self._place = tmp_path / "to show"
-        projector = open_projector(f"folder:{self._place},size=64x48")
+        projector = open_projector(f"folder:{self._place},size=48x64")
         yield projector
         projector.close()
 
@@ -38,7 +38,7 @@ class TestFolderProjector(ProjectorContract):
 
 
 def test_a_viewer_never_sees_half_an_image(tmp_path: Path) -> None:
-    projector = open_projector(f"folder:{tmp_path},size=64x48")
+    projector = open_projector(f"folder:{tmp_path},size=48x64")
     stop = threading.Event()
     seen: list[int] = []
     wrong: list[BaseException] = []
@@ -77,7 +77,7 @@ def test_a_folder_without_a_size(
 def test_a_folder_that_cannot_be_written_to(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("in the way")
     with pytest.raises(OutputError, match="cannot be written"):
-        open_projector(f"folder:{tmp_path / 'file'},size=64x48")
+        open_projector(f"folder:{tmp_path / 'file'},size=48x64")
 
 
 class TestWatchedFolder(CameraContract):
@@ -118,7 +118,7 @@ def test_a_file_is_read_when_it_is_whole(tmp_path: Path) -> None:
 
 
 def test_frames_come_in_the_order_in_which_they_were_taken(tmp_path: Path) -> None:
-    camera = open_camera(f"watch:{tmp_path},exposure=1,numbers=name,clip=200")
+    camera = open_camera(f"watch:{tmp_path},exposure=1,clip=200")
     now, clock = time.time(), time.monotonic()
     # 3 was lost, and 4 copied last although taken first.
     for number, age in ((1, 5.0), (2, 4.0), (5, 2.0), (4, 3.0)):
@@ -126,7 +126,6 @@ def test_frames_come_in_the_order_in_which_they_were_taken(tmp_path: Path) -> No
         write_image(path, np.full(SHAPE, number, np.uint8))
         os.utime(path, (now - age, now - age))
     frames = [camera.get_image(60) for _ in range(4)]
-    assert [frame.id for frame in frames] == [1, 2, 4, 5]
     assert [int(frame.data[0, 0]) for frame in frames] == [1, 2, 4, 5]
     assert frames[0].timestamp == pytest.approx(clock - 5, abs=1)
     assert frames[0].clip_level == 200
@@ -138,8 +137,7 @@ def test_a_file_that_is_written_again_is_a_new_frame(tmp_path: Path) -> None:
             camera = open_camera(f"watch:{tmp_path},exposure=1")
         write_image(tmp_path / "tethered.png", np.full(SHAPE, value, np.uint8), overwrite=True)
         if value > 1:
-            frame = camera.get_image(60)
-            assert (frame.id, int(frame.data[0, 0])) == (value - 1, value)
+            assert int(camera.get_image(60).data[0, 0]) == value
     with pytest.raises(FrameTimeoutError, match=r"no frame within"):
         camera.get_image(0.15)
 
@@ -151,7 +149,7 @@ def test_one_photograph_in_two_formats_is_one_frame(tmp_path: Path) -> None:
     for first in ("jpg", "png"):
         camera = open_camera(f"watch:{tmp_path},exposure=1")
         Image.fromarray(np.full(SHAPE, 7, np.uint8)).save(tmp_path / f"{first}.{first}")
-        assert camera.get_image(60).id == 1
+        camera.get_image(60)
         with pytest.raises(FrameTimeoutError):
             camera.get_image(0.15)
     camera = open_camera(f"watch:{tmp_path},exposure=1")
@@ -159,8 +157,7 @@ def test_one_photograph_in_two_formats_is_one_frame(tmp_path: Path) -> None:
         for ending in endings:
             image = np.full(SHAPE, number, np.uint8)
             Image.fromarray(image).save(tmp_path / f"IMG_{number}.{ending}")
-        frame = camera.get_image(60)
-        assert (frame.id, int(frame.data[0, 0])) == (number, number)
+        assert int(camera.get_image(60).data[0, 0]) == number
     with pytest.raises(FrameTimeoutError) as caught:
         camera.get_image(0.15)
     assert ".png" in str(caught.value.hint)
@@ -190,7 +187,7 @@ def test_what_no_camera_takes(tmp_path: Path) -> None:
     write_image(tmp_path / "b.png", np.zeros(SHAPE, np.uint8))
     camera.get_image(2)
     write_image(tmp_path / "c.png", np.zeros(SHAPE[::-1], np.uint8))
-    with pytest.raises(DeviceError, match="is 48 x 64, the frames before were 64 x 48"):
+    with pytest.raises(DeviceError, match="is 64 x 48, the frames before were 48 x 64"):
         camera.get_image(2)
     (tmp_path / "notes.txt").write_text("no frame")
     (tmp_path / ".hidden.png").write_text("no frame")

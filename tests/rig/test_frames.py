@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 
 from lightmatrix.rig.devices.base import Frame
-from lightmatrix.rig.photograph import AveragedFrame, References, Shot, copied_rows
-from lightmatrix.rig.rig_measurements import _possible
+from lightmatrix.rig.photograph import AveragedFrame, References, Shot
 
 from .rig_mixtures import run
 
@@ -23,27 +22,9 @@ def _photograph(light: Any, seed: int) -> Any:
 
 
 def _average(light: Any, count: int = 4) -> AveragedFrame:
-    shots = [Shot(Frame(_photograph(light, k), k, 0.0, TOP), 0.01, 0.0) for k in range(count)]
+    shots = [Shot(Frame(_photograph(light, k), 0.0, TOP), 0.01) for k in range(count)]
     mean = np.mean([shot.data for shot in shots], axis=0, dtype=np.float32)
     return AveragedFrame(np.asarray(mean), shots, NOISE, 0.001)
-
-
-@pytest.mark.parametrize(
-    ("rows", "copied"), [(slice(0, 6), 6), (slice(12, 20), 8), (slice(5, 9), 0), (slice(0, 0), 0)]
-)
-def test_rows_of_an_earlier_frame_are_recognized_at_both_ends(rows: slice, copied: int) -> None:
-    data, earlier = _photograph(800.0, 1), _photograph(800.0, 2)
-    data[rows] = earlier[rows]
-    changing = np.full(SHAPE[0], 0.97)
-    assert copied_rows(data, earlier, changing, TOP) == copied
-
-
-def test_equal_rows_that_clip_or_do_not_change_are_no_copies() -> None:
-    clipped = np.full(SHAPE, 4095, np.uint16)
-    assert copied_rows(clipped, clipped, np.full(SHAPE[0], 0.97), TOP) == 0
-    dark = np.zeros(SHAPE, np.uint16)
-    assert copied_rows(dark, dark, np.zeros(SHAPE[0]), TOP) == 0
-    assert copied_rows(dark, dark[:-1], np.full(SHAPE[0], 0.97), TOP) == 0
 
 
 def test_black_frames_lose_their_noise_but_neither_hot_pixels_nor_light() -> None:
@@ -70,27 +51,6 @@ def test_what_changed_since_the_start_is_told_apart() -> None:
     assert change(light / 0.9) == "the light is 90 % of what it was"
     assert change(light, 80.0) == "the room's light changed by -2.0 % of the clip level"
     assert "did something move" in change(np.roll(light, 1, axis=1))
-
-
-@pytest.mark.parametrize(
-    ("advised", "period", "seconds", "warning"),
-    [
-        (0.05, 0.0, 0.05, None),
-        (0.025, 0.01, 0.02, None),
-        (0.004, 0.01, 0.01, "would flicker"),
-        (5.0, 0.0, 1.0, "for 1 s at most"),
-        (1.5, 0.0, 1.0, None),
-        (0.0001, 0.0, 0.001, "for 0.001 s at least"),
-        (0.0006, 0.0, 0.001, None),
-    ],
-)
-def test_exposures_that_the_camera_has_and_that_do_not_flicker(
-    advised: float, period: float, seconds: float, warning: str | None
-) -> None:
-    possible, warnings = _possible(advised, period, (0.001, 1.0))
-    assert possible == pytest.approx(seconds)
-    assert [warning in text for text in warnings if warning] == [True] * (warning is not None)
-    assert bool(warnings) == (warning is not None)
 
 
 def test_pictures_that_come_within_the_exposure_leave_less_than_noise_behind() -> None:

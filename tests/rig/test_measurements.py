@@ -124,6 +124,17 @@ def test_the_brightest_single_response_does_not_clip() -> None:
     assert 0.8 < np.quantile(white, 0.99) * min(advice.seconds) / rig.unit < 1.2
 
 
+def test_exposures_that_the_camera_does_not_have(monkeypatch: pytest.MonkeyPatch) -> None:
+    advised = _measured(_rig(), "exposure")
+    assert advised.warnings == ()
+    monkeypatch.setattr(
+        "lightmatrix.rig.rig_measurements.advise_exposures", lambda *_: [(30.0, 0.5), (2e-6, 0.5)]
+    )
+    limited = _measured(_rig(), "exposure")
+    assert limited.seconds == (10.0, 20e-6)
+    assert ["is 10 s" in limited.warnings[0], "is 2e-05 s" in limited.warnings[1]] == [True, True]
+
+
 def test_a_camera_that_does_not_see_the_projector() -> None:
     for part in PARTS:
         with pytest.raises(lm.DeviceError, match="does not see the projector"):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -10,7 +11,10 @@ import pytest
 from scipy.ndimage import map_coordinates
 
 import lightmatrix as lm
+from lightmatrix.capture.frames import ArrayStack
 from lightmatrix.capture.sensor import Sensor
+from lightmatrix.check.frame_order import missing_places
+from lightmatrix.check.survey import Survey
 from lightmatrix.errors import InputError, LightMatrixWarning
 from lightmatrix.patterns.pattern_set import ImagePatterns, PatternSet
 
@@ -121,8 +125,8 @@ def test_files_hold_all_of_a_correspondence(tmp_path: Path) -> None:
 def test_what_is_no_code_is_refused(tmp_path: Path) -> None:
     patterns = code("graycode")
     whole = capture(patterns, photographs(patterns))
-    with pytest.raises(InputError, match="tell only 26 of 52 columns apart"):
-        lm.decode(whole.select(np.arange(5)))
+    with pytest.raises(InputError, match="tell only 32 of 52 columns apart, and some"):
+        lm.decode(whole.select(np.arange(1, 6)))
     random = lm.BernoulliPatterns(PROJECTOR, 12)
     with pytest.raises(InputError, match="are no stripes") as refused:
         lm.decode(capture(random, photographs(random)))
@@ -132,6 +136,143 @@ def test_what_is_no_code_is_refused(tmp_path: Path) -> None:
     lm.truth("metal").save(tmp_path / "T.npz")
     with pytest.raises(InputError, match="no correspondence"):
         lm.read_correspondence(tmp_path / "T.npz")
+
+
+def order(count: int, fault: str) -> np.ndarray:
+    """The frames of a capture with a fault of their order."""
+    frames = np.arange(count)
+    if fault == "swapped":
+        frames[[1, 4]] = 4, 1
+    return {
+        "late": np.roll(frames, 1),
+        "by name": np.array(sorted(frames, key=str)),
+        "backwards": frames[::-1],
+    }.get(fault, frames)
+
+
+@pytest.mark.parametrize("name", ["graycode", "graycode, inverse", "phase", "microphase"])
+@pytest.mark.parametrize(
+    ("fault", "words"),
+    [
+        ("swapped", "frame 1 and frame 4 look swapped"),
+        ("late", "each photograph shows the pattern before its own"),
+        ("by name", "the order of their names as text"),
+        ("backwards", "the opposite order"),
+    ],
+)
+def test_frames_out_of_order_are_refused_by_name(name: str, fault: str, words: str) -> None:
+    patterns = code(name)
+    frames = photographs(patterns)[order(patterns.count, fault)]
+    wrong = capture(patterns, frames)
+    with pytest.raises(InputError, match=words) as refused:
+        lm.decode(wrong)
+    assert "check=False" in (refused.value.hint or "")
+    assert [each.kind for each in lm.check(wrong) if each.kind == "order"] == ["order"]
+
+
+@pytest.mark.parametrize(
+    ("name", "lost", "named"),
+    [
+        ("graycode", 3, "3"),
+        # A Gray code without its finest bit is one without its coarsest bit, half as large.
+        ("graycode", 5, "0 or 5"),
+        ("graycode, inverse", 7, "6 or 7"),
+        ("phase", 6, "6"),
+        ("microphase", 9, "9"),
+    ],
+)
+def test_a_lost_frame_is_named(name: str, lost: int, named: str) -> None:
+    patterns = code(name)
+    frames = np.delete(photographs(patterns), lost, axis=0)
+    survey = Survey.take(patterns, ArrayStack(frames), Sensor(bits=None).decoder())
+    places = missing_places(survey)
+    assert " or ".join(map(str, places)) == named
+
+
+def test_noise_and_darkness_are_refused_and_leave_no_file(tmp_path: Path) -> None:
+    patterns = code("graycode, inverse")
+    random = np.random.default_rng(0)
+    noise = random.random((patterns.count, *CAMERA)).astype(np.float32)
+    with pytest.raises(InputError, match="have nothing to do with each other"):
+        lm.decode(capture(patterns, noise))
+    grey = np.asarray(0.4 + 0.004 * (noise - 0.5), np.float32)
+    with pytest.raises(InputError, match="no camera pixel sees the projector"):
+        lm.decode(capture(patterns, grey), check=False, output=tmp_path / "c.npz")
+    assert not list(tmp_path.iterdir())
+    deep = lm.Capture.from_arrays(
+        patterns,
+        (4095 * photographs(patterns)).astype(np.uint16),
+        lm.Decoder(clip=65535, full_scale=65535),
+    )
+    with pytest.raises(InputError, match="clips at 4095"):
+        lm.decode(replace(deep, decoder=replace(deep.decoder, clip_assumed=True)))
+
+
+def test_wrong_places_contradict_their_neighbours() -> None:
+    patterns = code("graycode, inverse")
+    frames = photographs(patterns)
+    right = lm.decode(capture(patterns, frames))
+    # In a corner, a bit is wrong at random, which nothing but its neighbours can tell.
+    flipped = np.random.default_rng(0).random((12, 12)) < 0.2
+    frames[2:4, :12, :12] = np.where(flipped, frames[[3, 2], :12, :12], frames[2:4, :12, :12])
+    wrong = lm.decode(capture(patterns, frames))
+    apart = np.abs(wrong.place - right.place).max(axis=2) > 4
+    assert apart.sum() > 15
+    assert wrong.confidence[apart].mean() < 0.7
+    assert wrong.confidence[15:, 15:].min() > 0.95
+
+
+def test_pixels_that_see_nothing_get_no_place() -> None:
+    for name in ("graycode", "microphase"):
+        patterns = code(name)
+        frames = photographs(patterns)
+        noise = 0.01 * np.random.default_rng(3).standard_normal((patterns.count, 34, 12))
+        frames[:, :, :12] = np.float32(0.2) + noise.astype(np.float32)
+        matches = lm.decode(capture(patterns, frames), check=False)
+        assert matches.valid[:, :12].mean() < 0.01
+        assert matches.valid[:, 12:].mean() > 0.99
+
+
+def test_codes_of_blocks_place_pixels_to_blocks() -> None:
+    patterns = code("graycode, inverse")
+    stripes = patterns.stripes  # type: ignore[attr-defined]
+    finest = [np.flatnonzero(stripes.axes == axis)[-2:] for axis in (0, 1)]
+    kept = np.setdiff1d(np.arange(patterns.count), np.concatenate(finest))
+    whole = capture(patterns, photographs(patterns))
+    matches = lm.decode(whole.select(kept))
+    assert matches.valid.all()
+    assert matches.projector_shape == PROJECTOR
+    assert matches.uncertainty is not None
+    assert 0.3 < np.sqrt((errors(matches) ** 2).mean()) < 1.0
+    assert 0.45 < np.median(matches.uncertainty) < 0.9
+    binned = lm.decode(whole.select(kept).bin(projector=2))
+    np.testing.assert_allclose(2 * binned.place + 0.5, matches.place, atol=0.2)
+
+
+@pytest.mark.parametrize("block", [4, 8])
+def test_bits_that_the_camera_does_not_resolve_widen_the_place(block: int) -> None:
+    known = lm.truth("corner")
+    patterns = lm.make_patterns("graycode", (64, 64), inverse=True)
+    fine = lm.simulate(known, patterns, exposure=0.2)
+    matches = lm.decode(fine.bin(camera=block), check=False)
+    true = lm.correspondence(known.transport()).place
+    true = true.reshape(64 // block, block, 64 // block, block, 2)
+    plain = (np.ptp(true, axis=(1, 3)) < 1.5 * block).all(axis=-1) & matches.valid
+    error = (matches.place - true.mean(axis=(1, 3)))[plain]
+    assert matches.uncertainty is not None
+    stated = matches.uncertainty[plain]
+    assert plain.mean() > 0.7
+    assert np.sqrt((error**2).mean()) < block / 8
+    assert (np.abs(error) > 3 * stated).mean() < 0.01
+    # A block of pixels is known to its width.
+    assert block / 8 < np.sqrt((stated**2).mean()) < block / 2
+
+
+def test_patterns_in_colour_are_no_threefold_projector() -> None:
+    patterns = lm.colour_bernoulli((8, 8), 12)
+    frames = np.random.default_rng(0).random((12, 9, 9)).astype(np.float32)
+    with pytest.raises(InputError, match="in colour"):
+        lm.decode(lm.Capture.from_arrays(patterns, frames, Sensor(bits=None)))
 
 
 def test_estimates_of_stripes_point_here() -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from lightmatrix.simulation.renderer import Contributions, sum_contributions
+from lightmatrix.simulation.renderer import sum_contributions
 
 
 @pytest.mark.parametrize(
@@ -18,13 +18,13 @@ def test_sums_are_those_of_plain_addition(shape: tuple[int, int], count: int) ->
     direct = random.random(count) < 0.4
     expected = np.zeros(shape[0] * shape[1], np.complex128)
     np.add.at(expected, place, value + 1j * value * direct)
-    sums = sum_contributions(Contributions(place, value, direct), shape)
+    sums = sum_contributions(place, value, direct, shape)
     assert sums.has_canonical_format
     assert (sums.data.real > 0).all()
     np.testing.assert_allclose(sums.toarray(), expected.reshape(shape), rtol=1e-6)
     order = random.permutation(count)
-    shuffled = Contributions(place[order], value[order], direct[order])
-    again = sum_contributions(shuffled, shape)
+    shuffled = place[order], value[order], direct[order]
+    again = sum_contributions(*shuffled, shape)
     np.testing.assert_array_equal(again.toarray(), sums.toarray())
 
 
@@ -32,7 +32,7 @@ def test_the_last_place_of_32_bits_is_summed() -> None:
     place = np.array([2**32 - 1, 0, 2**32 - 1], np.uint32)
     light = np.array([1, 2, 3], np.float32)
     direct = np.array([True, False, False])
-    sums = sum_contributions(Contributions(place, light, direct), (2**14, 2**18))
+    sums = sum_contributions(place, light, direct, (2**14, 2**18))
     assert sums.nnz == 2
     assert sums[2**14 - 1, 2**18 - 1] == 4 + 1j
     assert sums[0, 0] == 2

@@ -215,6 +215,9 @@ def test_an_index_of_columns_gives_the_light_of_single_pixels(
     monkeypatch.setattr(column_index, "_TILE", 4)
     monkeypatch.setattr(column_index, "_KEPT_ENTRIES", kept)
     whole = transport()
+    # Some samples have no background.
+    faint = whole.background < np.median(whole.background)
+    whole = replace(whole, background=np.where(faint, 0, whole.background))
     path = tmp_path / "s.zarr"
     lm.save(path, whole)
     with pytest.raises(InputError, match="has no index of its columns"):
@@ -228,7 +231,8 @@ def test_an_index_of_columns_gives_the_light_of_single_pixels(
         wanted = whole.dense_columns(pixels) @ change
         light = index.light(pixels, change)
         np.testing.assert_allclose(light.ravel(), wanted, atol=1e-6)
-        assert len(index._kept) <= max(1, kept // 70)
+        entries = [tile.nnz for tile in index._kept.values()]
+        assert len(entries) <= 1 or sum(entries) <= kept
     with pytest.raises(InputError, match="pixels up to 42"):
         index.light(np.array([42]), np.ones(1))
     with pytest.raises(InputError, match="has an index already"):

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
 import contextlib
 import http.client
 import http.server
@@ -15,9 +14,7 @@ import sys
 import threading
 import time
 from collections.abc import Iterator
-from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
-from unittest import mock
 
 import pytest
 from playwright.sync_api import Browser
@@ -25,7 +22,6 @@ from playwright.sync_api import Browser
 import lightmatrix as lm
 from lightmatrix.cli import main
 from lightmatrix.viewer import export as export_module
-from lightmatrix.viewer import server as server_module
 from tests.viewer import hostile, running
 from tests.viewer.running import shown
 
@@ -176,31 +172,13 @@ def test_hostile_requests_change_nothing(server: running.Server) -> None:
     assert process.memory_info().rss - before < GROWTH
 
 
-def test_idle_strangers_do_not_lock_the_owner_out(
-    server: running.Server, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    place = ("127.0.0.1", server.port)
-    idle = [socket.create_connection(place, timeout=120) for _ in range(200)]
+def test_idle_strangers_do_not_lock_the_owner_out(server: running.Server) -> None:
+    idle = [socket.create_connection(("127.0.0.1", server.port), timeout=60) for _ in range(130)]
     assert ask(server, f"/{server.token}/").status == 200
-    # The oldest ones were closed meanwhile.
-    with contextlib.suppress(ConnectionError):
-        assert idle[0].recv(1) == b""
     for connection in idle:
+        # It is closed after two seconds.
+        assert connection.recv(1) == b""
         connection.close()
-
-    async def late() -> list[bool]:
-        monkeypatch.setattr(server_module.Strangers, "_SECONDS", 0.01)
-        strangers = server_module.Strangers()
-        transports = [mock.Mock(get_extra_info=lambda _, k=k: ("127.0.0.1", k)) for k in range(2)]
-        for transport in transports:
-            strangers.came(transport)
-        strangers.showed_the_token(("127.0.0.1", 1))
-        await asyncio.sleep(0.1)
-        return [transport.abort.called for transport in transports]
-
-    # In a thread of its own, since the browser's fixture occupies this one.
-    with ThreadPoolExecutor() as threads:
-        assert threads.submit(asyncio.run, late()).result() == [True, False]
 
 
 def test_pings_whose_answers_nobody_reads_are_not_kept(server: running.Server) -> None:
@@ -223,18 +201,6 @@ def test_pings_whose_answers_nobody_reads_are_not_kept(server: running.Server) -
                 connection.sendall(pings)
         assert process.memory_info().rss - before < GROWTH
     assert ask(server, f"/{server.token}/").status == 200
-
-
-def test_a_window_too_many_is_told_so(server: running.Server, browser: Browser) -> None:
-    from websockets.exceptions import ConnectionClosed
-
-    with contextlib.ExitStack() as windows:
-        for _ in range(16):
-            windows.enter_context(connect(server))  # type: ignore[arg-type]
-        with pytest.raises(ConnectionClosed, match="1013"), connect(server) as extra:  # type: ignore[attr-defined]
-            extra.recv(timeout=120)
-        with shown(browser, server.address) as page:
-            page.get_by_text("The server serves no more windows").wait_for()
 
 
 def test_hostile_messages_change_nothing(tmp_path: Path) -> None:

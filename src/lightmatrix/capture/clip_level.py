@@ -22,7 +22,7 @@ class Pile(NamedTuple):
     @property
     def shown(self) -> str:
         """The level as it is written in settings, in as many digits as single precision needs."""
-        return np.format_float_positional(np.float32(self.level), trim="-")
+        return str(np.float32(self.level)).removesuffix(".0")
 
 
 def pile_of_frames(frames: Frames) -> Pile | None:

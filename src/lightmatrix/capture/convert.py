@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import csv
-import math
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,22 +15,13 @@ from lightmatrix.capture.sensor import Sensor
 from lightmatrix.errors import InputError
 from lightmatrix.files.colours import COLOURS
 from lightmatrix.files.images import READABLE, read_image
-from lightmatrix.files.reading import parse_json, read_text
+from lightmatrix.files.reading import read_text
 from lightmatrix.files.stacks import list_images, natural_order
 from lightmatrix.patterns.pattern_set import ImagePatterns
 from lightmatrix.ranges import as_float, as_path
 
-# Folders of other programs that hold patterns and photographs, and how they lie in them.
-#
-# - CompenNet and its successors: `cam/raw/train` holds photographs, and `train`, in a folder above,
-# the pictures that were projected.
-# - SLStudio: one folder holds the frames, `frameSeq_00.bmp`, and the patterns, `pat_0.png`.
-# - Brackets: a numbered folder for each pattern holds its photographs at several exposures;
-# `exposures.json` or `exposures.csv` lists these.
 
-
-@dataclass(frozen=True)
-class Layout:
+class Layout(NamedTuple):
     """Files of a capture: a pattern and an exposure for each frame, all in one order."""
 
     name: str
@@ -42,30 +31,28 @@ class Layout:
     exposures: Sequence[float] = (1.0,)
 
 
-def find_layout(folder: str | Path) -> Layout:
+def find_layout(place: Path) -> Layout:
     """How patterns and frames lie in a folder; an InputError if in no known way, or some lack."""
-    place = as_path(folder)
     if not place.is_dir():
         raise InputError(f"{place}: no such folder", hint="check the name")
-    for read in (_compennet, _slstudio, _brackets):
-        layout = read(place)
-        if layout is None:
-            continue
-        if len(layout.patterns) != len(layout.frames):
-            raise InputError(
-                f"{place}: {layout.name} with {len(layout.patterns)} patterns, but "
-                f"{len(layout.frames)} frames",
-                hint="is one missing?",
-            )
-        return layout
-    raise InputError(
-        f"{place}: has none of the layouts that can be converted",
-        hint="CompenNet's (cam/raw/train), SLStudio's (frameSeq_*, pat_*), or numbered folders "
-        "beside patterns/ and exposures.csv",
-    )
+    layout = _compennet(place) or _slstudio(place) or _brackets(place)
+    if layout is None:
+        raise InputError(
+            f"{place}: has none of the layouts that can be converted",
+            hint="CompenNet's (cam/raw/train), SLStudio's (frameSeq_*, pat_*), or numbered folders "
+            "beside patterns/ and exposures.csv",
+        )
+    if len(layout.patterns) != len(layout.frames):
+        raise InputError(
+            f"{place}: {layout.name} with {len(layout.patterns)} patterns, but "
+            f"{len(layout.frames)} frames",
+            hint="is one missing?",
+        )
+    return layout
 
 
 def _compennet(place: Path) -> Layout | None:
+    """CompenNet and its successors: photographs, and the pictures in a folder above."""
     frames = place / "cam" / "raw" / "train"
     if not frames.is_dir():
         return None
@@ -80,28 +67,17 @@ def _compennet(place: Path) -> Layout | None:
 
 
 def _slstudio(place: Path) -> Layout | None:
+    """SLStudio: one folder holds the frames, `frameSeq_00.bmp`, and the patterns, `pat_0.png`."""
     patterns, frames = (
-        sorted(
-            (file for file in place.glob(f"{prefix}*") if file.suffix.lower() in READABLE),
-            key=natural_order,
-        )
-        for prefix in ("pat_", "frameSeq_")
+        sorted((f for f in place.glob(name) if f.suffix.lower() in READABLE), key=natural_order)
+        for name in ("pat_*", "frameSeq_*")
     )
-    if not frames:
-        return None
-    if not patterns:
-        raise InputError(
-            f"{place}: has frames (frameSeq_*), but not their patterns (pat_0.png, ...)",
-            hint="let SLStudio write them, or copy them there",
-        )
-    return Layout("SLStudio", patterns, frames)
+    return Layout("SLStudio", patterns, frames) if frames else None
 
 
 def _brackets(place: Path) -> Layout | None:
-    folders = sorted(
-        (entry for entry in place.iterdir() if entry.is_dir() and entry.name.isdecimal()),
-        key=lambda entry: int(entry.name),
-    )
+    """A numbered folder for each pattern, with its photographs at several exposures."""
+    folders = [entry for entry in place.iterdir() if entry.is_dir() and entry.name.isdecimal()]
     if not folders or not (place / "patterns").is_dir():
         return None
     patterns = list_images(place / "patterns")
@@ -110,62 +86,38 @@ def _brackets(place: Path) -> Layout | None:
             f"{place}: has {len(patterns)} patterns, but {len(folders)} numbered folders",
             hint="give one folder of photographs for each pattern",
         )
-    table = _exposures(place)
-    shown, frames, exposures = [], [], []
-    for pattern, folder in zip(patterns, folders, strict=True):
-        for number, file in enumerate(list_images(folder)):
-            known = table.get(file.name, table.get(file.stem, table.get(str(number))))
-            if known is None:
+    listed = place / "exposures.csv"
+    table, shown, frames, exposures = _exposures(listed), [], [], []
+    for pattern, folder in zip(patterns, sorted(folders, key=natural_order), strict=True):
+        for file in list_images(folder):
+            if file.name not in table:
                 raise InputError(
-                    f"{file}: has no exposure in {place / 'exposures'}.json or .csv",
-                    hint="list each file name with its exposure, or one exposure a photograph",
+                    f"{file}: has no exposure in {listed}",
+                    hint="list each file name with its exposure, such as a.png,0.5",
                 )
             shown.append(pattern)
             frames.append(file)
-            exposures.append(known)
+            exposures.append(table[file.name])
     return Layout("brackets", shown, frames, exposures)
 
 
-def _exposures(place: Path) -> dict[str, float]:
-    """Exposures by file name; or by the number of the photograph, if the file only lists them."""
-    sources = [file for end in ("json", "csv") if (file := place / f"exposures.{end}").is_file()]
-    if len(sources) != 1:
-        raise InputError(
-            f"{place}: has {'both' if sources else 'neither'} exposures.json and exposures.csv",
-            hint="list each file name with its exposure in one of them",
-        )
-    file = sources[0]
-    text = read_text(file)
+def _exposures(file: Path) -> dict[str, float]:
+    """Exposures by file name, from a table of two columns; its first line may name them."""
     try:
-        content = parse_json(text, str(file)) if file.suffix == ".json" else _columns(text)
-        pairs = list(content.items() if isinstance(content, dict) else enumerate(content))
-        table = {str(name): float(value) for name, value in pairs}
-    except (ValueError, TypeError, OverflowError, csv.Error) as error:
+        rows = [
+            [field.strip() for field in row] for row in csv.reader(read_text(file).splitlines())
+        ]
+    except csv.Error as error:
+        raise InputError(f"{file}: is no table: {error}", hint="write it anew") from error
+    if rows and np.isnan(as_float(rows[0][-1] if rows[0] else "")):
+        rows = rows[1:]
+    table = {row[0]: as_float(row[1]) for row in rows if len(row) == 2}
+    if not table or len(table) < len(rows) or not all(0 < e < np.inf for e in table.values()):
         raise InputError(
-            f"{file}: is no list of exposures: {error!s:.200}",
-            hint='write file names and numbers, such as "a.png",0.5',
-        ) from error
-    if not table or not all(0 < value < float("inf") for value in table.values()):
-        raise InputError(f"{file}: holds an exposure that is not above 0", hint="correct it")
+            f"{file}: is no list of exposures above 0, each with the name of its photograph",
+            hint="write one name and one number a line, such as a.png,0.5",
+        )
     return table
-
-
-def _columns(text: str) -> dict[str, str] | list[str]:
-    """Names and exposures, or exposures alone, of a table; a ValueError says why it is none."""
-    rows = [[field.strip() for field in row] for row in csv.reader(text.splitlines()) if row]
-    # A first line without a number names the columns.
-    heads = rows.pop(0) if rows and math.isnan(as_float(rows[0][-1])) else []
-    widths = {len(row) for row in rows}
-    if not widths <= {1} and not widths <= {2}:
-        raise ValueError("its lines do not all have one column, or two; write 0.5 with a point")
-    if widths != {2}:
-        return [row[0] for row in rows]
-    if len(heads) < 2 and all(field.isdecimal() for row in rows for field in row):
-        raise ValueError("two columns of whole numbers, or decimal commas: write 0.5 with a point")
-    names, values = zip(*rows, strict=True)
-    if len(set(names)) < len(names):
-        raise ValueError("it names a photograph twice")
-    return dict(zip(names, values, strict=True))
 
 
 def convert(
@@ -185,7 +137,7 @@ def convert(
         A setup of CompenNet's data (it holds cam/raw/train; the pictures are in train/, up to four
         folders above); a folder of SLStudio's frames (frameSeq_*) and patterns (pat_*); or a
         folder with patterns/, a numbered folder of photographs for each pattern, and their
-        exposures in exposures.json or exposures.csv.
+        exposures in exposures.csv.
     output : str or Path
         The capture folder to make.
     channel : {"red", "green", "blue"}
@@ -222,8 +174,7 @@ def convert(
     """
     if channel not in COLOURS:
         raise InputError(f"a channel {channel!r}", hint=f"use one of {', '.join(COLOURS)}")
-    layout = find_layout(folder)
-    number = list(COLOURS).index(channel)
+    layout, number = find_layout(as_path(folder)), COLOURS.index(channel)
     shown: dict[Path, NDArray[np.float32]] = {}
     for file in layout.patterns:
         if file not in shown:
@@ -238,7 +189,7 @@ def convert(
     first = _one_channel(read_image(layout.frames[0]), number)
     bits = 8 if _top(layout.frames[0], first) == np.iinfo(np.uint8).max else 16
 
-    def frames() -> Any:
+    def frames() -> Iterator[NDArray[Any]]:
         for done, file in enumerate(layout.frames, start=1):
             yield _one_channel(read_image(file), number)
             if progress is not None:

@@ -458,8 +458,7 @@ def check_depth(frames: Frames, decoder: Decoder) -> None:
             hint="scale the images so that 0 is no light",
         )
     # One frame may lack some bits by chance, and a few levels without noise all may.
-    swapped = frames.dtype == np.uint16 and have_swapped_bytes([middle])
-    if swapped and len(np.unique(middle)) > 16 and have_swapped_bytes(level_blocks(frames)):
+    if len(np.unique(middle)) > 16 and _swapped([middle]) and _swapped(level_blocks(frames)):
         raise InputError(
             "the two bytes of each level are swapped: the bits that all levels use have a gap",
             hint="write the images in the byte order that their format or header states",
@@ -493,20 +492,16 @@ def check_depth(frames: Frames, decoder: Decoder) -> None:
     )
 
 
-def have_swapped_bytes(levels: Iterable[NDArray[np.uint16]]) -> bool:
-    """Whether the bits that levels use have a gap, and none once their bytes are exchanged.
+def _swapped(levels: Iterable[NDArray[Any]]) -> bool:
+    """Whether the bits that levels of 16 bits use have a gap, and none with their bytes swapped.
 
-    The bits of a camera are neighbours, wherever they stand in the 16 bits of a file: those of
-    12 bits are 0x0fff or 0xfff0, with swapped bytes 0xff0f or 0xf0ff.
+    The bits of a camera are neighbours: those of 12 bits are 0x0fff or 0xfff0 in a file.
     """
     used = 0
     for block in levels:
-        used |= int(np.bitwise_or.reduce(block, axis=None))
-
-    def gap(bits: int) -> bool:
-        return "0" in f"{bits:b}".strip("0")
-
-    return gap(used) and not gap((used >> 8) | (used & 255) << 8)
+        used |= int(np.bitwise_or.reduce(block, axis=None)) if block.dtype == np.uint16 else 0
+    gaps = ["0" in f"{bits:b}".strip("0") for bits in (used, used >> 8 | (used & 255) << 8)]
+    return gaps == [True, False]
 
 
 def read_mask(mask: str | Path | None, shape: tuple[int, ...]) -> NDArray[np.bool_] | None:

@@ -6,6 +6,7 @@
 ``levels``          Is there too much light, or too little?  Are black and white frames so?
                     Did the photographs go through lossy compression?
 ``frame_order``     Does each frame show its own pattern?  Is a photograph missing?
+``code_order``      The same of stripes, by how far apart neighbouring camera pixels see.
 ``relation``        Do the photographs follow the patterns at all, or what else explains them?
 ``motion``          Did something move by pixels?
 ``wrong_frames``    Which frames show something else, and what?

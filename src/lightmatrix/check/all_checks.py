@@ -17,6 +17,7 @@ from lightmatrix.capture.capture import Capture, Crop
 from lightmatrix.capture.folder import check_depth, read_capture, read_folders
 from lightmatrix.capture.frames import CaptureParts
 from lightmatrix.capture.settings import ReadSettings
+from lightmatrix.check.code_order import CodeLattice, check_code_order
 from lightmatrix.check.finding import Finding
 from lightmatrix.check.frame_order import check_counts, check_order
 from lightmatrix.check.inverse_pairs import Pairs, check_gains, check_pairs, pair_gains
@@ -95,8 +96,12 @@ def _check_read(whole: Capture, crop: Crop | None) -> list[Finding]:
 def _check_uncounted(parts: CaptureParts) -> list[Finding]:
     """What can be found although the numbers of patterns and frames differ."""
     decoder, survey = parts.decoder, None
-    # Nobody knows which of the levels that differ from frame to frame belong to which frame.
-    if not any(np.ndim(getattr(decoder, key)) for key in ("clip", "black_level", "exposure")):
+    # Frames are read if one of them may be missing. Nobody knows which of the levels that differ
+    # from frame to frame belong to which frame.
+    one_less = parts.frames.count == parts.patterns.count - 1
+    if one_less and not any(
+        np.ndim(getattr(decoder, key)) for key in ("clip", "black_level", "exposure")
+    ):
         survey = Survey.take(parts.patterns, parts.frames, decoder, parts.mask)
     # Frames that lie packed have no files.
     paths = parts.frames.paths if isinstance(parts.frames, ImageStack) else ()
@@ -175,12 +180,17 @@ def _check_surveyed(survey: Survey, capture: Capture) -> list[Finding]:
         found = check_distinguishable(survey.patterns) + check_light_level(seen)
         return found + check_jpeg(survey, names)
 
-    if survey.count < _FEWEST_FRAMES or len(rows) < _FEWEST_ROWS:
-        return of_light()
+    lattice = CodeLattice.of(survey)
+    displaced = [] if lattice is None else check_code_order(lattice, names.__getitem__)
+    two_swapped = len(displaced) == 1 and len(displaced[0].frames) == 2
+    few = survey.count < _FEWEST_FRAMES or len(rows) < _FEWEST_ROWS
+    if few or (displaced and not two_swapped):
+        return of_light() + displaced
     pairs = Pairs.find(survey.patterns)
 
     def of_order() -> list[Finding]:
-        return [] if pairs is not None else check_order(survey, names.__getitem__)
+        ordered = pairs is not None or lattice is not None
+        return [] if ordered else check_order(survey, names.__getitem__)
 
     # The longest first; each of them keeps about one core busy.
     disorder, findings, unrelated = side_by_side(
@@ -191,6 +201,10 @@ def _check_surveyed(survey: Survey, capture: Capture) -> list[Finding]:
         if pairs is None
         else _check_by_pairs(survey, rows, names, pairs, unrelated)
     )
+    # One black or spoilt frame, and motion, make neighbours see as distant places as a swap does.
+    kinds = ("order", "motion", *(["frame"] if pairs else []))
+    if displaced and not any(e.kind in kinds or "black" in e.message for e in of_frames):
+        return findings + displaced
     # Photographs of another series or scene are no reason to measure the camera's curve.
     if not any(each.kind in ("order", "unrelated", "motion") for each in of_frames):
         of_frames += check_two_levels(survey, rows)
@@ -198,7 +212,10 @@ def _check_surveyed(survey: Survey, capture: Capture) -> list[Finding]:
 
 
 def _survey(capture: Capture) -> Survey:
-    return Survey.take(capture.patterns, capture.frames, capture.decoder, capture.mask)
+    patterns = capture.patterns
+    # Stripes are decoded in seconds, and checking them shall take no longer.
+    share = 0.25 if is_separable(patterns) else 1
+    return Survey.take(patterns, capture.frames, capture.decoder, capture.mask, share)
 
 
 def check_distinguishable(patterns: PatternSet) -> list[Finding]:

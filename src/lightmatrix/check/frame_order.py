@@ -28,6 +28,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from lightmatrix.check.code_order import CodeLattice, missing_of_code
 from lightmatrix.check.finding import WRONG_ORDER, Finding, order_findings
 from lightmatrix.check.inverse_pairs import Pairs, missing_of_pairs
 from lightmatrix.check.prediction import predict
@@ -458,6 +459,9 @@ def check_counts(survey: Survey | None, patterns: int, images: Sequence[Path]) -
 def missing_places(survey: Survey) -> tuple[int, ...]:
     """Which of K patterns may have no frame among K - 1 frames; empty if unknown."""
     patterns, count = survey.patterns, survey.count
+    lattice = CodeLattice.of(survey)
+    if lattice is not None:
+        return missing_of_code(lattice)
     if count < _LIMITS.frames:
         return ()
     frames = np.arange(count)

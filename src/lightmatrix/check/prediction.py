@@ -26,6 +26,7 @@ from numpy.typing import NDArray
 from lightmatrix.capture.samples import Samples
 from lightmatrix.check.pursuit import best_pixels, column_scale
 from lightmatrix.check.survey import OF_MEDIAN
+from lightmatrix.patterns.codes import best_code_pixels
 from lightmatrix.patterns.pattern_set import PatternSet
 from lightmatrix.resources.threads import one_blas_thread, work_ahead
 
@@ -93,13 +94,15 @@ def find_places(
     count: int = len(_PLACE_SCALES),
 ) -> tuple[NDArray[np.int64], ...]:
     """The projector pixels that m rows follow most in their `learned` (m, K) samples, (m,) each."""
-    scale = column_scale(patterns)
     weight = (~samples.clipped if learned is None else learned).astype(np.float64)
     total = np.maximum(weight.sum(axis=1, keepdims=True), 1)
     residual = weight * (samples.values - (weight * samples.values).sum(axis=1)[:, None] / total)
     places: list[NDArray[np.int64]] = []
     while True:
-        places.append(best_pixels(patterns, scale, residual))
+        best = best_code_pixels(patterns, residual)
+        if best is None:
+            best = best_pixels(patterns, column_scale(patterns), residual)
+        places.append(best)
         if len(places) == count:
             return tuple(places)
         column = patterns.columns(places[-1]).T.astype(np.float64)

@@ -317,7 +317,7 @@ class Relation:
         turned = self.count == len(self.frames) and self.as_they_are < _LIMITS.follows
         tried = [
             (self.excess(order[: len(self.frames)]), message)
-            for message, order in _orders(self.count, turned=turned)
+            for message, order in likely_orders(self.count, turned=turned)
         ]
         score, message = max(tried)
         if score > max(_LIMITS.explains, self.as_they_are + _LIMITS.better):
@@ -357,7 +357,7 @@ class Relation:
         return worst < -_LIMITS.explains
 
 
-def _orders(count: int, *, turned: bool) -> Iterator[tuple[str, NDArray[np.int64]]]:
+def likely_orders(count: int, *, turned: bool) -> Iterator[tuple[str, NDArray[np.int64]]]:
     """Orders that frames come in by mistake: which pattern each of K frames shows."""
     frames = np.arange(count)
     for first in (0, 1):

@@ -69,9 +69,14 @@ class Survey:
         frames: Frames,
         decoder: Decoder,
         mask: NDArray[np.bool_] | None = None,
+        share: float = 1,
     ) -> Survey:
-        """Read every frame once; an InputError names one that cannot be read or does not fit."""
-        places, grid = _places(frames.shape, _MOST_LEVELS // frames.count, _first_block(frames))
+        """Read every frame once; an InputError names one that cannot be read or does not fit.
+
+        `share` is that of the most levels which are kept.
+        """
+        most = int(share * _MOST_LEVELS) // frames.count
+        places, grid = _places(frames.shape, most, _first_block(frames))
         raw = levels_at(frames, places)
         valid = np.ones(len(places), bool)
         if decoder.hot is not None:

@@ -25,7 +25,7 @@ import lightmatrix as lm
 from lightmatrix.cli.calibrate import calibrate
 from lightmatrix.cli.capture import capture
 from lightmatrix.cli.check import check
-from lightmatrix.cli.claims import FinishedError, is_stop, lacks_memory, outputs
+from lightmatrix.cli.claims import outputs
 from lightmatrix.cli.compensate import compensate
 from lightmatrix.cli.convert import convert
 from lightmatrix.cli.decode import decode
@@ -181,22 +181,18 @@ def report(error: BaseException) -> int:
 
 
 def _explain(error: BaseException) -> tuple[int, list[str]]:
-    if is_stop(error):
-        return STOPPED, ["; ".join(["stopped", *getattr(error, "__notes__", [])])]
+    notes = getattr(error, "__notes__", [])
+    if _is_stop(error):
+        return STOPPED, ["; ".join(["stopped", *notes])]
     if isinstance(error, LightMatrixError):
         hint = as_options(error.hint or "")
         return BAD, [f"error: {error.message}", *([hint] if hint else [])]
     if isinstance(error, typer.TyperException):
         message, hint = _usage_error(error)
         return BAD, [f"error: {message}", hint]
-    if isinstance(error, FinishedError):
-        code, what = (0, str(error)) if error.enough else (NO_MEMORY, f"error: {error}")
-        return code, [what, "`lightmatrix info` shows it"]
-    if lacks_memory(error):
-        return NO_MEMORY, [
-            "error: not enough memory",
-            "use a smaller size, or --memory",
-        ]
+    if _lacks_memory(error):
+        what = "; ".join(["error: not enough memory", *notes])
+        return NO_MEMORY, [what, "use a smaller size, or --memory"]
     if isinstance(error, OSError) and str(error).startswith("cannot start"):
         return NO_MEMORY, [f"error: {error}", "free some memory, or lower RAYON_NUM_THREADS"]
     # Errors of a stream, such as a full disk behind standard output, are no bug.
@@ -209,11 +205,6 @@ def _explain(error: BaseException) -> tuple[int, list[str]]:
     if isinstance(error, OSError) and error.filename is not None:
         hint = "check the name, its permissions and the free space"
         return BAD, [f"error: {error.filename}: {error.strerror or error}", hint]
-    # Our libraries read these variables when pictures are drawn, and refuse them so.
-    for name in ("MPLBACKEND", "SOURCE_DATE_EPOCH") if isinstance(error, ValueError) else ():
-        if os.environ.get(name) and repr(os.environ[name]) in str(error):
-            message = f"the environment variable {name} cannot be {os.environ[name]!r}"
-            return BAD, [f"error: {message}", f"unset {name}, which lightmatrix does not need"]
     if os.environ.get(DEBUG):
         with suppress(OSError, ValueError):
             traceback.print_exception(error)
@@ -222,6 +213,22 @@ def _explain(error: BaseException) -> tuple[int, list[str]]:
         f"internal error: {type(error).__name__}: {text}",
         f"this is a bug of lightmatrix; please report it with the command and with {DEBUG}=1 set",
     ]
+
+
+def _is_stop(error: BaseException | None) -> bool:
+    """Whether an error comes from Ctrl-C, which libraries may have turned into one of theirs."""
+    while error is not None and not isinstance(error, KeyboardInterrupt):
+        error = error.__cause__ or error.__context__
+    return error is not None
+
+
+def _lacks_memory(error: BaseException) -> bool:
+    """Whether memory ran out: for objects, a thread that starts, or a library that is loaded."""
+    words = str(error)
+    # What Linux says of a library that finds no room in memory.
+    signs = ("failed to map segment", "annot allocate memory", "cannot map zero-fill")
+    loading = isinstance(error, ImportError) and any(sign in words for sign in signs)
+    return isinstance(error, MemoryError) or loading or "can't start new thread" in words
 
 
 def _usage_error(error: typer.TyperException) -> tuple[str, str]:

@@ -3,73 +3,65 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 
 from typer import Option
 
 import lightmatrix as lm
 from lightmatrix.cli import options
-from lightmatrix.cli.claims import claim, say_what_is_kept
-from lightmatrix.cli.terminal import progress, say, show_json, stages
+from lightmatrix.cli.claims import claim
+from lightmatrix.cli.options import described
+from lightmatrix.cli.terminal import Stages, progress, say, show_json
 from lightmatrix.defaults import MOST_FRAMES, RIG_FILE, USUAL_FRAMES, USUAL_PATIENCE
 from lightmatrix.files.kinds import LIVE_CAPTURE, STORE
 
 
+@described(
+    output=options.output_option("Capture folder to write."),
+    count=Option(
+        "-k",
+        "--count",
+        help="Number of patterns; with --until the most of them.",
+        show_default=f"{USUAL_FRAMES}; {MOST_FRAMES} with --until",
+    ),
+    pattern_folder=Option(
+        "--patterns",
+        help="Folder made by `lightmatrix patterns`.",
+        show_default="a random mix of fine and coarse patterns",
+    ),
+    density=Option(help="Share of lit pixels of random patterns.", show_default="as measured"),
+    cell="Projector pixels along a side of each pattern pixel.",
+    exposure=Option(
+        help="Exposure of all frames, in seconds.", show_default="as measured, possibly several"
+    ),
+    response="Response of the camera: linear, gamma:2.2, srgb, FILE.",
+    check="Photograph each pattern twice, and keep frames that agree.",
+    until=Option(
+        metavar="ERROR",
+        help="Photograph patterns in groups of eight until the estimate states at most this "
+        "relative error of T, such as 0.03, or of relit images, such as relighting:0.03; or "
+        "more patterns do not help.",
+        show_default="all patterns",
+    ),
+    store=Option("--estimate", help="Also estimate T, into this .zarr store."),
+)
 def capture(
-    output: Annotated[Path, options.output_option("Capture folder to write.")],
-    count: Annotated[
-        int | None,
-        Option(
-            "-k",
-            "--count",
-            help="Number of patterns; with --until the most of them.",
-            show_default=f"{USUAL_FRAMES}; {MOST_FRAMES} with --until",
-        ),
-    ] = None,
+    output: Path,
+    count: int | None = None,
     rig: options.RigName = None,
     projector: options.ProjectorName = None,
     camera: options.CameraName = None,
-    pattern_folder: Annotated[
-        Path | None,
-        Option(
-            "--patterns",
-            help="Folder made by `lightmatrix patterns`.",
-            show_default="a random mix of fine and coarse patterns",
-        ),
-    ] = None,
-    density: Annotated[
-        float | None,
-        Option(help="Share of lit pixels of random patterns.", show_default="as measured"),
-    ] = None,
-    cell: Annotated[int, Option(help="Projector pixels along a side of each pattern pixel.")] = 1,
-    exposure: Annotated[
-        float | None,
-        Option(
-            help="Exposure of all frames, in seconds.", show_default="as measured, possibly several"
-        ),
-    ] = None,
+    pattern_folder: Path | None = None,
+    density: float | None = None,
+    cell: int = 1,
+    exposure: float | None = None,
     settle: options.Settle = None,
-    response: Annotated[
-        str, Option(help="Response of the camera: linear, gamma:2.2, srgb, FILE.")
-    ] = "linear",
+    response: str = "linear",
     patience: options.Patience = USUAL_PATIENCE,
     rig_file: options.RigFile = Path(RIG_FILE),
-    check: Annotated[
-        bool, Option(help="Photograph each pattern twice, and keep frames that agree.")
-    ] = True,
-    until: Annotated[
-        str | None,
-        Option(
-            metavar="ERROR",
-            help="Photograph patterns in groups of eight until the estimate states at most this "
-            "relative error of T, such as 0.03, or of relit images, such as relighting:0.03; or "
-            "more patterns do not help.",
-            show_default="all patterns",
-        ),
-    ] = None,
-    store: Annotated[
-        Path | None, Option("--estimate", help="Also estimate T, into this .zarr store.")
-    ] = None,
+    check: bool = True,
+    until: str | None = None,
+    store: Path | None = None,
     seed: options.Seed = 0,
     overwrite: options.Overwrite = False,
     as_json: options.Json = False,
@@ -89,14 +81,12 @@ def capture(
     )
     if count is None:
         count = USUAL_FRAMES if until is None else MOST_FRAMES
-    claim(output, LIVE_CAPTURE, overwrite=overwrite)
-    say_what_is_kept(output, "frames")
+    claim(output, LIVE_CAPTURE, overwrite=overwrite, parts="frames")
     if store is not None:
-        claim(store, STORE, overwrite=overwrite)
-        say_what_is_kept(store, "tiles")
+        claim(store, STORE, overwrite=overwrite, parts="tiles")
     with (
         lm.open_rig(rig, projector=projector, camera=camera, patience=patience) as opened,
-        stages() as shown,
+        Stages() as shown,
     ):
         captured = lm.take_capture(
             output,

@@ -11,11 +11,11 @@ from typer import Argument, Option
 import lightmatrix as lm
 from lightmatrix.cli import options
 from lightmatrix.cli.terminal import (
+    Stages,
     enter_was_pressed,
     progress,
     say,
     show_json,
-    stages,
 )
 from lightmatrix.defaults import RIG_FILE, USUAL_PATIENCE
 from lightmatrix.errors import InputError
@@ -43,11 +43,13 @@ def compensate(
         ),
     ] = None,
     brightness: Annotated[
-        str,
+        float | None,
         Option(
-            metavar="auto|0.7", help="Light of wanted white, as a share of that of a white pattern."
+            metavar="0.7",
+            help="Light of wanted white, as a share of that of a white pattern.",
+            show_default="as bright as possible",
         ),
-    ] = "auto",
+    ] = None,
     fit: Annotated[
         Fit,
         Option(help="A picture of another size covers the camera, is seen whole, or is stretched."),
@@ -67,19 +69,12 @@ def compensate(
             help="Display gamma of the picture.", show_default="2.2; 1 for files of floats: EXR"
         ),
     ] = None,
-    exposure: Annotated[
-        float,
-        Option(
-            rich_help_panel=options.RARE,
-            help="Exposure at which clipped camera pixels are counted; T is for exposure 1.",
-        ),
-    ] = 1.0,
     projector_response: Annotated[
         str | None,
         Option(
             metavar="FILE|gamma:2.2|linear",
             help="Light of the projector's grey values, by which the pattern is encoded.",
-            show_default="that of the rig's file, or of T's capture",
+            show_default="that of the rig's file or of T's capture, or gamma:2.2",
         ),
     ] = None,
     green: options.Green = None,
@@ -122,13 +117,12 @@ def compensate(
     It takes into account what light does on its way from surface to surface. Pixels that cannot be
     reached are counted. With a rig, photographs of the pattern correct it.
     """
-    share = _brightness(brightness)
     with_rig = rig is not None or projector is not None or camera is not None
     several = bool(green or blue or beside)
     video = wanted is not None and (wanted.is_dir() or wanted.suffix.lower() in VIDEOS)
     if cancel_global:
         other = several or video or with_rig or refine is not None or live or black or mask
-        if other or projector_mask or share is not None or gamma is not None:
+        if other or projector_mask or brightness is not None or gamma is not None:
             raise InputError(
                 "--cancel-global with options of other compensations",
                 hint="it takes SCENE.zarr and, if not white, a pattern",
@@ -162,7 +156,7 @@ def compensate(
     common: dict[str, Any] = written | {
         "mask": mask,
         "projector_mask": projector_mask,
-        "brightness": share,
+        "brightness": brightness,
         "gamma": gamma,
         "fit": fit.value,
     }
@@ -180,13 +174,13 @@ def compensate(
             common["live"] = _Live(refine, quiet=as_json)
         elif refine is not None:
             common["steps"] = refine
-        with opened, stages() as shown:
+        with opened, Stages() as shown:
             common |= {"keep": rig_file, "settle": settle, "measuring": shown.measured}
             found = lm.refine_compensation(opened, scene, wanted, **common)
     else:
         matrices = [*(options.primaries(scene, green, blue) or (scene,)), *(beside or ())]
         assert wanted is not None
-        found = lm.compensate(matrices, wanted, ambient=black, exposure=exposure, **common)
+        found = lm.compensate(matrices, wanted, ambient=black, **common)
     summary = {"output": output, **found.as_dict()}
     if as_json:
         show_json(summary)
@@ -194,8 +188,12 @@ def compensate(
     _show(summary, cancelled=cancel_global, live=live)
     gamma_shown = summary["projector_gamma"]
     if gamma_shown is None:
+        say("it holds light, for a projector without a gamma")
+    elif summary["projector_gamma_assumed"]:
         say(
-            "it holds light: most projectors need --projector-response gamma:2.2, or a measured one"
+            f"encoded for a projector of gamma {gamma_shown:.2g}, which is assumed: "
+            "`lightmatrix rig response` measures it, --projector-response states it",
+            style="yellow",
         )
     else:
         say(f"encoded for a projector of gamma {gamma_shown:.2g}, by {source}")
@@ -212,15 +210,6 @@ class _Live:
             say(f"photograph {self._count}: {decibels:.1f} dB" + "; Enter ends" * (not self._count))
         self._count += 1
         return not enter_was_pressed() and (self._most is None or self._count <= self._most)
-
-
-def _brightness(text: str) -> float | None:
-    if text == "auto":
-        return None
-    try:
-        return float(text)
-    except ValueError:
-        raise InputError(f"a brightness of {text!r}", hint="write auto, or a number") from None
 
 
 def _show(summary: dict[str, Any], *, cancelled: bool, live: bool) -> None:

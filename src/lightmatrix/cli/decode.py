@@ -5,12 +5,15 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated
 
+from typer import Option
+
 import lightmatrix as lm
 from lightmatrix.cli.claims import claim
-from lightmatrix.cli.options import Json, Overwrite, output_option
+from lightmatrix.cli.options import Json, Overwrite, output_option, size
 from lightmatrix.cli.source import Source, with_source
 from lightmatrix.cli.terminal import progress, say, show_json
 from lightmatrix.files.kinds import CORRESPONDENCE
+from lightmatrix.patterns.codes import find_codes
 
 
 @with_source(crop=False)
@@ -20,6 +23,12 @@ def decode(
     ),
     *,
     source: Source,
+    bin_projector: Annotated[
+        str, Option(metavar="N", help="Projector pixels to a block, such as 2 or 1x2.")
+    ] = "1",
+    check: Annotated[
+        bool, Option("--check/--no-check", help="Refuse photographs that contradict the code.")
+    ] = True,
     overwrite: Overwrite = False,
     as_json: Json = False,
 ) -> None:
@@ -30,11 +39,19 @@ def decode(
     sees, to fractions, with its uncertainty.
     """
     claim(output, CORRESPONDENCE, overwrite=overwrite)
-    capture = source.open()
+    capture = source.open().bin(projector=size(bin_projector))
     with progress("decoding", "samples") as step:
-        matches = lm.decode(capture, output=output, overwrite=overwrite, progress=step)
-    share = float(matches.valid.mean())
+        matches = lm.decode(capture, output=output, overwrite=overwrite, check=check, progress=step)
+    share, known = float(matches.valid.mean()), matches.confidence[matches.valid]
+    contradicted = float((known < 0.5).mean())
+    blocks = [code.block for code in find_codes(capture.patterns).codes]
     if as_json:
-        show_json({"output": output, "camera_shape": matches.valid.shape, "decoded_share": share})
-    else:
-        say(f"{output}: {100 * share:.1f} % of the camera's pixels see the projector")
+        facts = {"camera_shape": matches.valid.shape, "decoded_share": share}
+        show_json({"output": output, **facts, "contradicted_share": contradicted})
+        return
+    say(
+        f"{output}: {100 * share:.1f} % of the camera's pixels see the projector; the photographs "
+        f"contradict the code or the neighbours in {100 * contradicted:.1f} % of them"
+    )
+    if max(blocks) > 1:
+        say(f"the code numbers blocks of {' and '.join(map(str, blocks))} projector pixels")

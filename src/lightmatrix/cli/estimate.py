@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
+import functools
 import time
 from collections.abc import Mapping
 from dataclasses import asdict, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
-import typer
+from typer import Option
 
 import lightmatrix as lm
 from lightmatrix.check.finding import Finding
-from lightmatrix.cli.claims import claim, say_what_is_kept
-from lightmatrix.cli.options import Json, Overwrite, Verbose, size
+from lightmatrix.cli.claims import claim
+from lightmatrix.cli.options import Json, Overwrite, Verbose, described, output_option, refuse, size
 from lightmatrix.cli.source import Source, refuse_unknown_projector, with_source
 from lightmatrix.cli.terminal import as_options, progress, say, show_json, show_table
 from lightmatrix.defaults import ADMM_ITERATIONS, COHERENT_UP_TO, PASSES
@@ -34,195 +35,119 @@ if TYPE_CHECKING:
 # What is written where no other name is given.
 _OUTPUT = Path("scene.zarr")
 
-# Headings of the options in `--help`.
-_SOLVER, _RESOURCES, _REPORT = "How to solve", "Memory and processes", "Check and report"
-
 SolverName = Literal["active-set", "saturation-admm", "admm", "romp"]
 FidelityName = Literal["linear", "one-sided", "clipped", "rejection"]
-Solver = Annotated[
-    SolverName,
-    typer.Option(
-        rich_help_panel=_SOLVER,
+# Options under the headings of `--help-all`.
+_solving = functools.partial(Option, rich_help_panel="How to solve")
+_resource = functools.partial(Option, rich_help_panel="Memory and processes")
+_reporting = functools.partial(Option, rich_help_panel="Check and report")
+
+
+@with_source()
+@described(
+    output=output_option(
+        "The store to write, ending in .zarr. For patterns in colour: a folder of three."
+    ),
+    solver=_solving(
         help="active-set (one-sided, rejection, linear; certifies a duality gap), "
         "saturation-admm (clipped, one-sided, rejection, linear), admm (linear), "
-        "romp (linear, rejection).",
+        "romp (linear, rejection)."
     ),
-]
-FidelityOption = Annotated[
-    FidelityName | None,
-    typer.Option(
-        rich_help_panel=_SOLVER,
+    fidelity=_solving(
         help="How clipped samples count: one-sided (a lower bound, convex), clipped (the paper's "
         "Eq. 6), rejection (left out), linear (at their value).",
         show_default="one-sided; linear for admm, rejection for romp",
     ),
-]
-Regularization = Annotated[
-    str,
-    typer.Option(
-        rich_help_panel=_SOLVER,
-        help="How strongly faint light is suppressed (the paper's lambda). Leave it at auto.",
+    regularization=_solving(
+        help="How strongly faint light is suppressed (the paper's lambda). Leave it at auto."
     ),
-]
-Coherent = Annotated[
-    bool | None,
-    typer.Option(
+    coherent=_solving(
         "--coherent/--no-coherent",
-        rich_help_panel=_SOLVER,
         help="Let camera pixels learn from their neighbours. The default with the active-set "
         f"solver and up to {COHERENT_UP_TO} patterns, unless photographs held out are predicted "
         "better without.",
     ),
-]
-Iterations = Annotated[
-    int | None,
-    typer.Option(
-        rich_help_panel=_SOLVER,
+    iterations=_solving(
         help="Most iterations per row (rounds of romp, passes of active-set).",
         min=1,
         show_default=f"{PASSES}; {ADMM_ITERATIONS} for both ADMMs, "
         "as many as its non-zeros for romp",
     ),
-]
-Signed = Annotated[
-    bool, typer.Option(rich_help_panel=_SOLVER, help="Allow negative light, as the paper does.")
-]
-Background = Annotated[
-    bool,
-    typer.Option(
-        rich_help_panel=_SOLVER,
-        help="Estimate faint light from everywhere, as coarse cells per camera sample.",
+    signed=_solving(help="Allow negative light, as the paper does."),
+    background=_solving(
+        help="Estimate faint light from everywhere, as coarse cells per camera sample."
     ),
-]
-MultiScale = Annotated[
-    bool,
-    typer.Option(
+    multi_scale=_solving(
         "--multi-scale",
-        rich_help_panel=_SOLVER,
         help="Solve for projector blocks first, then for the pixels that matter.",
     ),
-]
-BinProjector = Annotated[
-    str, typer.Option(rich_help_panel=_SOLVER, help="Projector pixels per bin, 8 or 8x8.")
-]
-BinCamera = Annotated[str, typer.Option(help="Camera pixels per bin, 8 or 8x8; averages them.")]
-TileRows = Annotated[
-    int | None,
-    typer.Option(
-        rich_help_panel=_RESOURCES,
-        help="Camera samples to solve at a time.",
-        min=1,
-        show_default="as half a gigabyte holds",
+    bin_projector=_solving(help="Projector pixels per bin, 8 or 8x8."),
+    bin_camera="Camera pixels per bin, 8 or 8x8; averages them.",
+    tile_rows=_resource(
+        help="Camera samples to solve at a time.", min=1, show_default="as half a gigabyte holds"
     ),
-]
-Memory = Annotated[
-    str | None,
-    typer.Option(
-        rich_help_panel=_RESOURCES,
+    memory=_resource(
         help="Most memory to take, such as 4GiB. The estimate solves fewer camera samples at a "
         "time to stay within it, and refuses before it starts if it cannot.",
         show_default="what is free",
     ),
-]
-Workers = Annotated[
-    int | None,
-    typer.Option(
-        rich_help_panel=_RESOURCES,
+    workers=_resource(
         help="Processes on this machine that solve rows. They share its cores and --memory; the "
         "result is the same. Needs the extra cluster.",
         min=1,
         show_default="this one",
     ),
-]
-Cluster = Annotated[
-    str | None,
-    typer.Option(
-        rich_help_panel=_RESOURCES,
+    cluster=_resource(
         metavar="ADDRESS",
         help="Let the workers of a Dask scheduler solve rows, such as tcp://10.0.0.1:8786. All "
         "must see capture and output under the same paths. --memory is per worker.",
     ),
-]
-Correct = Annotated[
-    str,
-    typer.Option(
+    check=_reporting(
+        help="Check the frames first, and refuse images that do not follow the patterns and "
+        "estimates that do not fit into memory."
+    ),
+    correct=_reporting(
         metavar="auto|none|NAME,...",
-        rich_help_panel=_REPORT,
         help="Which faults of the rig to look for in the photographs and to take out of T: all, "
         "none, or some of gain, exposure, ambient, shift, rows, previous, camera-curve, "
         "projector-curve, crosstalk, sharpening, camera-sharpening, dynamic-contrast.",
     ),
-]
-Check = Annotated[
-    bool,
-    typer.Option(
-        rich_help_panel=_REPORT,
-        help="Check the frames first, and refuse images that do not follow the patterns and "
-        "estimates that do not fit into memory.",
+    report=Option(
+        metavar="DIR",
+        help="Write a report too, which tests T on photographs that the estimate has not seen.",
     ),
-]
-
-
-@with_source()
+    viewer=_reporting("--viewer", help="Add the viewer to the report, as viewer.html."),
+    geometry=_reporting(
+        metavar="GEOMETRY.json",
+        help="Where camera and projector stand, for depth and normals in the report: a file of "
+        "`calibrate`.",
+    ),
+    dry_run=_resource("--dry-run", help="Print the memory and time it would take, and stop."),
+)
 def estimate(
-    output: Annotated[
-        Path,
-        typer.Option(
-            "-o",
-            "--output",
-            help="The store to write, ending in .zarr. For patterns in colour: a folder of three.",
-        ),
-    ] = _OUTPUT,
+    output: Path = _OUTPUT,
     *,
     source: Source,
-    solver: Solver = "active-set",
-    fidelity: FidelityOption = None,
-    regularization: Regularization = "auto",
-    coherent: Coherent = None,
-    iterations: Iterations = None,
-    signed: Signed = False,
-    background: Background = True,
-    multi_scale: MultiScale = False,
-    bin_projector: BinProjector = "1",
-    bin_camera: BinCamera = "1",
-    tile_rows: TileRows = None,
-    memory: Memory = None,
-    workers: Workers = None,
-    cluster: Cluster = None,
-    check: Check = True,
-    correct: Correct = "auto",
-    report: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="DIR",
-            help="Write a report too, which tests T on photographs that the estimate has not seen.",
-        ),
-    ] = None,
-    viewer: Annotated[
-        bool,
-        typer.Option(
-            "--viewer",
-            rich_help_panel=_REPORT,
-            help="Add the viewer to the report, as viewer.html.",
-        ),
-    ] = False,
-    geometry: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="RIG.json",
-            rich_help_panel=_REPORT,
-            help="Where camera and projector stand, for depth and normals in the report: a file of "
-            "`calibrate`.",
-        ),
-    ] = None,
-    dry_run: Annotated[
-        bool,
-        typer.Option(
-            "--dry-run",
-            rich_help_panel=_RESOURCES,
-            help="Print the memory and time it would take, and stop.",
-        ),
-    ] = False,
+    solver: SolverName = "active-set",
+    fidelity: FidelityName | None = None,
+    regularization: str = "auto",
+    coherent: bool | None = None,
+    iterations: int | None = None,
+    signed: bool = False,
+    background: bool = True,
+    multi_scale: bool = False,
+    bin_projector: str = "1",
+    bin_camera: str = "1",
+    tile_rows: int | None = None,
+    memory: str | None = None,
+    workers: int | None = None,
+    cluster: str | None = None,
+    check: bool = True,
+    correct: str = "auto",
+    report: Path | None = None,
+    viewer: bool = False,
+    geometry: Path | None = None,
+    dry_run: bool = False,
     verbose: Verbose = False,
     overwrite: Overwrite = False,
     as_json: Json = False,
@@ -265,7 +190,7 @@ def estimate(
     else:
         _check_report(output, report, viewer, geometry)
         if not dry_run:
-            claim(output, STORE, overwrite=overwrite)
+            claim(output, STORE, overwrite=overwrite, parts="tiles")
             if report is not None:
                 claim(report, REPORT, overwrite=overwrite)
     capture = capture.bin(projector=size(bin_projector), camera=size(bin_camera))
@@ -277,7 +202,6 @@ def estimate(
     if dry_run:
         _show_resources(lm.estimate_resources(capture, settings), as_json)
         return
-    say_what_is_kept(output, "tiles", enough=not as_json and report is None)
     transport = lm.estimate(
         capture,
         **asdict(settings),
@@ -327,14 +251,9 @@ def estimate(
 def _refuse_settings(settings: EstimateSettings, others: Mapping[str, object]) -> None:
     """Refuse what is set of an estimate in colour, which has no settings, and `others`, by name."""
     usual = asdict(lm.EstimateSettings(coherent=settings.coherent or None))
-    given = [name for name, value in asdict(settings).items() if value != usual[name]]
-    given += [name for name, value in others.items() if value]
-    if given:
-        options = ", ".join(f"--{name.replace('_', '-')}" for name in given)
-        raise InputError(
-            f"{options} for patterns in colour",
-            hint="leave it out: their estimate has no such option",
-        )
+    changed = {name: value != usual[name] for name, value in asdict(settings).items()}
+    named = {f"--{name.replace('_', '-')}": value for name, value in {**changed, **others}.items()}
+    refuse(named, "patterns in colour")
 
 
 def _check_report(output: Path, report: Path | None, viewer: bool, geometry: Path | None) -> None:

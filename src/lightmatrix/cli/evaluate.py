@@ -3,33 +3,26 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
-
-from typer import Option
 
 import lightmatrix as lm
-from lightmatrix.cli.options import Blue, Green, Json, Store, primaries
+from lightmatrix.cli.options import Blue, Green, Json, Store, described, primaries
 from lightmatrix.cli.terminal import progress, show_json, show_table
 from lightmatrix.files.colours import COLOURS, holds_colour
 from lightmatrix.reprs import labelled
 
 
+@described(
+    truth="T.npz from `render` or `export`, a simulated capture, or a scene; with --green "
+    "and --blue a folder with the captures red, green and blue; for the folder of a colour "
+    "projector's T its simulated capture.",
+    exposure="Exposure of the capture; decides which rows clip under one projector pixel.",
+)
 def evaluate(
     scene: Store,
-    truth: Annotated[
-        str,
-        Option(
-            help="T.npz from `render` or `export`, a simulated capture, or a scene; with --green "
-            "and --blue a folder with the captures red, green and blue; for the folder of a colour "
-            "projector's T its simulated capture."
-        ),
-    ],
+    truth: str,
     green: Green = None,
     blue: Blue = None,
-    exposure: Annotated[
-        float,
-        Option(help="Exposure of the capture; decides which rows clip under one projector pixel."),
-    ] = 1.0,
+    exposure: float = 1.0,
     as_json: Json = False,
 ) -> None:
     """Compare an estimate with the true T.

@@ -12,6 +12,15 @@ _USUAL = ("Arguments", "Options")
 # What a reader writes for a type, as the help names it.
 _WORDS = {"int": "N", "int range": "N", "float": "X", "float range": "X", "str": "TEXT"}
 _WORDS |= {"path": "PATH", "list[Path]": "PATH"}
+# What the values of options that are text look like, the same for all commands.
+_VALUES = dict.fromkeys(("--size", "--camera-size", "--projector-size", "--block"), "ROWSxCOLS")
+_VALUES |= dict.fromkeys(("--response", "--projector-response"), "NAME|FILE")
+_VALUES |= dict.fromkeys(("--bin-camera", "--bin-projector"), "N|NxN")
+_VALUES |= dict.fromkeys(("--projector", "--camera"), "ADDRESS")
+_VALUES |= dict.fromkeys(("--memory", "--page-memory"), "SIZE")
+_VALUES |= dict.fromkeys(("--exposure", "--levels", "--clip", "--black-level"), "X,...")
+_VALUES |= {"--black": "FILE|LEVEL", "--regularization": "auto|X", "--mix": "CELLS:SHARE,..."}
+_VALUES |= {"--truth": "T.npz|CAPTURE|SCENE"}
 
 
 class Command(TyperCommand):
@@ -36,6 +45,9 @@ def help_sections(command: TyperCommand, context: Any) -> dict[str, list[tuple[s
         if record is not None:
             words, meaning = record
             words = re.sub("<([^<>]*)>", lambda found: _WORDS.get(found[1], found[1]), words)
+            words = re.sub(
+                r"(--\S+) TEXT$", lambda it: f"{it[1]} {_VALUES.get(it[1], 'TEXT')}", words
+            )
             # Limits are left to the messages; and Typer puts a default that is text into brackets.
             meaning = re.sub(r"(; |\[)[^\]\[;]*x[<>]=?[^\]\[;]*\]$", r"\1]", meaning)
             meaning = meaning.replace("; ]", "]").removesuffix("[]").rstrip()

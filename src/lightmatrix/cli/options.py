@@ -2,19 +2,45 @@
 
 from __future__ import annotations
 
+import inspect
 import re
+from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, TypeVar
 
 from typer import Argument, Option
 
 from lightmatrix import defaults
 from lightmatrix.errors import InputError
 
+_Command = TypeVar("_Command", bound=Callable[..., Any])
+
 
 def output_option(help: str) -> Any:
     """The option that names what a command writes, which `help` describes."""
     return Option("-o", "--output", help=help)
+
+
+def described(**options: Any) -> Callable[[_Command], _Command]:
+    """Give parameters of a command their help: a text, or the `Option` that holds it.
+
+    Typer takes `bits: Annotated[int, Option(help="Bit depth.")] = 8`. This makes it of the
+    parameter `bits: int = 8` and `described(bits="Bit depth.")`, so that signatures stay short.
+    """
+
+    def decorate(command: _Command) -> _Command:
+        signature = inspect.signature(command, eval_str=True)
+        parameters = dict(signature.parameters)
+        for name, each in options.items():
+            option = Option(help=each) if isinstance(each, str) else each
+            kind: Any = Annotated[parameters[name].annotation, option]
+            parameters[name] = parameters[name].replace(annotation=kind)
+        signature = signature.replace(parameters=[*parameters.values()])
+        command.__signature__ = signature  # type: ignore[attr-defined]
+        command.__annotations__ = {name: each.annotation for name, each in parameters.items()}
+        return command
+
+    return decorate
 
 
 Overwrite = Annotated[bool, Option("--overwrite", help="Replace an output that exists.")]
@@ -67,6 +93,13 @@ USUAL_SIZE = "x".join(map(str, defaults.USUAL_SIZE))
 USUAL_PAGE_MEMORY = f"{defaults.PAGE_BYTES >> 20}MiB"
 # Numbers of pixels fit into 32 bits.
 MOST_PIXELS = 2**31 - 1
+
+
+def refuse(options: Mapping[str, object], what: str) -> None:
+    """Raise InputError if any of some options, by name, has a value, as `what` has none."""
+    given = [name for name, value in options.items() if value not in (None, False)]
+    if given:
+        raise InputError(f"{', '.join(given)} for {what}", hint="leave it out")
 
 
 def size(text: str) -> tuple[int, int]:

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 Kind = Literal[
     "bernoulli", "hadamard", "onepixel", "blocks", "mix", "graycode", "phase", "microphase"
 ]
-Colour = Literal["red", "green", "blue", "rgb"]
+Primary = Literal["red", "green", "blue", "rgb"]
 Order = Literal["natural", "sequency", "random"]
 
 
@@ -56,8 +56,8 @@ def patterns(
         float | None,
         Option(help="Phase and microphase: projector pixels of a period.", show_default="8 and 16"),
     ] = None,
-    colour: Annotated[
-        Colour | None,
+    primary: Annotated[
+        Primary | None,
         Option(
             help="Primary of a colour projector; or rgb: Bernoulli patterns in all of them, each "
             "by itself.",
@@ -67,7 +67,7 @@ def patterns(
     grey: Annotated[
         int | None,
         Option(
-            help="--colour rgb: how many of the patterns are grey.",
+            help="--primary rgb: how many of the patterns are grey.",
             show_default="half, at most 16",
             min=0,
         ),
@@ -80,13 +80,13 @@ def patterns(
     claim(output, PATTERNS, overwrite=overwrite)
     if mix is not None and kind != "mix":
         raise InputError(f"--mix for {kind} patterns", hint="write `lightmatrix patterns mix`")
-    in_colour = colour == "rgb"
+    in_colour = primary == "rgb"
     if in_colour and kind != "bernoulli":
         raise InputError(
-            f"{kind} patterns in rgb", hint="write `lightmatrix patterns bernoulli --colour rgb`"
+            f"{kind} patterns in rgb", hint="write `lightmatrix patterns bernoulli --primary rgb`"
         )
     if grey is not None and not in_colour:
-        raise InputError("--grey without --colour rgb", hint="all of these patterns are grey")
+        raise InputError("--grey without --primary rgb", hint="all of these patterns are grey")
     made: PatternSet
     if in_colour:
         number = USUAL_COUNT if count is None else count
@@ -105,10 +105,12 @@ def patterns(
             period=period,
             seed=seed,
         )
-    lm.write_patterns(output, made, colour=None if in_colour else colour, overwrite=overwrite)
+    lm.write_patterns(output, made, colour=None if in_colour else primary, overwrite=overwrite)
     result = {**made.description, "count": made.count, "digest": made.digest, "output": output}
     if as_json:
         show_json(result)
     else:
         rows, cols = size(shape)
         say(f"{made.count} patterns ({kind}) of {rows} x {cols} pixels in {output}")
+        if rows > cols:
+            say(f"rows come first: they are for a projector in portrait, {cols} pixels wide")

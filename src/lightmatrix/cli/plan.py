@@ -3,63 +3,60 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
 
 from typer import Argument, Option
 
 import lightmatrix as lm
-from lightmatrix.cli.options import USUAL_SIZE, Clip, Json, Overwrite, ResponseCurve, size
+from lightmatrix.cli.options import (
+    USUAL_SIZE,
+    Clip,
+    Json,
+    Overwrite,
+    ResponseCurve,
+    described,
+    size,
+)
 from lightmatrix.cli.source import level_or_file
 from lightmatrix.cli.terminal import progress, say, show_columns, show_json
 from lightmatrix.defaults import FEWEST_MIXED, USUAL_NOISE
 
 
+@described(
+    source=Argument(
+        metavar="WHITE_FRAME|SCENE|T.npz",
+        help="Photograph under a white pattern; or a scene or a truth file to simulate.",
+    ),
+    shape=Option("--size", help="Rows x columns of the projector.", show_default=USUAL_SIZE),
+    frames=Option(
+        "-k", "--count", help="Number of patterns.", show_default="as --error needs", min=2
+    ),
+    error="Relative error of T to aim for; decides the number of frames.",
+    noise="Noise of a sample, as a share of the clip level.",
+    exposure=Option(
+        help="Exposure of the white frame, in any unit; the advice uses the same unit.",
+        show_default="1",
+    ),
+    shortest="Shortest exposure of the camera, in the same unit.",
+    black="Photograph under a black pattern, or the black level.",
+    output=Option(
+        "-o",
+        "--output",
+        help="Capture folder to write: patterns/, and capture.json with the exposure of each "
+        "frame. It lacks your photographs, images/.",
+    ),
+)
 def plan(
-    source: Annotated[
-        str,
-        Argument(
-            metavar="WHITE_FRAME|SCENE|T.npz",
-            help="Photograph under a white pattern; or a scene or a truth file to simulate.",
-        ),
-    ],
-    shape: Annotated[
-        str | None,
-        Option("--size", help="Rows x columns of the projector.", show_default=USUAL_SIZE),
-    ] = None,
-    frames: Annotated[
-        int | None,
-        Option("-k", "--count", help="Number of frames; otherwise --error decides.", min=2),
-    ] = None,
-    error: Annotated[
-        float, Option(help="Relative error of T to aim for; decides the number of frames.")
-    ] = 0.03,
-    noise: Annotated[
-        float, Option(help="Noise of a sample, as a share of the clip level.")
-    ] = USUAL_NOISE,
-    exposure: Annotated[
-        float | None,
-        Option(
-            help="Exposure of the white frame, in any unit; the advice uses the same unit.",
-            show_default="1",
-        ),
-    ] = None,
-    shortest: Annotated[
-        float | None, Option(help="Shortest exposure of the camera, in the same unit.")
-    ] = None,
-    black: Annotated[
-        str | None, Option(help="Photograph under a black pattern, or the black level.")
-    ] = None,
+    source: str,
+    shape: str | None = None,
+    frames: int | None = None,
+    error: float = 0.03,
+    noise: float = USUAL_NOISE,
+    exposure: float | None = None,
+    shortest: float | None = None,
+    black: str | None = None,
     clip: Clip = None,
     response: ResponseCurve = None,
-    output: Annotated[
-        Path | None,
-        Option(
-            "-o",
-            "--output",
-            help="Capture folder to write: patterns/, and capture.json with the exposure of each "
-            "frame. It lacks your photographs, images/.",
-        ),
-    ] = None,
+    output: Path | None = None,
     overwrite: Overwrite = False,
     as_json: Json = False,
 ) -> None:

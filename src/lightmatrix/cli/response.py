@@ -3,60 +3,50 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
 
 from typer import Argument, Option
 
 import lightmatrix as lm
-from lightmatrix.cli.options import Json, Overwrite, ResponseCurve, output_option
+from lightmatrix.cli.options import Json, Overwrite, ResponseCurve, described, output_option, refuse
 from lightmatrix.cli.source import level_or_file, numbers
 from lightmatrix.cli.terminal import say, show_json
-from lightmatrix.errors import InputError
 
 
+@described(
+    photographs=Argument(
+        metavar="PHOTOS",
+        help="One scene at several exposures: a folder, or a stack (TIFF, npy, npz).",
+    ),
+    output=output_option("The curve to write: .json."),
+    picture="A picture of the curve to write: .png.",
+    exposure=Option(
+        help="Exposure of each photograph, in any unit: 1,2,4 or a text file of them.",
+        show_default="as the camera wrote it into JPEG and TIFF files",
+    ),
+    black=Option(
+        help="Photograph with the cap on, or the raw level without light.", show_default="0"
+    ),
+    clip=Option(
+        help="Raw level at which the camera clips.", show_default="255, 65535, or 1 for float"
+    ),
+    projector=Option(
+        "--projector",
+        help="The projector's curve: each photograph of another grey value, at one exposure.",
+    ),
+    levels=Option(
+        help="The projector's grey values: 0,16,32,...,255 or a text file of them.",
+        show_default="evenly from 0 to 255",
+    ),
+)
 def response(
-    photographs: Annotated[
-        Path,
-        Argument(
-            metavar="PHOTOS",
-            help="One scene at several exposures: a folder, or a stack (TIFF, npy, npz).",
-        ),
-    ],
-    output: Annotated[Path, output_option("The curve to write: .json.")],
-    picture: Annotated[Path | None, Option(help="A picture of the curve to write: .png.")] = None,
-    exposure: Annotated[
-        str | None,
-        Option(
-            help="Exposure of each photograph, in any unit: 1,2,4 or a text file of them.",
-            show_default="as the camera wrote it into JPEG and TIFF files",
-        ),
-    ] = None,
-    black: Annotated[
-        str | None,
-        Option(
-            help="Photograph with the cap on, or the raw level without light.", show_default="0"
-        ),
-    ] = None,
-    clip: Annotated[
-        float | None,
-        Option(
-            help="Raw level at which the camera clips.", show_default="255, 65535, or 1 for float"
-        ),
-    ] = None,
-    projector: Annotated[
-        bool,
-        Option(
-            "--projector",
-            help="The projector's curve: each photograph of another grey value, at one exposure.",
-        ),
-    ] = False,
-    levels: Annotated[
-        str | None,
-        Option(
-            help="The projector's grey values: 0,16,32,...,255 or a text file of them.",
-            show_default="evenly from 0 to 255",
-        ),
-    ] = None,
+    photographs: Path,
+    output: Path,
+    picture: Path | None = None,
+    exposure: str | None = None,
+    black: str | None = None,
+    clip: float | None = None,
+    projector: bool = False,
+    levels: str | None = None,
     camera: ResponseCurve = None,
     overwrite: Overwrite = False,
     as_json: Json = False,
@@ -69,7 +59,7 @@ def response(
     exposure (--response is the camera's curve), and use the result as --projector-response.
     """
     if projector:
-        _refuse("--projector", {"--exposure": exposure, "--black": black})
+        refuse({"--exposure": exposure, "--black": black}, "a projector's curve")
         grey = None if levels is None else numbers(levels, "--levels")
         ramp = lm.projector_response(
             photographs,
@@ -86,7 +76,7 @@ def response(
         say(f"{output}: the projector's gamma is about {ramp.gamma:.2f}")
         say(f"use it with: lightmatrix estimate ... --projector-response {output}")
         return
-    _refuse("a camera's curve", {"--levels": levels, "--response": camera})
+    refuse({"--levels": levels, "--response": camera}, "a camera's curve")
     measured = lm.camera_response(
         photographs,
         None if exposure is None else numbers(exposure, "--exposure"),
@@ -118,10 +108,3 @@ def response(
             style="yellow",
         )
     say(f"use it with: lightmatrix estimate ... --response {output}")
-
-
-def _refuse(what: str, options: dict[str, str | None]) -> None:
-    unfit = [name for name, value in options.items() if value is not None]
-    if unfit:
-        hint = "leave it out" if what == "--projector" else "add --projector, or leave it out"
-        raise InputError(f"{unfit[0]} does not go with {what}", hint=hint)

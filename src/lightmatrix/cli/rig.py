@@ -19,7 +19,7 @@ from lightmatrix.cli.options import (
     RigFile,
     RigName,
 )
-from lightmatrix.cli.terminal import say, show_json, stages
+from lightmatrix.cli.terminal import Stages, say, show_json
 from lightmatrix.defaults import RIG_FILE, USUAL_PATIENCE
 
 app = typer.Typer(
@@ -35,7 +35,9 @@ def list_(as_json: Json = False) -> None:
     """List projectors and cameras, and what is not installed."""
     back_ends = lm.list_devices()
     if as_json:
-        show_json({"back_ends": [asdict(back) for back in back_ends]})
+        calls = ("open", "find")
+        listed = [{k: v for k, v in asdict(b).items() if k not in calls} for b in back_ends]
+        show_json({"back_ends": listed})
         return
     for role in ("projector", "camera"):
         say(f"{role}s")
@@ -46,7 +48,7 @@ def list_(as_json: Json = False) -> None:
             if back.problem:
                 say(f"             {back.problem}", style="yellow")
                 say(f"             {back.hint}")
-            elif back.finds and not back.found:
+            elif back.find is not None and not back.found:
                 say("             none is found")
 
 
@@ -101,14 +103,22 @@ def _add_command(part: str) -> None:
                 show_default="as measured",
             ),
         ] = None,
+        response: Annotated[
+            str, typer.Option(help="Response of the camera: linear, gamma:2.2, srgb, FILE.")
+        ] = "linear",
         patience: Patience = USUAL_PATIENCE,
         rig_file: RigFile = Path(RIG_FILE),
         as_json: Json = False,
     ) -> None:
         opened = lm.open_rig(rig, projector=projector, camera=camera, patience=patience)
-        with opened, stages() as shown:
+        with opened, Stages() as shown:
             known = lm.measure_rig(
-                opened, [part], keep=rig_file, settle=settle, progress=shown.measured
+                opened,
+                [part],
+                keep=rig_file,
+                settle=settle,
+                response=response,
+                progress=shown.measured,
             )
         measured: dict[str, Any] = known.as_dict()[part]
         if as_json:

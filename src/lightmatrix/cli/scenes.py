@@ -10,8 +10,8 @@ from lightmatrix.cli.terminal import say, show_json
 def scenes(as_json: Json = False) -> None:
     """List the scenes that can be simulated.
 
-    Four scenes come with the package at 64x64. Other sizes, and translucent, wall and vase,
-    are rendered on first use and kept, which needs the extra `render`.
+    Four scenes come with the package at 64x64. Other sizes, and translucent, wall, vase and
+    mirror_balls, are rendered on first use and kept, which needs the extra `render`.
     """
     listed = lm.scenes()
     if as_json:

@@ -3,67 +3,56 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
 
 from typer import Option
 
 import lightmatrix as lm
-from lightmatrix.cli.options import Json, Overwrite, Store, output_option
+from lightmatrix.cli.options import Json, Overwrite, Store, described, output_option
 from lightmatrix.cli.terminal import say, show_json
 from lightmatrix.errors import InputError
 
 
+@described(
+    output=output_option(
+        "A picture (.png), or numbers (.npz; .tiff, .exr and .npy for one image)."
+    ),
+    row=Option(metavar="R,C", help="Row of T: where the light at camera pixel R,C comes from."),
+    column=Option(metavar="R,C", help="Column of T: where the light of projector pixel R,C goes."),
+    dual=Option("--dual", help="The scene as seen from the projector."),
+    correspondence=Option(
+        "--correspondence", help="The projector pixel that each camera pixel sees most."
+    ),
+    spectrum=Option("--spectrum", help="Singular values: how low the rank of the light is."),
+    clipping=Option("--clipping", help="Share of clipped samples of each camera pixel."),
+    gap=Option("--gap", help="Duality gap of each row."),
+    footprint=Option("--footprint", help="Size of each footprint on the projector."),
+    estimated_error=Option("--estimated-error", help="Estimated error of each row."),
+    depth=Option("--depth", help="Depth of the surface; needs --geometry."),
+    normals=Option("--normals", help="Normals of the surface; needs --geometry."),
+    geometry=Option(
+        metavar="GEOMETRY.json",
+        help="Where camera and projector stand, for depth and normals: a file of `calibrate`.",
+    ),
+    raw=Option(
+        "--raw", help="Correspondence as a 16-bit PNG with column, row and confidence as RGB."
+    ),
+)
 def show(
     scene: Store,
-    output: Annotated[
-        Path,
-        output_option("A picture (.png), or numbers (.npz; .tiff, .exr and .npy for one image)."),
-    ],
-    row: Annotated[
-        str | None,
-        Option(metavar="R,C", help="Row of T: where the light at camera pixel R,C comes from."),
-    ] = None,
-    column: Annotated[
-        str | None,
-        Option(metavar="R,C", help="Column of T: where the light of projector pixel R,C goes."),
-    ] = None,
-    dual: Annotated[bool, Option("--dual", help="The scene as seen from the projector.")] = False,
-    correspondence: Annotated[
-        bool,
-        Option("--correspondence", help="The projector pixel that each camera pixel sees most."),
-    ] = False,
-    spectrum: Annotated[
-        bool, Option("--spectrum", help="Singular values: how low the rank of the light is.")
-    ] = False,
-    clipping: Annotated[
-        bool, Option("--clipping", help="Share of clipped samples of each camera pixel.")
-    ] = False,
-    gap: Annotated[bool, Option("--gap", help="Duality gap of each row.")] = False,
-    footprint: Annotated[
-        bool, Option("--footprint", help="Size of each footprint on the projector.")
-    ] = False,
-    estimated_error: Annotated[
-        bool, Option("--estimated-error", help="Estimated error of each row.")
-    ] = False,
-    depth: Annotated[
-        bool, Option("--depth", help="Depth of the surface; needs --geometry.")
-    ] = False,
-    normals: Annotated[
-        bool, Option("--normals", help="Normals of the surface; needs --geometry.")
-    ] = False,
-    geometry: Annotated[
-        Path | None,
-        Option(
-            metavar="RIG.json",
-            help="Where camera and projector stand, for depth and normals: a file of `calibrate`.",
-        ),
-    ] = None,
-    raw: Annotated[
-        bool,
-        Option(
-            "--raw", help="Correspondence as a 16-bit PNG with column, row and confidence as RGB."
-        ),
-    ] = False,
+    output: Path,
+    row: str | None = None,
+    column: str | None = None,
+    dual: bool = False,
+    correspondence: bool = False,
+    spectrum: bool = False,
+    clipping: bool = False,
+    gap: bool = False,
+    footprint: bool = False,
+    estimated_error: bool = False,
+    depth: bool = False,
+    normals: bool = False,
+    geometry: Path | None = None,
+    raw: bool = False,
     overwrite: Overwrite = False,
     as_json: Json = False,
 ) -> None:

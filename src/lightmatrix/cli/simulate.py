@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import typer
 
 import lightmatrix as lm
 from lightmatrix.cli.claims import claim
-from lightmatrix.cli.options import USUAL_SIZE, Json, Overwrite, Seed, size
+from lightmatrix.cli.options import USUAL_SIZE, Json, Overwrite, Seed, described, refuse, size
 from lightmatrix.cli.terminal import progress, say, show_json
 from lightmatrix.defaults import EXPOSURES_EXAMPLE, PROCEDURAL, USUAL_COUNT, USUAL_NOISE
 from lightmatrix.errors import InputError
@@ -21,81 +20,58 @@ if TYPE_CHECKING:
     from lightmatrix import PatternSet
 
 
+@described(
+    scene=typer.Argument(
+        metavar="SCENE|T.npz|procedural", help="A scene, a truth file, or a procedural scene."
+    ),
+    output=typer.Option(
+        "-o", "--output", help="Capture folder to write; a packed capture if it ends in .zarr."
+    ),
+    pattern_folder=typer.Option("--patterns", help="Folder made by `lightmatrix patterns`."),
+    camera=typer.Option("--camera-size", help="procedural: camera pixels, such as 1024x1024."),
+    projector=typer.Option("--size", help="procedural: projector pixels, such as 768x1024."),
+    count=typer.Option(
+        "-k", "--count", help="procedural: number of random patterns, in place of --patterns."
+    ),
+    exposure="Exposure e in sample = min(1, e T p); or several with their shares of the "
+    f"frames, {EXPOSURES_EXAMPLE}.",
+    bits="Bit depth: 8, 10, 12 or 16.",
+    noise="Read noise, standard deviation as a share of the clip level.",
+    shot_noise="Shot noise at the clip level, standard deviation as a share of it.",
+    black=typer.Option("--black-level", help="Raw level without light."),
+    blur="Defocus of the projector, standard deviation in pixels.",
+    leak="Light of a black projector pixel, as a share of a white one.",
+    ambient="Room light, as a share of the mean white image.",
+    vignetting="Share of the light lost in the camera's corners.",
+    primary=typer.Option(
+        help="Primary of a colour projector that shows the patterns; the camera then has "
+        "three channels.",
+        show_default="white",
+    ),
+    fault=typer.Option(
+        metavar="NAME=AMOUNT",
+        help="Something that the rig does wrong, such as shake=0.1 (camera pixels). Repeat it "
+        "for several; an unknown name lists all.",
+    ),
+)
 def simulate(
-    scene: Annotated[
-        str,
-        typer.Argument(
-            metavar="SCENE|T.npz|procedural", help="A scene, a truth file, or a procedural scene."
-        ),
-    ],
-    output: Annotated[
-        Path,
-        typer.Option(
-            "-o", "--output", help="Capture folder to write; a packed capture if it ends in .zarr."
-        ),
-    ],
-    pattern_folder: Annotated[
-        Path | None, typer.Option("--patterns", help="Folder made by `lightmatrix patterns`.")
-    ] = None,
-    camera: Annotated[
-        str | None,
-        typer.Option("--camera-size", help="procedural: camera pixels, such as 1024x1024."),
-    ] = None,
-    projector: Annotated[
-        str | None,
-        typer.Option("--size", help="procedural: projector pixels, such as 768x1024."),
-    ] = None,
-    count: Annotated[
-        int | None,
-        typer.Option(
-            "-k", "--count", help="procedural: number of random patterns, in place of --patterns."
-        ),
-    ] = None,
-    exposure: Annotated[
-        str,
-        typer.Option(
-            help="Exposure e in sample = min(1, e T p); or several with their shares of the "
-            f"frames, {EXPOSURES_EXAMPLE}."
-        ),
-    ] = "0.8",
-    bits: Annotated[int, typer.Option(help="Bit depth: 8, 10, 12 or 16.")] = 8,
-    noise: Annotated[
-        float, typer.Option(help="Read noise, standard deviation as a share of the clip level.")
-    ] = USUAL_NOISE,
-    shot_noise: Annotated[
-        float,
-        typer.Option(help="Shot noise at the clip level, standard deviation as a share of it."),
-    ] = 0.0,
-    black: Annotated[float, typer.Option("--black-level", help="Raw level without light.")] = 0.0,
-    blur: Annotated[
-        float, typer.Option(help="Defocus of the projector, standard deviation in pixels.")
-    ] = 0.0,
-    leak: Annotated[
-        float, typer.Option(help="Light of a black projector pixel, as a share of a white one.")
-    ] = 0.0,
-    ambient: Annotated[
-        float, typer.Option(help="Room light, as a share of the mean white image.")
-    ] = 0.0,
-    vignetting: Annotated[
-        float, typer.Option(help="Share of the light lost in the camera's corners.")
-    ] = 0.0,
-    primary: Annotated[
-        Literal["red", "green", "blue"] | None,
-        typer.Option(
-            "--colour",
-            help="Primary of a colour projector that shows the patterns; the camera then has "
-            "three channels.",
-            show_default="white",
-        ),
-    ] = None,
-    fault: Annotated[
-        list[str] | None,
-        typer.Option(
-            metavar="NAME=AMOUNT",
-            help="Something that the rig does wrong, such as shake=0.1 (camera pixels). Repeat it "
-            "for several; an unknown name lists all.",
-        ),
-    ] = None,
+    scene: str,
+    output: Path,
+    pattern_folder: Path | None = None,
+    camera: str | None = None,
+    projector: str | None = None,
+    count: int | None = None,
+    exposure: str = "0.8",
+    bits: int = 8,
+    noise: float = USUAL_NOISE,
+    shot_noise: float = 0.0,
+    black: float = 0.0,
+    blur: float = 0.0,
+    leak: float = 0.0,
+    ambient: float = 0.0,
+    vignetting: float = 0.0,
+    primary: Literal["red", "green", "blue"] | None = None,
+    fault: list[str] | None = None,
     seed: Seed = 0,
     overwrite: Overwrite = False,
     as_json: Json = False,
@@ -123,7 +99,7 @@ def simulate(
             truth = lm.ProceduralScene(camera_shape, patterns.shape, seed).truth()
             capture = lm.simulate(truth, patterns, progress=report, **common, **rig)
         else:
-            _refuse({"--camera-size": camera, "--size": projector, "-k": count}, scene)
+            refuse({"--camera-size": camera, "--size": projector, "-k": count}, scene)
             if pattern_folder is None:
                 raise InputError("--patterns is missing", hint="make some: lightmatrix patterns")
             capture = lm.simulate(scene, pattern_folder, progress=report, **common, **rig)
@@ -166,15 +142,5 @@ def _patterns(
         return lm.BernoulliPatterns(
             size(projector or USUAL_SIZE), USUAL_COUNT if count is None else count, seed=seed
         )
-    _refuse({"--size": projector, "-k": count}, "patterns of a folder")
+    refuse({"--size": projector, "-k": count}, "patterns of a folder")
     return lm.read_patterns(folder)
-
-
-def _refuse(options: Mapping[str, object], scene: str) -> None:
-    """Raise InputError if any of these options has a value."""
-    present = [name for name, value in options.items() if value is not None]
-    if present:
-        raise InputError(
-            f"{', '.join(present)} for {scene}",
-            hint="leave it out; lightmatrix simulate --help says which options go together",
-        )

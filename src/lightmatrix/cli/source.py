@@ -9,12 +9,12 @@ import re
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Any
 
 from typer import Argument, Option
 
 import lightmatrix as lm
-from lightmatrix.cli.options import AUTO, FIND_HELP
+from lightmatrix.cli.options import AUTO, FIND_HELP, described
 from lightmatrix.errors import InputError
 from lightmatrix.files.reading import read_text
 
@@ -117,78 +117,64 @@ def with_source(*, crop: bool = True) -> Callable[[Callable[..., None]], Callabl
     return decorate
 
 
+@described(
+    capture=Argument(
+        metavar="CAPTURE",
+        help="A capture folder (patterns/, images/, capture.json); or the patterns.",
+    ),
+    photographs=Argument(
+        metavar="IMAGES", help="The photographs, if the first argument is the patterns."
+    ),
+    patterns="Pattern images: a folder, or a stack (TIFF, npy, npz).",
+    images="Photographs in the same order: a folder, or a stack.",
+    black="Photograph under a black pattern, or of ambient light; or a black level.",
+    black_exposure=_reading(help="Exposure of the black frame.", show_default="that of the frames"),
+    white=_reading(help="Photograph under a white pattern; used as one more sample."),
+    mask=_reading(help="Image; pixels at 0 are left out."),
+    black_level=_reading(help=f"Raw level without any light: {_EACH}.", show_default="0"),
+    clip=_reading(
+        help=f"Raw level at which samples clip: {_EACH}; or auto (where samples pile up).",
+        show_default="255, 65535, or 1 for float",
+    ),
+    full_scale=_reading(
+        help="Raw level that the response calls 1.", show_default="end of the range"
+    ),
+    response=Option(help=FIND_HELP, show_default="linear"),
+    projector_response=_reading(
+        help="Light of the patterns' grey values, from `response --projector`; or auto "
+        "(`estimate` finds a gamma, of random grey patterns).",
+        show_default="linear",
+    ),
+    exposure=_reading(
+        help=f"Exposure, in any unit: {_EACH}. T is for exposure 1.", show_default="1"
+    ),
+    crop=_reading(
+        metavar="ROW,COL:ROWSxCOLS",
+        help="First pixel and size of the rectangle to use, such as 400,600:768x1024.",
+        show_default="all",
+    ),
+    mosaic=_reading(
+        "--mosaic",
+        help="Raw camera files: one sample for each pixel, without interpolating colours.",
+    ),
+)
 def read_source(
-    capture: Annotated[
-        Path | None,
-        Argument(
-            metavar="CAPTURE",
-            help="A capture folder (patterns/, images/, capture.json); or the patterns.",
-        ),
-    ] = None,
-    photographs: Annotated[
-        Path | None,
-        Argument(metavar="IMAGES", help="The photographs, if the first argument is the patterns."),
-    ] = None,
-    patterns: Annotated[
-        Path | None, Option(help="Pattern images: a folder, or a stack (TIFF, npy, npz).")
-    ] = None,
-    images: Annotated[
-        Path | None, Option(help="Photographs in the same order: a folder, or a stack.")
-    ] = None,
-    black: Annotated[
-        str | None,
-        Option(help="Photograph under a black pattern, or of ambient light; or a black level."),
-    ] = None,
-    black_exposure: Annotated[
-        float | None,
-        _reading(help="Exposure of the black frame.", show_default="that of the frames"),
-    ] = None,
-    white: Annotated[
-        Path | None, _reading(help="Photograph under a white pattern; used as one more sample.")
-    ] = None,
-    mask: Annotated[Path | None, _reading(help="Image; pixels at 0 are left out.")] = None,
-    black_level: Annotated[
-        str | None, _reading(help=f"Raw level without any light: {_EACH}.", show_default="0")
-    ] = None,
-    clip: Annotated[
-        str | None,
-        _reading(
-            help=f"Raw level at which samples clip: {_EACH}; or auto (where samples pile up).",
-            show_default="255, 65535, or 1 for float",
-        ),
-    ] = None,
-    full_scale: Annotated[
-        float | None,
-        _reading(help="Raw level that the response calls 1.", show_default="end of the range"),
-    ] = None,
-    response: Annotated[str | None, Option(help=FIND_HELP, show_default="linear")] = None,
-    projector_response: Annotated[
-        str | None,
-        _reading(
-            help="Light of the patterns' grey values, from `response --projector`; or auto "
-            "(`estimate` finds a gamma, of random grey patterns).",
-            show_default="linear",
-        ),
-    ] = None,
-    exposure: Annotated[
-        str | None,
-        _reading(help=f"Exposure, in any unit: {_EACH}. T is for exposure 1.", show_default="1"),
-    ] = None,
-    crop: Annotated[
-        str | None,
-        _reading(
-            metavar="ROW,COL:ROWSxCOLS",
-            help="First pixel and size of the rectangle to use, such as 400,600:768x1024.",
-            show_default="all",
-        ),
-    ] = None,
-    mosaic: Annotated[
-        bool,
-        _reading(
-            "--mosaic",
-            help="Raw camera files: one sample for each pixel, without interpolating colours.",
-        ),
-    ] = False,
+    capture: Path | None = None,
+    photographs: Path | None = None,
+    patterns: Path | None = None,
+    images: Path | None = None,
+    black: str | None = None,
+    black_exposure: float | None = None,
+    white: Path | None = None,
+    mask: Path | None = None,
+    black_level: str | None = None,
+    clip: str | None = None,
+    full_scale: float | None = None,
+    response: str | None = None,
+    projector_response: str | None = None,
+    exposure: str | None = None,
+    crop: str | None = None,
+    mosaic: bool = False,
 ) -> Source:
     """The source that the options of a command describe."""
     options: dict[str, Any] = {

@@ -105,20 +105,15 @@ def progress(what: str, unit: str) -> Iterator[Any]:
         yield step
 
 
-class Stages:
-    """Progress of a rig, one bar at a time for measuring and photographing; made by `stages`."""
+class Stages(ExitStack):
+    """Progress of a rig; two bars at once would overwrite each other, so there is one at a time."""
 
-    def __init__(self, shown: ExitStack) -> None:
-        self._shown = shown
-        self._title = ""
-        self._bar: Callable[..., None]
-        self._begin("looking at the rig", "looks")
+    _title = ""
+    _bar: Callable[..., None]
 
     def measured(self, part: str, done: int, total: int) -> None:
         """Progress of measuring a part of the rig."""
         self._update(f"measuring {part}", "looks", done, total)
-        if done == total:
-            self._begin("looking at the rig", "looks")
 
     def photographed(self, step: Any) -> None:
         """Progress of a capture after a frame, a `lightmatrix.rig.session.Step`."""
@@ -127,20 +122,9 @@ class Stages:
 
     def _update(self, title: str, unit: str, done: int, total: int, note: str = "") -> None:
         if title != self._title:
-            self._begin(title, unit)
+            self.close()
+            self._title, self._bar = title, self.enter_context(progress(title, unit))
         self._bar(done, total, note)
-
-    def _begin(self, title: str, unit: str) -> None:
-        # Two bars at once would overwrite each other.
-        self._shown.close()
-        self._title, self._bar = title, self._shown.enter_context(progress(title, unit))
-
-
-@contextmanager
-def stages() -> Iterator[Stages]:
-    """Show bars with rate and time left on a terminal, and nothing elsewhere."""
-    with ExitStack() as shown:
-        yield Stages(shown)
 
 
 def _jsonable(value: Any) -> Any:

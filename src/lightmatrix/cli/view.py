@@ -5,46 +5,40 @@ from __future__ import annotations
 from contextlib import ExitStack
 from functools import cache
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 
 from typer import Option
 
 import lightmatrix as lm
-from lightmatrix.cli.options import RARE, USUAL_PAGE_MEMORY, Overwrite, Store
+from lightmatrix.cli.options import RARE, USUAL_PAGE_MEMORY, Overwrite, Store, described
 from lightmatrix.cli.terminal import progress, say
 from lightmatrix.errors import InputError
 from lightmatrix.resources.memory import memory_bytes
 
 
+@described(
+    export=Option(
+        metavar="PAGE.html",
+        help="Write the viewer and the matrix as one page that needs no server.",
+    ),
+    capture="The capture of the estimate, whose patterns the page then offers.",
+    geometry=Option(metavar="GEOMETRY.json", help="The geometry of the rig, for a layer of depth."),
+    port="Port on this machine; 0 for a free one.",
+    browser=Option("--browser/--no-browser", help="Open the page in the browser."),
+    page_memory=Option(
+        rich_help_panel=RARE,
+        help="Largest matrix that the page itself holds, such as 512MiB. Larger ones stay on "
+        "disk, with an index of their columns, which is made if it is missing.",
+    ),
+)
 def view(
     scene: Store,
-    export: Annotated[
-        Path | None,
-        Option(
-            metavar="PAGE.html",
-            help="Write the viewer and the matrix as one page that needs no server.",
-        ),
-    ] = None,
-    capture: Annotated[
-        Path | None,
-        Option(help="The capture of the estimate, whose patterns the page then offers."),
-    ] = None,
-    geometry: Annotated[
-        Path | None,
-        Option(metavar="RIG.json", help="The geometry of the rig, for a layer of depth."),
-    ] = None,
-    port: Annotated[int, Option(help="Port on this machine; 0 for a free one.")] = 0,
-    browser: Annotated[
-        bool, Option("--browser/--no-browser", help="Open the page in the browser.")
-    ] = True,
-    page_memory: Annotated[
-        str,
-        Option(
-            rich_help_panel=RARE,
-            help="Largest matrix that the page itself holds, such as 512MiB. Larger ones stay on "
-            "disk, with an index of their columns, which is made if it is missing.",
-        ),
-    ] = USUAL_PAGE_MEMORY,
+    export: Path | None = None,
+    capture: Path | None = None,
+    geometry: Path | None = None,
+    port: int = 0,
+    browser: bool = True,
+    page_memory: str = USUAL_PAGE_MEMORY,
     overwrite: Overwrite = False,
 ) -> None:
     """Paint with light: show T in the browser.

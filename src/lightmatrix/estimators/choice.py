@@ -8,15 +8,11 @@ coherent one.
 
 from __future__ import annotations
 
-import math
-from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 
 import numpy as np
 
 from lightmatrix.capture.capture import Capture
-from lightmatrix.check.finding import Finding
 from lightmatrix.estimators.base import Estimator
 from lightmatrix.estimators.camera_window import window_of_light
 from lightmatrix.estimators.coherent.estimator import CoherentEstimator
@@ -26,7 +22,6 @@ from lightmatrix.estimators.multiscale import MultiScaleEstimator
 from lightmatrix.estimators.plain import PlainEstimator
 from lightmatrix.estimators.resource_estimate import ResourceEstimate, estimate_resources
 from lightmatrix.estimators.settings import EstimateSettings
-from lightmatrix.resources.threads import one_blas_thread
 from lightmatrix.solvers import ActiveSet
 
 # Both ways are tried on about this many camera samples around the middle of the light: a square of
@@ -64,34 +59,6 @@ def choose_estimator(
     if settings.coherent or neighbours_help(capture, coherent, row_by_row):
         return coherent
     return row_by_row
-
-
-def check_and_choose(
-    check: Callable[[], list[Finding]],
-    capture: Capture,
-    settings: EstimateSettings,
-    resources: ResourceEstimate,
-) -> tuple[Estimator, list[Finding]]:
-    """The result of `choose_estimator`, and that of `check`, whose errors come first.
-
-    A check keeps one core busy, and so does much of the choice, so a thread checks meanwhile. But
-    where no estimate is tried, and where a check takes long, so that Ctrl-C would wait for it, the
-    check comes first.
-    """
-    undecided = settings.coherent is None and resources.coherent and can_be_tried(capture)
-    # The checks read this many raw levels (512 x 512 pixels in 64 frames) in a second or two.
-    if not undecided or math.prod(capture.whole.frames.shape) * capture.count > 1 << 24:
-        findings = check()
-        return choose_estimator(capture, settings, resources), findings
-    # Results must not depend on which thread is the first to limit those of matrix products.
-    with one_blas_thread(), ThreadPoolExecutor(1) as pool:
-        checked = pool.submit(check)
-        try:
-            estimator = choose_estimator(capture, settings, resources)
-        except Exception:
-            checked.result()
-            raise
-        return estimator, checked.result()
 
 
 def can_be_tried(capture: Capture) -> bool:

@@ -19,7 +19,6 @@ Steps 2 and 3 repeat. `docs/colour.md` has measurements.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from contextlib import nullcontext
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -28,7 +27,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lightmatrix.capture.camera_curve import AUTOMATIC
-from lightmatrix.capture.capture import Capture, KnownSamples, open_capture
+from lightmatrix.capture.capture import Capture, capture_of_samples, open_capture
 from lightmatrix.capture.samples import Samples
 from lightmatrix.check.finding import FINDINGS
 from lightmatrix.check.refusals import refuse_unordered, refuse_unusable, warn_of
@@ -149,14 +148,12 @@ _LEAST_GAIN = 1e-4
 _NEVER = np.float32(1e9)
 
 
-def grey_capture(
-    samples: ColourSamples, camera_shape: tuple[int, ...], exposure: float
-) -> KnownSamples:
+def grey_capture(samples: ColourSamples, camera_shape: tuple[int, ...], exposure: float) -> Capture:
     """The grey photographs as those of a grey camera: the means of the three channels."""
     chosen = np.flatnonzero(samples.patterns.grey)
     equal = np.full((samples.pixels, PRIMARIES), 1 / PRIMARIES)
     known = _grey_samples(samples, equal, chosen)
-    return KnownSamples.of(samples.patterns.red.subset(chosen), known, camera_shape, exposure)
+    return capture_of_samples(samples.patterns.red.subset(chosen), known, camera_shape, exposure)
 
 
 def unmixed_capture(
@@ -164,7 +161,7 @@ def unmixed_capture(
     gains: NDArray[np.float64],
     camera_shape: tuple[int, ...],
     exposure: float,
-) -> KnownSamples:
+) -> Capture:
     """The photographs as those of a grey camera under grey patterns, one for each primary.
 
     A grey photograph stays one, with less noise. Where the gains (n, 3, 3) hardly tell a primary
@@ -185,7 +182,7 @@ def unmixed_capture(
         )
     )
     patterns = _grey_patterns(samples.patterns, grey, coloured)
-    return KnownSamples.of(patterns, known, camera_shape, exposure)
+    return capture_of_samples(patterns, known, camera_shape, exposure)
 
 
 def _grey_samples(
@@ -243,47 +240,6 @@ def _grey_patterns(
 # How much gains are drawn to the mixing of the whole frame, in each round after the start. First
 # the geometry of some pixels is wrong, and so would be their own gains; then it is right.
 TRUSTS = (0.3, 0.03)
-
-
-@dataclass(frozen=True, eq=False)
-class _Known:
-    """What the rounds share."""
-
-    samples: ColourSamples
-    camera_shape: tuple[int, ...]
-    exposure: float
-    progress: Callable[[int, int], None] | None
-
-    def geometry(self, capture: KnownSamples, number: int) -> LightTransport:
-        """The coherent estimate of a grey camera; it is the estimate of that number."""
-        steps = len(TRUSTS) + 1
-        report: Progress | None = None
-        if self.progress is not None:
-            show = self.progress
-
-            def report(done: int, total: int) -> None:
-                show(number * total + done, steps * total)
-
-        return CoherentEstimator().estimate(capture, progress=report)
-
-    def start(self) -> LightTransport:
-        """The first geometry: of the grey photographs, or of all under a usual mixing."""
-        # Grey patterns from which the geometry is found without the others. Fewer show where most
-        # camera pixels look, but not all. The usual mixing is the better start then
-        # (docs/colour.md).
-        if self.samples.patterns.grey.sum() >= 12:
-            capture = grey_capture(self.samples, self.camera_shape, self.exposure)
-        else:
-            usual = usual_gains(self.samples.pixels)
-            capture = unmixed_capture(self.samples, usual, self.camera_shape, self.exposure)
-        return self.geometry(capture, 0)
-
-    def refined(self, before: LightTransport, number: int) -> LightTransport:
-        """The geometry of all photographs, unmixed by the gains that the geometry before gives."""
-        light = light_of_primaries(before, self.samples.patterns)
-        gains = fit_gains(self.samples, light, TRUSTS[number])
-        capture = unmixed_capture(self.samples, gains, self.camera_shape, self.exposure)
-        return self.geometry(capture, number + 1)
 
 
 def estimate_colour(
@@ -344,16 +300,28 @@ def estimate_colour(
     findings = refuse_unordered(capture) if check else []
     warn_of(findings)
     samples = ColourSamples.of(capture.samples(), patterns)
+    seen = capture.camera_shape[:2], float(capture.exposures.max())
+    # Grey patterns from which the geometry is found without the others. Fewer show where most
+    # camera pixels look, but not all. The usual mixing is the better start then (docs/colour.md).
+    if patterns.grey.sum() >= 12:
+        grey = grey_capture(samples, *seen)
+    else:
+        grey = unmixed_capture(samples, usual_gains(samples.pixels), *seen)
     with progress_bar("estimating", "rows") if progress is True else nullcontext(None) as bar:
-        known = _Known(
-            samples,
-            capture.camera_shape[:2],
-            float(capture.exposures.max()),
-            progress if callable(progress) else bar,
-        )
-        geometry = known.start()
-        for number in range(len(TRUSTS)):
-            geometry = known.refined(geometry, number)
+        report = progress if callable(progress) else bar
+        geometry, steps = None, len(TRUSTS) + 1
+        for number in range(steps):
+            if geometry is not None:
+                light = light_of_primaries(geometry, patterns)
+                gains = fit_gains(samples, light, TRUSTS[number - 1])
+                grey = unmixed_capture(samples, gains, *seen)
+
+            def show(done: int, total: int, number: int = number) -> None:
+                if report is not None:
+                    report(number * total + done, steps * total)
+
+            geometry = CoherentEstimator().estimate(grey, progress=show)
+    assert geometry is not None
     # The gains of the result are drawn less to the mixing of the whole frame.
     gains = fit_gains(samples, light_of_primaries(geometry, patterns), 0.003)
     provenance = {

@@ -28,7 +28,7 @@ from lightmatrix.capture.found_response import FOUND_RESPONSE, with_projector, w
 from lightmatrix.check.finding import FINDINGS, Finding
 from lightmatrix.check.refusals import refuse_unordered, refuse_unusable, warn_of
 from lightmatrix.errors import InputError, warn
-from lightmatrix.estimators.choice import check_and_choose, choose_estimator
+from lightmatrix.estimators.choice import choose_estimator
 from lightmatrix.estimators.corrected import corrected, terms_to_correct
 from lightmatrix.estimators.plain import PlainEstimator
 from lightmatrix.estimators.resource_estimate import estimate_resources
@@ -209,19 +209,16 @@ def estimate(
     # Workers are checked before the frames are read, which takes longer.
     with dask_pool(workers, cluster) if several else nullcontext() as pool:
         refuse_unusable(capture)
-        check_frames = partial(refuse_unordered, capture) if check else list
+        findings = refuse_unordered(capture) if check else []
         remarks: dict[str, Any] = {}
         camera_unknown = capture.decoder.response.name == AUTOMATIC
         if camera_unknown or capture.projector_unknown:
-            findings = check_frames()
             with _bar("looking for the response", progress is True):
                 found = find_responses(capture, settings)
             warn(f"response: {found}")
             capture = found.applied_to(capture)
             remarks = {FOUND_RESPONSE: found.provenance()}
-            estimator = choose_estimator(capture, settings, resources)
-        else:
-            estimator, findings = check_and_choose(check_frames, capture, settings, resources)
+        estimator = choose_estimator(capture, settings, resources)
         warn_of(findings)
         if resources.coherent and isinstance(estimator, PlainEstimator):
             warn(

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,19 +14,13 @@ from scipy.sparse import csr_array
 
 from lightmatrix.capture.capture import Capture
 from lightmatrix.capture.samples import Samples
-from lightmatrix.errors import InputError
-from lightmatrix.estimators.automatic_regularization import automatic_regularization, column_length
-from lightmatrix.estimators.base import (
-    Estimator,
-    Plan,
-    capture_provenance,
-    rows_with_diagnostics,
-    solver_provenance,
-)
+from lightmatrix.estimators.automatic_regularization import column_length
+from lightmatrix.estimators.base import rows_with_diagnostics
 from lightmatrix.estimators.certainty import with_certainty
-from lightmatrix.estimators.work import OneStep
+from lightmatrix.estimators.plain import PlainEstimator
+from lightmatrix.estimators.work import ReadStep, SolveTile, Work
 from lightmatrix.patterns.pattern_set import ImagePatterns, PatternSet
-from lightmatrix.solvers import Solver, solve
+from lightmatrix.solvers import solve
 from lightmatrix.solvers.loop import Progress
 from lightmatrix.solvers.problem import Problem, Result
 from lightmatrix.transport.checkpoint import Span
@@ -101,42 +96,29 @@ def grid_of(shape: tuple[int, int], block: int) -> tuple[int, int]:
     return -(-shape[0] // block), -(-shape[1] // block)
 
 
+# Pixels per side of the blocks of the first scale, halved as long as the projector has no 4 x 4 of
+# them, and of the camera blocks.
+_BLOCK = 8
+# A projector block is active if it has at least this share of the highest score.
+_ACTIVE = 0.1
+
+
 @dataclass(frozen=True)
-class MultiScaleEstimator(Estimator):
+class MultiScaleEstimator(PlainEstimator):
     """Estimates T with one solver, first on projector blocks, then inside those that matter.
 
     The pixels of a square camera block look at nearly the same part of the projector, so they share
-    candidates. At each scale, from `coarsest` down to single pixels, the solver estimates the rows
-    of the camera block on the candidate projector blocks. A projector block scores the sum of its
-    shares of each row's light. Those with a high score and their neighbours are split into four.
-    `docs/multi-scale.md` gives the reasons. A tile is a strip of camera blocks.
+    candidates. At each scale, from blocks of 8 x 8 pixels down to single ones, the solver estimates
+    the rows of the camera block on the candidate projector blocks. A projector block scores the sum
+    of its shares of each row's light. Those with a high score and their neighbours are split into
+    four. `docs/multi-scale.md` gives the reasons. A tile is a strip of camera blocks.
 
     A further diagnostic, candidates, says on how many projector pixels each row was estimated. The
     gap is that of the restricted problem: it says nothing about pixels that a coarser scale left
     out.
 
-    Parameters
-    ----------
-    solver : Solver
-        ADMM, SaturationADMM, ROMP or ActiveSet.
-    regularization : float or None
-        The paper's lambda at single pixels, as for `PlainEstimator`. At coarser scales it falls
-        with the length of the patterns' columns.
-    nonnegative, background : bool
-        As for `PlainEstimator`.
-    coarsest : int
-        Pixels per side of the first scale's projector blocks, a power of two; 1 is a plain
-        estimate in camera blocks. Halved as long as the projector has no 4 x 4 blocks.
-    camera_block : int
-        Pixels per side of the camera blocks, at least 1.
-    active : float
-        A projector block is active if it has at least this share of the highest score, in [0, 1);
-        0 keeps everything.
-
-    Raises
-    ------
-    InputError
-        If a parameter is out of range.
+    The parameters are those of `PlainEstimator`, of which `tile_rows` and `judged` have no effect.
+    At coarser scales the regularization falls with the length of the patterns' columns.
 
     Examples
     --------
@@ -147,52 +129,18 @@ class MultiScaleEstimator(Estimator):
     (64, 64)
     """
 
-    solver: Solver
-    regularization: float | None = None
-    nonnegative: bool = True
-    background: bool = True
-    coarsest: int = 8
-    camera_block: int = 8
-    active: float = 0.1
+    name: ClassVar[str] = "multi-scale"
 
-    def __post_init__(self) -> None:
-        if self.coarsest < 1 or self.coarsest & (self.coarsest - 1):
-            raise InputError(
-                f"a coarsest scale of {self.coarsest} pixels", hint="use a power of two such as 8"
-            )
-        if self.camera_block < 1:
-            raise InputError(
-                f"camera blocks of {self.camera_block} pixels", hint="use at least 1, such as 8"
-            )
-        if not 0 <= self.active < 1:
-            raise InputError(
-                f"an active share of {self.active}",
-                hint="use a share from 0 to below 1, such as 0.1",
-            )
-
-    def plan(self, capture: Capture) -> Plan:
-        """The estimate before it is made."""
-        regularization = self.regularization
-        if regularization is None:
-            regularization = automatic_regularization(capture)
-        provenance = {
-            "estimator": "multi-scale",
-            **solver_provenance(self.solver),
-            "regularization": regularization,
-            "nonnegative": self.nonnegative,
-            "background": self.background,
-            "coarsest": self.coarsest,
-            "camera_block": self.camera_block,
-            "active": self.active,
-            **capture_provenance(capture),
-        }
-        return Plan(_Strips(capture, self, regularization), provenance)
+    def work(self, capture: Capture, regularization: float) -> Work:
+        """The rows of a capture, in strips."""
+        return _Strips(capture, self, regularization)
 
 
 @dataclass(frozen=True, eq=False)
-class _Strips(OneStep):
+class _Strips(Work):
     """The rows of a capture, solved in strips of camera blocks."""
 
+    capture: Capture
     estimator: MultiScaleEstimator
     regularization: float
 
@@ -200,19 +148,16 @@ class _Strips(OneStep):
         # The pixels of a block share their candidates, so that no strip cuts a block.
         rows = self.capture.camera_shape[0]
         width = self.capture.rows // rows
-        for start in range(0, rows, self.estimator.camera_block):
-            yield start * width, min(start + self.estimator.camera_block, rows) * width
+        for start in range(0, rows, _BLOCK):
+            yield start * width, min(start + _BLOCK, rows) * width
 
-    def solve(self, start: int, stop: int, progress: Progress) -> SparseRows:
+    def prepare(self, step: str, read: ReadStep) -> SolveTile:
+        return self._solve
+
+    def _solve(self, start: int, stop: int, progress: Progress) -> SparseRows:
         samples = self.capture.samples(start, stop)
         patterns = self.capture.patterns
-        strip = Problem(
-            patterns,
-            samples,
-            self.regularization,
-            nonnegative=self.estimator.nonnegative,
-            background=self.estimator.background,
-        )
+        strip = self.estimator.problem(patterns, samples, self.regularization)
         parts, order = [], []
         for rows in self._camera_blocks(stop - start):
             parts.append(self._solve_block(strip.take(rows), samples.rows(rows)))
@@ -225,7 +170,7 @@ class _Strips(OneStep):
         """The rows of each camera block of a strip."""
         _, width, *channels = self.capture.camera_shape
         column = np.arange(rows) // (channels[0] if channels else 1) % width
-        block = column // self.estimator.camera_block
+        block = column // _BLOCK
         for number in range(int(block.max()) + 1):
             yield np.flatnonzero(block == number)
 
@@ -236,7 +181,7 @@ class _Strips(OneStep):
         candidates = np.arange(grid[0] * grid[1])
         for scale in self._scales[:-1]:
             result = self._solve_scale(problem, scale, candidates)
-            active = active_blocks(result.coefficients, candidates, grid, self.estimator.active)
+            active = active_blocks(result.coefficients, candidates, grid, _ACTIVE)
             finer = grid_of(patterns.shape, scale.block // 2)
             candidates = split(active, finer)
             grid = finer
@@ -263,4 +208,4 @@ class _Strips(OneStep):
     @cached_property
     def _scales(self) -> list[Scale]:
         patterns = self.capture.patterns
-        return scales(patterns, self.estimator.coarsest, self.regularization)
+        return scales(patterns, _BLOCK, self.regularization)

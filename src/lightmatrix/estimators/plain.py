@@ -4,8 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import ClassVar
 
 from lightmatrix.capture.capture import Capture
+from lightmatrix.capture.samples import Samples
 from lightmatrix.estimators.automatic_regularization import automatic_regularization
 from lightmatrix.estimators.base import (
     Estimator,
@@ -15,7 +17,8 @@ from lightmatrix.estimators.base import (
     solver_provenance,
 )
 from lightmatrix.estimators.certainty import with_certainty
-from lightmatrix.estimators.work import TILE_BYTES, OneStep, cut_rows
+from lightmatrix.estimators.work import TILE_BYTES, ReadStep, SolveTile, Work, cut_rows
+from lightmatrix.patterns.pattern_set import PatternSet
 from lightmatrix.ranges import check_at_least_one
 from lightmatrix.solvers import Solver, solve
 from lightmatrix.solvers.loop import Progress
@@ -60,6 +63,8 @@ class PlainEstimator(Estimator):
     tile_rows: int | None = None
     judged: bool = True
 
+    name: ClassVar[str] = "plain"
+
     def __post_init__(self) -> None:
         check_at_least_one(tile_rows=self.tile_rows)
 
@@ -69,7 +74,7 @@ class PlainEstimator(Estimator):
         if regularization is None:
             regularization = automatic_regularization(capture)
         provenance = {
-            "estimator": "plain",
+            "estimator": self.name,
             **solver_provenance(self.solver),
             "regularization": regularization,
             "nonnegative": self.nonnegative,
@@ -78,13 +83,28 @@ class PlainEstimator(Estimator):
             **({} if self.judged else {"judged": False}),
             **capture_provenance(capture),
         }
-        return Plan(_Rows(capture, self, regularization), provenance)
+        return Plan(self.work(capture, regularization), provenance)
+
+    def work(self, capture: Capture, regularization: float) -> Work:
+        """The rows of a capture, in tiles."""
+        return _Rows(capture, self, regularization)
+
+    def problem(self, patterns: PatternSet, samples: Samples, regularization: float) -> Problem:
+        """The problem of some rows."""
+        return Problem(
+            patterns,
+            samples,
+            regularization,
+            nonnegative=self.nonnegative,
+            background=self.background,
+        )
 
 
 @dataclass(frozen=True, eq=False)
-class _Rows(OneStep):
+class _Rows(Work):
     """The rows of a capture, solved tile by tile."""
 
+    capture: Capture
     estimator: PlainEstimator
     regularization: float
 
@@ -94,15 +114,12 @@ class _Rows(OneStep):
         most = self.estimator.tile_rows or max(1, TILE_BYTES // row_bytes)
         return cut_rows(self.capture.rows, most, parts)
 
-    def solve(self, start: int, stop: int, progress: Progress) -> SparseRows:
+    def prepare(self, step: str, read: ReadStep) -> SolveTile:
+        return self._solve
+
+    def _solve(self, start: int, stop: int, progress: Progress) -> SparseRows:
         samples = self.capture.samples(start, stop)
-        problem = Problem(
-            self.capture.patterns,
-            samples,
-            self.regularization,
-            nonnegative=self.estimator.nonnegative,
-            background=self.estimator.background,
-        )
+        problem = self.estimator.problem(self.capture.patterns, samples, self.regularization)
         result = solve(problem, self.estimator.solver, progress=progress)
         rows = rows_with_diagnostics(samples, result)
         if not self.estimator.judged:

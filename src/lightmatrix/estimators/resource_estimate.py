@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -14,109 +13,11 @@ from lightmatrix.estimators.coherent.row_solver import coherent_row_bytes
 from lightmatrix.estimators.coherent.schedule import GROWTH, spacings
 from lightmatrix.estimators.settings import EstimateSettings
 from lightmatrix.estimators.work import TILE_BYTES
-from lightmatrix.patterns.pattern_set import ImagePatterns
+from lightmatrix.patterns.pattern_set import ImagePatterns, PatternSet
 from lightmatrix.patterns.stripes import stripes_of
 from lightmatrix.resources.disk import SCRATCH_MEMORY_BYTES
 from lightmatrix.resources.memory import available_bytes
 from lightmatrix.resources.threads import core_threads
-
-
-@dataclass(frozen=True)
-class _Size:
-    """How large an estimate is."""
-
-    # The camera's shape, channels last; projector pixels; patterns.
-    camera: tuple[int, ...]
-    pixels: int
-    count: int
-    grey: bool
-    coherent: bool
-    striped: bool
-    # Bytes of one row while it is solved, and whether the solver is the active set.
-    row_bytes: int
-    active_set: bool
-    # Bytes of one kept sample of a frame: 1, 2 or 4; 5 once it is binned.
-    sample_bytes: int
-    tile_bytes: int = TILE_BYTES
-
-    @property
-    def rows(self) -> int:
-        """Camera samples M."""
-        return math.prod(self.camera)
-
-    @property
-    def seed_spacing(self) -> int:
-        """Camera pixels between those that search all projector pixels."""
-        return spacings(self.camera, self.pixels, CoherentEstimator.windows)[0]
-
-    @property
-    def tile_rows(self) -> int:
-        """Rows of one tile."""
-        return max(1, self.tile_bytes // max(1, self.row_bytes))
-
-    @property
-    def temporary(self) -> int:
-        """Bytes of temporary files, which hold samples that are too many for memory."""
-        size = self.rows * self.count * self.sample_bytes
-        return size if size > SCRATCH_MEMORY_BYTES else 0
-
-    @property
-    def memory(self) -> int:
-        """Bytes of memory at its peak."""
-        # Bytes of each projector pixel (halos, notes of threads), of each value of a pattern, the
-        # pixels and spots under it included, and of grey values besides; of each row (entries
-        # before and after a round), and of each camera sample (its level, value and clip state).
-        # `python -m benchmarks.resource_estimate` measures that no estimate takes more.
-        pixel, value, grey, row, sample = 100, 19, 28, 400, 9
-        values = self.pixels * self.count
-        if self.coherent:
-            pixel, value, grey, row, sample = 2700, 35, 26, 1500, 6
-            if self.seed_spacing > GROWTH.near_seeds:
-                # Where light grows from few seeds, spots are kept in half precision.
-                pixel, value, grey, row, sample = 1700, 13, 12, 100, 12
-            # 64 more patterns were never shown.
-            values = self.pixels * (self.count + 64)
-        elif self.active_set:
-            # The active set keeps this many values of patterns and no more.
-            values = min(values, 1 << 25)
-        # Stripes tell places less apart, so that coherent rows have more entries.
-        row += 1400 * (self.coherent and self.striped)
-        # The active set takes less than half of the bytes that it may take of each row.
-        share = 0.5 if self.active_set else 1.0
-        solving = (
-            pixel * self.pixels
-            + value * values
-            + grey * self.pixels * self.count * self.grey
-            + row * self.rows
-            + (sample + self.sample_bytes - 1) * self.rows * self.count
-            - self.temporary
-            + share * min(self.rows * self.row_bytes, self.tile_bytes)
-            # The regression of what the rig did takes up to 320,000 samples and their margins, and
-            # changes 64 MiB of patterns at a time.
-            + self.coherent
-            * (300 * min(self.rows * self.count, 640_000) + 20 * min(values, 1 << 24))
-        )
-        # The check of the photographs reads at most 48 M levels, and takes 12 bytes for each.
-        checking = 12 * min(self.rows * self.count, 48 << 20)
-        # Python and its libraries take 170 MiB.
-        return int((170 << 20) + max(solving, checking))
-
-    @property
-    def seconds(self) -> float | None:
-        """The operations over a billion of each core a second; None where they are not known."""
-        if self.coherent:
-            # Of all rows but seeds, 0.3 % search because the light that grew onto them is wrong.
-            spacing = self.seed_spacing
-            searching = 1.0 if spacing == 1 else spacing**-2 + 0.003
-            # Ten rounds on 250 candidates, after a search of all pixels and spots.
-            each = 10 * 250 * (self.count + 64) + 20 * searching * self.pixels
-        elif self.active_set:
-            # One operation handles 64 bits, or two grey values.
-            each = 300 * self.count + self.pixels * self.count / (2 if self.grey else 64)
-        else:
-            return None
-        # Python takes two seconds to start and to check.
-        return 2 + self.rows * each / 1e9 / core_threads()
 
 
 @dataclass(frozen=True)
@@ -139,8 +40,6 @@ class ResourceEstimate:
         Whether a memory limit, and not the free memory, says what is available.
     workers : int
         Processes that take this memory together.
-    advice : str
-        What would fit, if this does not.
 
     Examples
     --------
@@ -159,12 +58,20 @@ class ResourceEstimate:
     coherent: bool
     limited: bool = False
     workers: int = 1
-    advice: str = ""
 
     @property
     def fits(self) -> bool:
         """Whether there is enough memory."""
         return self.memory <= self.available
+
+    @property
+    def advice(self) -> str:
+        """What takes less memory, if this does not fit."""
+        advice = (
+            "average pixels, such as bin_camera=2 or bin_projector=2; cut the photographs to the "
+            "part that matters; or use a machine with more memory"
+        )
+        return "" if self.fits else advice
 
     def __str__(self) -> str:
         time = "" if self.seconds is None else f", and {_time(self.seconds)}"
@@ -178,7 +85,7 @@ class ResourceEstimate:
         Raises
         ------
         InputError
-            Saying how much memory it takes, how much there is, and what would fit.
+            Saying how much memory it takes, how much there is, and what takes less.
         """
         if not self.fits:
             raise InputError(
@@ -232,60 +139,103 @@ def estimate_resources(
     capture, settings = open_capture(capture), settings or EstimateSettings()
     patterns, coherent = capture.patterns, settings.is_coherent(capture)
     row_bytes = settings.row_solver.row_bytes(capture.count, patterns.pixels)
-    size = _Size(
-        capture.camera_shape,
-        patterns.pixels,
-        capture.count,
-        isinstance(patterns, ImagePatterns) and patterns.as_bits() is None,
-        coherent,
-        coherent and stripes_of(patterns) is not None,
-        coherent_row_bytes(capture.count) if coherent else row_bytes,
-        settings.solver == "active-set" and not settings.multi_scale,
-        5 if capture.bin_camera != (1, 1) else capture.frames.dtype.itemsize,
-    )
-    limit, workers = settings.memory_limit, settings.workers or 1
+    if coherent:
+        row_bytes = coherent_row_bytes(capture.count)
+    active_set = settings.solver == "active-set" and not settings.multi_scale
+    # Bytes of one kept sample of a frame: 1, 2 or 4; 5 once it is binned.
+    sample_bytes = 5 if capture.bin_camera != (1, 1) else capture.frames.dtype.itemsize
+    temporary = capture.rows * capture.count * sample_bytes
+    # Temporary files hold samples that are too many for memory.
+    temporary *= temporary > SCRATCH_MEMORY_BYTES
+    held = _held_bytes(capture, coherent, active_set, sample_bytes) - temporary
+    # The check of the photographs reads at most 48 M levels, and takes 12 bytes for each.
+    checking = 12 * min(capture.rows * capture.count, 48 << 20)
+    # The active set takes less than half of the bytes that it may take of each row.
+    share = 0.5 if active_set else 1.0
+
+    def memory(tile_bytes: int) -> int:
+        solving = held + share * min(capture.rows * row_bytes, tile_bytes)
+        # Python and its libraries take 170 MiB.
+        return int((170 << 20) + max(solving, checking))
+
+    limit, workers, tile_bytes = settings.memory_limit, settings.workers or 1, TILE_BYTES
     # The free memory of this machine says nothing about the machines of a cluster.
     elsewhere = settings.cluster is not None
-    free = size.memory if elsewhere else available_bytes()
+    free = memory(tile_bytes) if elsewhere else available_bytes()
     available = free if limit is None else limit if elsewhere else min(limit, free)
-    if limit is not None:
-        # Tiles of less than 8 MiB would leave cores without work.
-        while workers * size.memory > available and size.tile_bytes > 8 << 20:
-            size = replace(size, tile_bytes=size.tile_bytes // 2)
-    fits = workers * size.memory <= available
+    # Tiles of less than 8 MiB would leave cores without work.
+    while limit is not None and workers * memory(tile_bytes) > available and tile_bytes > 8 << 20:
+        tile_bytes //= 2
     return ResourceEstimate(
-        workers * size.memory,
-        workers * size.temporary,
-        size.seconds,
+        workers * memory(tile_bytes),
+        workers * temporary,
+        _seconds(capture, coherent) if active_set else None,
         available,
-        size.tile_rows,
+        max(1, tile_bytes // max(1, row_bytes)),
         coherent,
         limit is not None and available == limit,
         workers,
-        "" if fits else _advice(capture, size, available // workers),
     )
 
 
-def _advice(capture: Capture, size: _Size, available: int) -> str:
-    """The smallest bins of the camera, or of the projector, with which the estimate fits."""
+def _is_grey(patterns: PatternSet) -> bool:
+    return isinstance(patterns, ImagePatterns) and patterns.as_bits() is None
 
-    def coarse(side: str, block: int) -> _Size:
-        if side == "camera":
-            rows, cols, *channels = size.camera
-            camera = (-(-rows // block), -(-cols // block), *channels)
-            return replace(size, camera=camera, sample_bytes=5)
-        pixels = math.prod(-(-length // block) for length in capture.projector_shape)
-        return replace(size, pixels=pixels, grey=True)
 
-    fitting = []
-    for side in ("camera", "projector"):
-        blocks = (block for block in range(2, 33) if coarse(side, block).memory <= available)
-        if block := next(blocks, None):
-            down, right = (block * length for length in getattr(capture, f"bin_{side}"))
-            fitting.append(f"bin_{side}=({down}, {right})")
-    if not fitting:
-        return "use a machine with more memory, or bin camera and projector"
-    return f"{' or '.join(fitting)} fits; or cut the camera's images to the part that matters"
+def _seed_spacing(capture: Capture) -> int:
+    """Camera pixels between those that search all projector pixels."""
+    return spacings(capture.camera_shape, capture.patterns.pixels, CoherentEstimator.windows)[0]
+
+
+def _held_bytes(capture: Capture, coherent: bool, active_set: bool, sample_bytes: int) -> int:
+    """Bytes of memory at the peak of an estimate besides those of its tiles."""
+    patterns, rows = capture.patterns, capture.rows
+    # Bytes of each projector pixel (halos, notes of threads), of each value of a pattern, the
+    # pixels and spots under it included, and of grey values besides; of each row (entries before
+    # and after a round), and of each camera sample (its level, value and clip state).
+    # `python -m benchmarks.resource_estimate` measures that no estimate takes more.
+    pixel, value, grey, row, sample = 100, 19, 28, 400, 9
+    values = patterns.pixels * capture.count
+    if coherent:
+        pixel, value, grey, row, sample = 2700, 35, 26, 1500, 6
+        if _seed_spacing(capture) > GROWTH.near_seeds:
+            # Where light grows from few seeds, spots are kept in half precision.
+            pixel, value, grey, row, sample = 1700, 13, 12, 100, 12
+        # 64 more patterns were never shown.
+        values = patterns.pixels * (capture.count + 64)
+        # Stripes tell places less apart, so that rows have more entries.
+        row += 1400 * (stripes_of(patterns) is not None)
+    elif active_set:
+        # The active set keeps this many values of patterns and no more.
+        values = min(values, 1 << 25)
+    size = (
+        pixel * patterns.pixels
+        + value * values
+        + grey * patterns.pixels * capture.count * _is_grey(patterns)
+        + row * rows
+        + (sample + sample_bytes - 1) * rows * capture.count
+    )
+    if coherent:
+        # The regression of what the rig did takes up to 320,000 samples and their margins, and
+        # changes 64 MiB of patterns at a time.
+        size += 300 * min(rows * capture.count, 640_000) + 20 * min(values, 1 << 24)
+    return size
+
+
+def _seconds(capture: Capture, coherent: bool) -> float:
+    """The operations over a billion of each core a second."""
+    count, pixels = capture.count, capture.patterns.pixels
+    if coherent:
+        # Of all rows but seeds, 0.3 % search because the light that grew onto them is wrong.
+        spacing = _seed_spacing(capture)
+        searching = 1.0 if spacing == 1 else spacing**-2 + 0.003
+        # Ten rounds on 250 candidates, after a search of all pixels and spots.
+        each = 10 * 250 * (count + 64) + 20 * searching * pixels
+    else:
+        # One operation handles 64 bits, or two grey values.
+        each = 300 * count + pixels * count / (2 if _is_grey(capture.patterns) else 64)
+    # Python takes two seconds to start and to check.
+    return 2 + capture.rows * each / 1e9 / core_threads()
 
 
 def _time(seconds: float) -> str:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
@@ -46,8 +47,7 @@ _SCANNED = tuple(_SCAN_STEP**k for k in range(-1, 6))
 _CURVED, _CERTAIN = 0.0025, 8.0
 
 
-@dataclass(frozen=True, eq=False)
-class Refined:
+class Refined(NamedTuple):
     """A curve, the relative uncertainty of its gamma, and whether it is more than a gamma."""
 
     response: Response
@@ -107,28 +107,15 @@ def find_response(
     search = _Search(window_of_levels(whole), settings, curves=not compressed)
     found = search.settled(stated)
     # A search may end at a wrong curve, under which T explains few frames as well.
-    if found is None or found.missed > _MISSED:
+    if found is None or found[1] > _MISSED:
         other = search.settled(raised(stated, search.scanned(stated)))
-        if other is not None and (found is None or other.missed < _CLEARLY * found.missed):
+        if other is not None and (found is None or other[1] < _CLEARLY * found[1]):
             found = other
     if found is None:
         raise _undetermined()
-    response = found.refined.response
-    return FoundResponse(
-        response,
-        exponent(response),
-        found.refined.uncertainty * exponent(response),
-        largest_difference(response, stated),
-        search.estimates,
-    )
-
-
-@dataclass(frozen=True, eq=False)
-class _Settled:
-    """Where a search ended, and the prediction error of the T from which the curve follows."""
-
-    refined: Refined
-    missed: float
+    response, uncertainty, _ = found[0]
+    gamma, difference = exponent(response), largest_difference(response, stated)
+    return FoundResponse(response, gamma, uncertainty * gamma, difference, search.estimates)
 
 
 @dataclass(eq=False)
@@ -140,27 +127,27 @@ class _Search:
     curves: bool
     estimates: int = 0
 
-    def settled(self, response: Response) -> _Settled | None:
-        """The response at which a search from `response` ends; None if it does not settle."""
+    def settled(self, response: Response) -> tuple[Refined, float] | None:
+        """The response at which a search from `response` ends; None if it does not settle.
+
+        Beside it stands the prediction error of the T from which it follows.
+        """
         curved = False
         for _ in range(_MOST_ESTIMATES):
-            read = with_response(self.part, response)
-            transport = self._estimated(read)
+            read, transport = self._estimated(response)
             better = refined_response(read, transport, curved=curved, curves=self.curves)
             if better is None:
                 return None
             change = largest_difference(better.response, response)
             response, curved = better.response, better.curved
             if change < _SMALL:
-                return _Settled(better, _missed(transport))
+                return better, prediction_error(transport) or 0.0
         return None
 
     def scanned(self, stated: Response) -> float:
         """The power of the light, among those of a scan, at which T predicts best."""
-        misses = [
-            _missed(self._estimated(with_response(self.part, raised(stated, power))))
-            for power in _SCANNED
-        ]
+        scan = (self._estimated(raised(stated, power))[1] for power in _SCANNED)
+        misses = [prediction_error(transport) or 0.0 for transport in scan]
         best = int(np.argmin(misses))
         if best in (0, len(misses) - 1):
             return _SCANNED[best]
@@ -170,14 +157,11 @@ class _Search:
         offset = 0.5 * (before - after) / curvature if curvature > 0 else 0.0
         return float(_SCANNED[best] * _SCAN_STEP**offset)
 
-    def _estimated(self, read: Capture) -> LightTransport:
+    def _estimated(self, response: Response) -> tuple[Capture, LightTransport]:
+        """The part, read by a response, and its T."""
         self.estimates += 1
-        return choose_estimator(read, self.settings).estimate(read)
-
-
-def _missed(transport: LightTransport) -> float:
-    """The prediction error of photographs held out; 0 if none was."""
-    return prediction_error(transport) or 0.0
+        read = with_response(self.part, response)
+        return read, choose_estimator(read, self.settings).estimate(read)
 
 
 def refined_response(
@@ -236,19 +220,11 @@ def refuse_pictures(capture: Capture) -> None:
         )
 
 
-def _undetermined() -> InputError:
+def _undetermined(what: str = "camera's response") -> InputError:
     return InputError(
-        "the photographs do not determine the camera's response",
-        hint="measure it with `lightmatrix response`, or give one, such as gamma:2.2 or srgb",
+        f"the photographs do not determine the {what}",
+        hint="measure it with `lightmatrix response`, or give one, such as gamma:2.2",
     )
-
-
-# `lm.find_projector_response`: the projector's gamma, from photographs of grey patterns.
-
-
-# The search ends after six estimates, or when an estimate changes neither gamma by 1.5 %: the next
-# change would be a tenth of it. One to three estimates were needed on simulated captures.
-_MOST_ESTIMATES_UNKNOWN_PROJECTOR, _SMALL_UNKNOWN_PROJECTOR = 6, 0.015
 
 
 def find_projector_response(
@@ -300,7 +276,7 @@ def find_projector_response(
     _refuse_other_patterns(whole)
     # Fewer frames determine no gamma, as they determine none of the camera's.
     if whole.count < 12:
-        raise _undetermined_unknown_projector()
+        raise _undetermined("projector's gamma")
     camera = camera or whole.decoder.response.name == AUTOMATIC
     stated = whole.decoder.response
     read = with_response(whole, Response()) if stated.name == AUTOMATIC else whole
@@ -311,11 +287,11 @@ def find_projector_response(
     searches = (_searched_gammas(part, start, camera, settings) for start in (1.0, 2.2))
     found = next((each for each in searches if each is not None), None)
     if found is None:
-        raise _undetermined_unknown_projector()
+        raise _undetermined("projector's gamma")
     response, gamma, last, estimates = found
     # A gamma whose standard error is above 2.5 % is not determined.
     if last.errors.max() > 0.025:
-        raise _undetermined_unknown_projector()
+        raise _undetermined("projector's gamma")
     # The uncertainty is twice the standard error, and at least 0.5 %, as that of the camera's
     # gamma.
     uncertainty = [max(2 * float(error), 0.005) for error in last.errors]
@@ -337,7 +313,8 @@ def _searched_gammas(
 
     None if the search from this gamma does not settle.
     """
-    for number in range(_MOST_ESTIMATES_UNKNOWN_PROJECTOR):
+    # One to four estimates were needed on simulated captures.
+    for number in range(6):
         read = with_projector(part, ProjectorResponse.of_gamma(gamma))
         transport = choose_estimator(read, settings).estimate(read)
         better = gammas_from_greys(part, transport, gamma, camera=camera)
@@ -348,7 +325,8 @@ def _searched_gammas(
         change = abs(gamma / before - 1)
         if camera:
             change = max(change, abs(exponent(part.decoder.response) / exponent(known) - 1))
-        if change < _SMALL_UNKNOWN_PROJECTOR:
+        # When an estimate changes neither gamma by 1.5 %, the next change would be a tenth of it.
+        if change < 0.015:
             return part.decoder.response, gamma, last, number + 1
     return None
 
@@ -373,10 +351,3 @@ def _refuse_other_patterns(capture: Capture) -> None:
             hint="do not bin the projector, or measure its curve with `projector_response`",
         )
     refuse_pictures(capture)
-
-
-def _undetermined_unknown_projector() -> InputError:
-    return InputError(
-        "the photographs do not determine the projector's gamma",
-        hint="measure it with `projector_response`",
-    )

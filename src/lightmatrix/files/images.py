@@ -49,10 +49,9 @@ _COMPRESSIONS = {
     1: "none", 2: "CCITT", 3: "CCITT", 4: "CCITT", 5: "LZW", 8: "deflate",
     32773: "PackBits", 32946: "deflate", 34925: "LZMA", 50000: "Zstandard",
 }  # fmt: skip
-# Photometric interpretations of TIFF: white is 0, black is 0, RGB, and the mosaics of raw files, in
-# which each pixel is one sample; and a palette.
-_INVERTED, _PALETTE = 0, 3
-_PHOTOMETRIC = (_INVERTED, 1, 2, 32803, 34892)
+# Photometric interpretations of TIFF: black is 0, RGB, and the mosaics of raw files, in which each
+# pixel is one sample. Others are refused: white is 0, a palette, ...
+_PHOTOMETRIC, _REFUSED = (1, 2, 32803, 34892), {0: "white as 0", 3: "a palette"}
 _BITS = (1, 8, 10, 12, 14, 16, 32, 64)
 _ONE_IMAGE = "save one image a file, or give this file in place of the folder, as a stack"
 # A number in the header of a PGM file, after white space and comments.
@@ -362,23 +361,13 @@ def _read_tiff(file: Path) -> NDArray[Any]:
 
 
 def read_page(file: Path, page: tifffile.TiffPage) -> NDArray[Any]:
-    """Read a page of an open TIFF file as it lies there (see `orientation`), with 0 for black."""
+    """Read a page of an open TIFF file as it lies there (see `orientation`)."""
     check_page(file, page)
     # Frames are read by several threads already.
     image = np.asarray(page.asarray(maxworkers=1))
     if page.axes == "SYX":
         image = np.moveaxis(image, 0, -1)
-    return turned_back(image, page.bitspersample) if is_inverted(page) else image
-
-
-def is_inverted(page: tifffile.TiffPage) -> bool:
-    """Whether 0 stands for white."""
-    return page.photometric == _INVERTED and page.dtype is not None and page.dtype.kind in "bu"
-
-
-def turned_back(image: NDArray[Any], bits: int) -> NDArray[Any]:
-    """The levels of an inverted image of some bits, with 0 for black."""
-    return np.asarray(image ^ image.dtype.type(2**bits - 1))
+    return image
 
 
 def check_page(file: Path, page: tifffile.TiffPage) -> None:
@@ -396,8 +385,8 @@ def check_page(file: Path, page: tifffile.TiffPage) -> None:
         )
     colours = int(page.photometric)
     if colours not in _PHOTOMETRIC:
-        words = "a palette" if colours == _PALETTE else f"colours of kind {colours}"
-        raise InputError(f"{file}: has {words}", hint="save it in grey or RGB")
+        words = _REFUSED.get(colours, f"colours of kind {colours}")
+        raise InputError(f"{file}: has {words}", hint="save it in grey, black as 0, or RGB")
     if page.axes not in ("YX", "YXS", "SYX"):
         raise InputError(f"{file}: has axes {page.axes}", hint="save one image a file")
     if page.bitspersample not in _BITS:

@@ -13,8 +13,7 @@ from __future__ import annotations
 
 import json
 import os
-import zipfile
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -116,9 +115,17 @@ class FileKind:
 
     name: str
     suffixes: tuple[str, ...]
-    # Whether a file is of this kind by its content. An exception counts as no.
-    recognize: Callable[[Path], bool]
+    # What stands in its first 1024 bytes, or one of the signatures that it begins with.
+    mark: str | tuple[bytes, ...]
     running: str = ""
+
+    def recognize(self, file: Path) -> bool:
+        """Whether a file is of this kind by its content; files may be cut off."""
+        with file.open("rb") as opened:
+            start = opened.read(1024)
+        if isinstance(self.mark, str):
+            return self.mark.encode() in start
+        return start.startswith(self.mark)
 
     def check_replaceable(self, shown: Path, target: Path) -> bool:
         """Whether a file may be replaced: True, or OutputError if it is of another kind."""
@@ -128,12 +135,7 @@ class FileKind:
             )
         if target.stat().st_size == 0:
             return True
-        try:
-            ours = self.recognize(target)
-        # Readers raise nearly anything on files of other kinds.
-        except Exception:
-            ours = False
-        if not ours:
+        if not self.recognize(target):
             raise OutputError(
                 f"{shown}: is a file that was not written by lightmatrix as {self.name}",
                 hint=f"{ANOTHER_NAME}, or remove the file yourself",
@@ -142,18 +144,6 @@ class FileKind:
 
 
 OutputKind = FolderKind | FileKind
-
-
-def holds_member(file: Path, name: str) -> bool:
-    """Whether an npz has an array of that name, which we write first: files may be cut off."""
-    member = f"{name}.npy".encode()
-    with file.open("rb") as opened:
-        start = opened.read(30 + len(member))
-    # 30 bytes of a ZIP file stand before the name of the first member.
-    if start.startswith(b"PK\x03\x04") and start[30:] == member:
-        return True
-    with zipfile.ZipFile(file) as archive:
-        return f"{name}.npy" in archive.namelist()
 
 
 def read_object(file: Path) -> dict[str, Any] | None:
@@ -208,21 +198,6 @@ def _sizes_below(folder: Path) -> Iterator[tuple[str, int]]:
             yield path.relative_to(folder).as_posix(), path.stat().st_size if regular else -1
 
 
-def _begins_with(file: Path, *starts: bytes) -> bool:
-    with file.open("rb") as opened:
-        return opened.read(max(map(len, starts))).startswith(starts)
-
-
-def _holds_early(file: Path, mark: str) -> bool:
-    with file.open("rb") as opened:
-        return mark.encode() in opened.read(1024)
-
-
-def _is_json(file: Path, name: str) -> bool:
-    content = read_object(file)
-    return content is not None and content.get("format") == name
-
-
 PATTERNS = FolderKind("folder of patterns")
 CAPTURE = FolderKind("capture")
 # A capture that is being photographed, perhaps for hours, keeps its frames as running results.
@@ -233,28 +208,24 @@ PICTURES = FolderKind("folder of pictures")
 SEPARATION = FolderKind("separation")
 DEMO = FolderKind("demo report")
 REPORT = FolderKind("report")
-TRUTH = FileKind("rendered matrix", (".npz",), lambda file: holds_member(file, TRUTH_MARK))
-PACKED = FileKind("packed scene", (".npz",), lambda file: holds_member(file, PACKED_MARK))
-NUMBERS = FileKind("numbers of a picture", (".npz",), lambda file: holds_member(file, NUMBERS_MARK))
-RIG = FileKind("measurements of a rig", (".json",), lambda file: _is_json(file, RIG_FORMAT))
-RESPONSE = FileKind("measured response", (".json",), lambda file: _is_json(file, RESPONSE_FORMAT))
-GEOMETRY = FileKind("geometry of a rig", (".json",), lambda file: _is_json(file, GEOMETRY_FORMAT))
-PAGE = FileKind("page of the viewer", (".html",), lambda file: _holds_early(file, PAGE_MARK))
-CORRESPONDENCE = FileKind(
-    "correspondence", (".npz",), lambda file: holds_member(file, CORRESPONDENCE_MARK)
-)
+TRUTH = FileKind("rendered matrix", (".npz",), f"{TRUTH_MARK}.npy")
+PACKED = FileKind("packed scene", (".npz",), f"{PACKED_MARK}.npy")
+NUMBERS = FileKind("numbers of a picture", (".npz",), f"{NUMBERS_MARK}.npy")
+RIG = FileKind("measurements of a rig", (".json",), f'"format": "{RIG_FORMAT}"')
+RESPONSE = FileKind("measured response", (".json",), f'"format": "{RESPONSE_FORMAT}"')
+GEOMETRY = FileKind("geometry of a rig", (".json",), f'"format": "{GEOMETRY_FORMAT}"')
+PAGE = FileKind("page of the viewer", (".html",), PAGE_MARK)
+CORRESPONDENCE = FileKind("correspondence", (".npz",), f"{CORRESPONDENCE_MARK}.npy")
 MAP_FOLDER = FolderKind("projector map")
-MPCDI = FileKind("MPCDI file", (".mpcdi",), lambda file: _holds_early(file, MPCDI_MARK))
-CLOUD = FileKind("point cloud", (".ply",), lambda file: _holds_early(file, PLY_MARK))
+MPCDI = FileKind("MPCDI file", (".mpcdi",), MPCDI_MARK)
+CLOUD = FileKind("point cloud", (".ply",), PLY_MARK)
 # Depth maps do not say who wrote them, like images.
-DEPTH = FileKind("depth map", (".tif", ".tiff", ".npy"), lambda file: _begins_with(file, *_IMAGES))
-NPZ = FileKind("exported matrix", (".npz",), lambda file: holds_member(file, TRANSPORT_MARK))
-MAT = FileKind("exported matrix", (".mat",), lambda file: _begins_with(file, MAT_MARK.encode()))
+DEPTH = FileKind("depth map", (".tif", ".tiff", ".npy"), _IMAGES)
+NPZ = FileKind("exported matrix", (".npz",), f"{TRANSPORT_MARK}.npy")
+MAT = FileKind("exported matrix", (".mat",), MAT_MARK)
 # Images do not say who wrote them, so any image may be replaced by another.
-IMAGE = FileKind(
-    "image", (".png", ".tif", ".tiff", ".npy", ".exr"), lambda file: _begins_with(file, *_IMAGES)
-)
-PICTURE = FileKind("picture", (".png",), lambda file: _begins_with(file, _IMAGES[0]))
+IMAGE = FileKind("image", (".png", ".tif", ".tiff", ".npy", ".exr"), _IMAGES)
+PICTURE = FileKind("picture", (".png",), _IMAGES[:1])
 
 
 def export_kind(path: str | Path) -> FileKind:

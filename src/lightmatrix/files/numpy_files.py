@@ -38,7 +38,7 @@ def read_npz(path: str | Path) -> dict[str, NDArray[Any]]:
         # NumPy returns the bytes of members that are no arrays.
         if other := [name for name, values in arrays.items() if isinstance(values, bytes)]:
             raise ValueError(f"{other[0][:40]!r} is no array")
-    except InputError:
+    except (InputError, MemoryError):
         raise
     # Damaged archives raise nearly anything, among them NotImplementedError and zlib.error.
     except Exception as error:

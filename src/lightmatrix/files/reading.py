@@ -52,14 +52,15 @@ def read_bytes(path: str | Path, most: int = MOST_TEXT) -> bytes:
     """The content of a regular file of at most `most` bytes."""
     file = regular_file(path)
     try:
-        large = file.stat().st_size > most
+        size = file.stat().st_size
         with file.open("rb") as stream:
-            content = b"" if large else stream.read(most + 1)
+            # Python takes all the memory at once. Files of the system have a size of 0.
+            content = stream.read(min(size or MOST_TEXT, most) + 1)
     except OSError as error:
         raise InputError(
             f"{file}: cannot be read ({error.strerror or error})", hint="check its permissions"
         ) from error
-    if large or len(content) > most:
+    if max(size, len(content)) > most:
         raise InputError(
             f"{file}: is larger than {most / 2**20:g} MiB", hint="check that it is the right file"
         )

@@ -28,11 +28,9 @@ from lightmatrix.files.images import (
     as_stored,
     check_page,
     is_grey,
-    is_inverted,
     png_chunks,
     read_image,
     read_page,
-    turned_back,
 )
 from lightmatrix.files.numpy_files import map_npy, read_npz
 from lightmatrix.files.reading import check_image_size, regular_file
@@ -104,29 +102,12 @@ def pages(path: str | Path) -> list[Page]:
             count, reader = len(array), partial(np.take, array, axis=0)
         elif suffix == ".npy":
             count, reader = len(_checked(file, map_npy(file))), partial(_npy_page, file)
-        elif mapped := _contiguous(file):
-            count, reader = mapped.shape[0], mapped.read
+        elif (images := _contiguous(file)) is not None:
+            count, reader = len(_checked(file, images)), partial(_contiguous_page, file)
         else:
             with tifffile.TiffFile(file) as tiff:
                 count, reader = len(tiff.pages), partial(_tiff_page, file)
     return [Page(file, index, reader) for index in range(count)]
-
-
-@dataclass(frozen=True, eq=False)
-class _Mapped:
-    """Images that follow each other in a file, uncompressed."""
-
-    file: Path
-    shape: tuple[int, ...]
-    dtype: np.dtype[Any]
-    offset: int
-    inverted: bool = False
-
-    def read(self, index: int) -> NDArray[Any]:
-        mapped = np.memmap(self.file, self.dtype, "r", self.offset, self.shape)
-        # A copy: the file must not stay open, and the image must not change with it.
-        image = np.array(mapped[index])
-        return turned_back(image, 8 * image.itemsize) if self.inverted else image
 
 
 def _tiff_page(file: Path, index: int) -> NDArray[Any]:
@@ -138,27 +119,23 @@ def _npy_page(file: Path, index: int) -> NDArray[Any]:
     return np.array(map_npy(file)[index])
 
 
-def _contiguous(file: Path) -> _Mapped | None:
+def _contiguous(file: Path) -> NDArray[Any] | None:
     """Images after the description of a single one, as ImageJ and tifffile may write them."""
     with tifffile.TiffFile(file) as tiff:
         page = tiff.pages.first
-        if len(tiff.pages) > 1 or not (tiff.is_imagej or tiff.is_shaped):
-            return None
-        series = tiff.series[0]
-        if series.size == page.size:
+        few = len(tiff.pages) > 1 or not (tiff.is_imagej or tiff.is_shaped)
+        if few or tiff.series[0].size == page.size:
             return None
         check_page(file, page)
-        count, left = divmod(series.size, page.size)
-        whole_bytes = series.dtype is not None and page.bitspersample == 8 * series.dtype.itemsize
-        if series.dataoffset is None or left or series.dtype is None or not whole_bytes:
-            raise ValueError("images that do not follow one another")
-        dtype = series.dtype.newbyteorder(tiff.byteorder)
-        shape = (count, *page.shape)
-        _check_shape(file, shape)
-        if series.dataoffset + series.size * dtype.itemsize > file.stat().st_size:
-            raise ValueError("the file ends early")
-        inverted = is_inverted(page)
-        return _Mapped(file, shape, dtype, series.dataoffset, inverted=inverted)
+    mapped: NDArray[Any] = tifffile.memmap(file, mode="r")
+    return mapped.reshape(-1, *page.shape)
+
+
+def _contiguous_page(file: Path, index: int) -> NDArray[Any]:
+    images = _contiguous(file)
+    assert images is not None
+    # A copy: the file must not stay open, and the image must not change with it.
+    return np.array(images[index])
 
 
 def _single_array(file: Path) -> NDArray[Any]:
@@ -176,11 +153,7 @@ def _single_array(file: Path) -> NDArray[Any]:
 
 def _checked(file: Path, array: NDArray[Any]) -> NDArray[Any]:
     """The array of a file, if it is a stack of images."""
-    _check_shape(file, array.shape)
-    return array
-
-
-def _check_shape(file: Path, shape: Sequence[int]) -> None:
+    shape = array.shape
     # A last axis of three means colours: no projector and no camera is three pixels wide.
     fits = (len(shape) == 3 and shape[-1] != 3) or (len(shape) == 4 and shape[-1] in (1, 3))
     if not fits or not shape[0]:
@@ -189,6 +162,7 @@ def _check_shape(file: Path, shape: Sequence[int]) -> None:
             hint="give (K, rows, cols), or (K, rows, cols, 3) in colour",
         )
     check_image_size(file, shape[1:])
+    return array
 
 
 def list_images(folder: str | Path) -> list[Path]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Self
@@ -17,7 +18,8 @@ from lightmatrix.files.extras import load_opencv
 from lightmatrix.files.kinds import GEOMETRY, GEOMETRY_FORMAT
 from lightmatrix.files.reading import parse_json, read_json, read_text
 from lightmatrix.files.writing import atomic_file
-from lightmatrix.ranges import as_path
+from lightmatrix.ranges import as_path, check_sides
+from lightmatrix.regions import Region
 from lightmatrix.reprs import jsonable, short_repr
 
 Shape = tuple[int, int]
@@ -52,32 +54,37 @@ def numbers(values: ArrayLike, shape: tuple[int, ...], what: str) -> NDArray[np.
     return array
 
 
+def intrinsics_of(values: ArrayLike, shape: Shape, device: str) -> NDArray[np.float64]:
+    """K (3, 3) of a device with images of `shape`; other conventions of K are refused."""
+    matrix = numbers(values, (3, 3), f"{device}'s K")
+    if not np.allclose(matrix[[1, 2, 2], [0, 0, 1]], 0, atol=1e-6 * np.abs(matrix).max()):
+        raise InputError(
+            f"the {device}'s K has numbers below its diagonal",
+            hint="MATLAB stores it transposed: give [[fx, skew, cx], [0, fy, cy], [0, 0, 1]]",
+        )
+    focal = np.diag(matrix)[:2] / matrix[2, 2]
+    check_sides(f"an image of the {device}", shape)
+    rows, cols = shape
+    # Lenses see between 170 and 0.3 degrees.
+    if not ((focal > 0.04 * max(rows, cols)) & (focal < 200 * max(rows, cols))).all():
+        raise InputError(
+            f"the {device}'s K has focal lengths of {focal[0]:g} and {focal[1]:g}, for images of "
+            f"{rows} x {cols} pixels",
+            hint="give K in pixels: a focal length in millimetres divided by the size of a pixel; "
+            "a normalised one times the width of the image",
+        )
+    return matrix
+
+
 def distortion(values: ArrayLike, device: str) -> NDArray[np.float64]:
     """Five coefficients; OpenCV leaves out those at the end that are 0."""
-    given = np.ravel(np.asarray(values))
-    if len(given) > 5 and not np.any(given[5:]):
-        given = given[:5]
+    given = np.trim_zeros(np.ravel(np.asarray(values)), "b")
     if len(given) > 5:
         raise InputError(
             f"the {device}'s distortion has {len(given)} coefficients",
             hint="calibrate with OpenCV's model of five: k1, k2, p1, p2, k3",
         )
     return numbers(np.append(given, np.zeros(5 - len(given))), (5,), f"{device}'s distortion")
-
-
-def image_shape(shape: Any, device: str) -> Shape:
-    """Rows and columns as whole numbers of at least 1."""
-    try:
-        rows, cols = (int(size) for size in shape)
-        whole = (rows, cols) == tuple(shape)
-    except (TypeError, ValueError, OverflowError):
-        rows = cols = 0
-        whole = False
-    if not whole or min(rows, cols) < 1:
-        raise InputError(
-            f"an image size of {shape} of the {device}", hint="give (rows, cols) in pixels"
-        )
-    return rows, cols
 
 
 # Lens distortion, after Brown (1971), with OpenCV's five coefficients.
@@ -108,18 +115,15 @@ def undistort(points: NDArray[np.float64], lens: NDArray[np.float64]) -> NDArray
     with np.errstate(all="ignore"):
         # Each step doubles the correct digits, so that strong distortions converge in about six.
         for _ in range(12):
-            seen, (xx, xy, yx, yy) = _seen(ideal, lens)
+            seen, (xx, xy, yy) = _seen(ideal, lens)
             dx, dy = (points - seen).T
-            determinant = xx * yy - xy * yx
-            step = np.column_stack([yy * dx - xy * dy, xx * dy - yx * dx]) / determinant[:, None]
-            ideal = ideal + step
-            if not (np.abs(step) > 1e-9).any():
-                break
-        error, (xx, xy, yx, yy) = _seen(ideal, lens)
+            determinant = xx * yy - xy**2
+            ideal += np.column_stack([yy * dx - xy * dy, xx * dy - xy * dx]) / determinant[:, None]
+        seen, (xx, xy, yy) = _seen(ideal, lens)
         # The lens leads back to within a thousandth of a pixel at a focal length of 10,000 pixels.
         # Where the determinant is negative, it has folded the image over.
-        good = np.abs(error - points).max(axis=1) < 1e-7
-        good &= (xx * yy - xy * yx > 0) & (xx + yy > 0)
+        good = np.abs(seen - points).max(axis=1) < 1e-7
+        good &= (xx * yy - xy**2 > 0) & (xx + yy > 0)
     return np.where(good[:, None], ideal, np.nan)
 
 
@@ -141,7 +145,7 @@ def through_lens(
 def _seen(
     points: NDArray[np.float64], lens: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], tuple[NDArray[np.float64], ...]]:
-    """Distorted points and the four derivatives dx'/dx, dx'/dy, dy'/dx, dy'/dy."""
+    """Distorted points and the derivatives dx'/dx, dx'/dy = dy'/dx, dy'/dy."""
     k1, k2, p1, p2, k3 = lens
     x, y = points.T
     square = x * x + y * y
@@ -157,7 +161,7 @@ def _seen(
     mixed = 2 * x * y * slope + 2 * p1 * x + 2 * p2 * y
     xx = radial + 2 * x * x * slope + 2 * p1 * y + 6 * p2 * x
     yy = radial + 2 * y * y * slope + 6 * p1 * y + 2 * p2 * x
-    return seen, (xx, mixed, mixed, yy)
+    return seen, (xx, mixed, yy)
 
 
 # Projection matrices: their scale, and the lens, rotation and place that they consist of.
@@ -228,15 +232,17 @@ VERSION = 1
 _NAMES = {
     "camera_intrinsics": "cameraintrinsics camk camint cameramatrix1 cameramatrix k1 m1 kc kcam "
     "intrinsicscamera cameraintrinsic mtx1 ",
-    "projector_intrinsics": "projectorintrinsics projk projint cameramatrix2 projectormatrix k2 m2 "
-    "kp kproj intrinsicsprojector projectorintrinsic mtx2",
+    # SLMaster's second camera has M2, R and T, and its projector M4, Rlp and Tlp.
+    "projector_intrinsics": "projectorintrinsics projk projint m4 cameramatrix2 projectormatrix k2 "
+    "m2 kp kproj intrinsicsprojector projectorintrinsic mtx2",
+    # SLStudio has Kc and kc, which differ in their size only.
     "camera_distortion": "cameradistortion camkc camdist distcoeffs1 distcoeffs d1 dist1 distcam "
-    "cameradistcoeffs cameradistortioncoefficients",
-    "projector_distortion": "projectordistortion projkc projdist distcoeffs2 d2 dist2 distproj "
-    "projectordistcoeffs projectordistortioncoefficients",
+    "cameradistcoeffs cameradistortioncoefficients kc",
+    "projector_distortion": "projectordistortion projkc projdist d4 distcoeffs2 d2 dist2 distproj "
+    "projectordistcoeffs projectordistortioncoefficients kp",
     # One widely copied program misspells it.
-    "rotation": "rotation r rproj rotationmatrix roration",
-    "translation": "translation t tproj tvec",
+    "rotation": "rotation rlp rproj rp r rotationmatrix roration",
+    "translation": "translation tlp tproj tp t tvec",
     "camera_shape": "camerashape",
     "projector_shape": "projectorshape",
     "camera_size": "camerasize cameraresolution camsize camres imagesize imagesize1",
@@ -254,49 +260,30 @@ def read_geometry(
     start = text.lstrip()[:64]
     if start.startswith("{") and "opencv-matrix" not in text:
         content = parse_json(text, str(file))
-        known = " ".join(_NAMES.values()).split()
-        if (
-            not isinstance(content, dict)
-            or content.get("format")
-            or not any(_plain(name) in known for name in content)
-        ):
-            return checked_fields(read_json(file, GEOMETRY_FORMAT, VERSION), str(file))
+        if not isinstance(content, dict) or "format" in content:
+            fields = checked_fields(read_json(file, GEOMETRY_FORMAT, VERSION), str(file))
+            given = {"camera_shape": camera_shape, "projector_shape": projector_shape}
+            return fields | {name: shape for name, shape in given.items() if shape is not None}
         values = {name: _array(value) for name, value in content.items()}
     elif start.startswith(("<?xml", "<opencv_storage", "%YAML", "---", "{")):
         values = _opencv_values(file, text)
     else:
-        raise _not_a_geometry(file)
+        values = {}
     return _arguments(file, values, camera_shape, projector_shape)
 
 
 def checked_fields(content: Any, file: str) -> dict[str, Any]:
     """The fields of a geometry in an object of JSON, in which others are ignored."""
-    if not isinstance(content, dict):
-        raise InputError(f"{file}: holds no geometry of a rig", hint="write it again")
     names = set(RigGeometry.__dataclass_fields__)
-    fields = {name: value for name, value in content.items() if name in names}
-    missing = sorted(names - {"units", "rms"} - set(fields))
-    if missing:
-        raise InputError(
-            f"{file}: lacks {', '.join(missing)}",
-            hint="write it again with `lightmatrix calibrate`",
-        )
+    given = content if isinstance(content, dict) else {}
+    fields = {name: value for name, value in given.items() if name in names}
+    missing = sorted(names - {"units", "rms", "projector_mirrored"} - set(fields))
     units, rms = fields.get("units"), fields.get("rms", {})
     named = isinstance(rms, dict) and all(type(value) in (int, float) for value in rms.values())
-    if not isinstance(units, str | None) or not named:
-        raise InputError(
-            f'{file}: "units" is no text, or "rms" holds no numbers',
-            hint="write it again with `lightmatrix calibrate`",
-        )
+    if missing or not isinstance(units, str | None) or not named:
+        wrong = f"lacks {', '.join(missing)}" if missing else "its units or rms are damaged"
+        raise InputError(f"{file}: {wrong}", hint="write it again with `lightmatrix calibrate`")
     return fields
-
-
-def _not_a_geometry(file: Path) -> InputError:
-    return InputError(
-        f"{file}: holds no geometry of a rig",
-        hint="give a file of `lightmatrix calibrate`, or of OpenCV with camera and projector "
-        "matrices, R and T",
-    )
 
 
 def _plain(name: str) -> str:
@@ -323,10 +310,12 @@ def _opencv_values(file: Path, text: str) -> dict[str, NDArray[Any] | None]:
             node = root.getNode(name)
             if node.isReal() or node.isInt():
                 values[name] = _array(node.real())
-            elif node.isSeq():
+            elif node.isSeq() and node.size() <= 64:
                 values[name] = _array([node.at(k).real() for k in range(node.size())])
             elif node.isMap():
-                values[name] = _array(node.mat())
+                # A map may be a group of anything.
+                with suppress(cv2.error, SystemError, TypeError):
+                    values[name] = _array(node.mat())
         storage.release()
     except (cv2.error, SystemError, UnicodeError, TypeError) as error:
         raise InputError(f"{file}: OpenCV cannot read it", hint="is the file damaged?") from error
@@ -340,15 +329,28 @@ def _arguments(
     projector_shape: Shape | None,
 ) -> dict[str, Any]:
     """Arguments of `from_intrinsics` from the values of a calibration program."""
-    plain = {_plain(name): value for name, value in values.items()}
+    plain: dict[str, list[str]] = {}
+    for name, value in values.items():
+        if value is not None:
+            plain.setdefault(_plain(name), []).append(name)
     found: dict[str, Any] = {}
     for name, others in _NAMES.items():
-        fitting = [plain[other] for other in others.split() if plain.get(other) is not None]
+        fitting: list[Any] = [
+            values[known] for other in others.split() for known in plain.get(other, ())
+        ]
+        # K has 3 x 3 numbers; a distortion that goes by the same name has not.
+        lens = name.endswith("distortion")
+        if name.endswith(("intrinsics", "distortion")):
+            fitting = [each for each in fitting if (each.shape == (3, 3)) != lens]
         if fitting:
             found[name] = fitting[0]
     missing = [name.replace("_", " ") for name in _NEEDED if name not in found]
     if len(missing) == len(_NEEDED):
-        raise _not_a_geometry(file)
+        raise InputError(
+            f"{file}: holds no geometry of a rig",
+            hint="give a file of `lightmatrix calibrate`, or of OpenCV with camera and projector "
+            "matrices, R and T",
+        )
     if missing:
         raise InputError(
             f"{file}: names no {' and no '.join(missing)}",
@@ -366,7 +368,8 @@ def _arguments(
                 f"{file}: does not state the image size of the {device}",
                 hint=f"give {device}_shape, or write {device}_size: width, height into the file",
             )
-        found[f"{device}_shape"] = given if stated is None else tuple(map(int, stated.ravel()))
+        sides: Any = [] if stated is None else np.ravel(stated)
+        found[f"{device}_shape"] = given or tuple(map(int, sides))
     return found
 
 
@@ -394,6 +397,9 @@ class RigGeometry:
         Unit of length, such as "mm"; None if unknown.
     rms : mapping
         Root mean square of the residuals of a calibration, in pixels, by name.
+    projector_mirrored : bool
+        Whether the camera sees the projector's image mirrored, as behind a screen or in a mirror.
+        `projector_matrix` then belongs to columns that are counted from the right.
 
     Raises
     ------
@@ -419,6 +425,7 @@ class RigGeometry:
     projector_distortion: NDArray[np.float64] = field(default_factory=lambda: np.zeros(5))
     units: str | None = None
     rms: Mapping[str, float] = field(default_factory=dict)
+    projector_mirrored: bool = False
 
     __repr__ = short_repr
 
@@ -426,10 +433,11 @@ class RigGeometry:
         for device in ("camera", "projector"):
             matrix = normalised(getattr(self, f"{device}_matrix"), device)
             lens = distortion(getattr(self, f"{device}_distortion"), device)
-            shape = image_shape(getattr(self, f"{device}_shape"), device)
+            shape = getattr(self, f"{device}_shape")
+            check_sides(f"an image of the {device}", shape)
             object.__setattr__(self, f"{device}_matrix", matrix)
             object.__setattr__(self, f"{device}_distortion", lens)
-            object.__setattr__(self, f"{device}_shape", shape)
+            object.__setattr__(self, f"{device}_shape", tuple(map(int, shape)))
         # Less than 1e-9 of the distance to the origin is rounding.
         centres = np.stack([centre_of(self.camera_matrix), centre_of(self.projector_matrix)])
         if np.linalg.norm(centres[1] - centres[0]) <= 1e-9 * np.abs(centres).max():
@@ -465,8 +473,8 @@ class RigGeometry:
         RigGeometry
             Errors are those of the class.
         """
-        whole = np.asarray(camera), np.asarray(projector)
-        return cls(*whole, camera_shape, projector_shape, units=units)
+        matrices = np.asarray(camera), np.asarray(projector)
+        return cls(*matrices, camera_shape, projector_shape, units=units)
 
     @classmethod
     def from_intrinsics(
@@ -508,11 +516,10 @@ class RigGeometry:
         turn = numbers(rotation, (3, 3), "rotation")
         moved = numbers(np.ravel(np.asarray(translation)), (3,), "translation")
         if not np.allclose(turn @ turn.T, np.eye(3), atol=1e-4) or np.linalg.det(turn) < 0:
-            raise InputError(
-                "the rotation is no rotation matrix", hint="give R with R R' = 1 and det R = 1"
-            )
-        camera = numbers(camera_intrinsics, (3, 3), "camera's K")
-        projector = numbers(projector_intrinsics, (3, 3), "projector's K")
+            hint = "give R with R R' = 1 and det R = 1"
+            raise InputError("the rotation is no rotation matrix", hint=hint)
+        camera = intrinsics_of(camera_intrinsics, camera_shape, "camera")
+        projector = intrinsics_of(projector_intrinsics, projector_shape, "projector")
         return cls(
             camera @ np.eye(3, 4),
             projector @ np.column_stack([turn, moved]),
@@ -579,23 +586,25 @@ class RigGeometry:
 
     def undistort_projector(self, points: ArrayLike) -> NDArray[np.float64]:
         """Where an ideal lens shows projector pixels (n, 2) as (col, row); NaN where it cannot."""
-        return through_lens(undistort, points, self.projector_intrinsics, self.projector_distortion)
+        seen = self._unmirrored(points_of(points, 2))
+        return through_lens(undistort, seen, self.projector_intrinsics, self.projector_distortion)
 
-    def distort_camera(self, points: ArrayLike) -> NDArray[np.float64]:
-        """Where the camera shows undistorted pixels (n, 2) as (col, row)."""
-        return through_lens(distort, points, self.camera_intrinsics, self.camera_distortion)
-
-    def distort_projector(self, points: ArrayLike) -> NDArray[np.float64]:
-        """Where the projector shows undistorted pixels (n, 2) as (col, row)."""
-        return through_lens(distort, points, self.projector_intrinsics, self.projector_distortion)
+    def _unmirrored(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Projector pixels (n, 2) counted from the side of `projector_matrix`, or back."""
+        if not self.projector_mirrored:
+            return points
+        return np.column_stack([self.projector_shape[1] - 1 - points[:, 0], points[:, 1]])
 
     def project_camera(self, points: ArrayLike) -> NDArray[np.float64]:
         """Where the camera sees points (n, 3) of the world: (n, 2) as (col, row), distorted."""
-        return self.distort_camera(projected(self.camera_matrix, points))
+        ideal = projected(self.camera_matrix, points)
+        return through_lens(distort, ideal, self.camera_intrinsics, self.camera_distortion)
 
     def project_projector(self, points: ArrayLike) -> NDArray[np.float64]:
         """The projector pixels (n, 2) as (col, row), distorted, that light points (n, 3)."""
-        return self.distort_projector(projected(self.projector_matrix, points))
+        ideal = projected(self.projector_matrix, points)
+        lit = through_lens(distort, ideal, self.projector_intrinsics, self.projector_distortion)
+        return self._unmirrored(lit)
 
     def camera_rays(self, points: ArrayLike) -> NDArray[np.float64]:
         """Where camera pixels (n, 2) as (col, row) look: (n, 3), of depth 1 along the axis."""
@@ -649,9 +658,8 @@ class RigGeometry:
 
     def depth(self, points: ArrayLike) -> NDArray[np.float64]:
         """Distance (n,) of points (n, 3) from the camera along its axis, in `units`."""
-        return np.asarray(
-            points_of(points, 3) @ self.camera_matrix[2, :3] + self.camera_matrix[2, 3]
-        )
+        axis = self.camera_matrix[2]
+        return np.asarray(points_of(points, 3) @ axis[:3] + axis[3])
 
     def scaled(self, camera: int | Shape = 1, projector: int | Shape = 1) -> RigGeometry:
         """The geometry for images that are binned by blocks of (rows, cols) pixels.
@@ -681,18 +689,16 @@ class RigGeometry:
                     hint="use blocks of at least 1 pixel that fit into the image",
                 )
             changed[f"{device}_shape"] = small
-            changed[f"{device}_matrix"] = binned_matrix(getattr(self, f"{device}_matrix"), block)
+            # Counted from the right, the columns that are cut off come first.
+            cut = shape[1] - small[1] * block[1] if self.projector_mirrored else 0
+            corner = (0, cut if device == "projector" else 0)
+            matrix = binned_matrix(getattr(self, f"{device}_matrix"), block, corner)
+            changed[f"{device}_matrix"] = matrix
         return replace(self, **changed)
 
     def cropped(self, corner: Shape, shape: Shape) -> RigGeometry:
         """The geometry for photographs of which a rectangle from corner (row, col) is cut out."""
-        ends = (corner[0] + shape[0], corner[1] + shape[1])
-        if min(corner) < 0 or ends[0] > self.camera_shape[0] or ends[1] > self.camera_shape[1]:
-            raise InputError(
-                f"a crop of {shape[0]} x {shape[1]} pixels from row {corner[0]}, column "
-                f"{corner[1]}, of photographs of {self.camera_shape[0]} x {self.camera_shape[1]}",
-                hint="keep the crop within the photographs",
-            )
+        Region(corner, shape, self.camera_shape)  # Refuses a crop beyond the photographs.
         cut = binned_matrix(self.camera_matrix, (1, 1), corner)
         return replace(self, camera_matrix=cut, camera_shape=shape)
 
@@ -739,9 +745,7 @@ class RigGeometry:
         file = as_path(path)
         content = read_geometry(file, camera_shape, projector_shape)
         try:
-            if "rotation" in content:
-                return cls.from_intrinsics(**content)
-            return cls(**content)
+            return cls.from_intrinsics(**content) if "rotation" in content else cls(**content)
         except InputError as error:
             raise InputError(f"{file}: {error.message}", hint=error.hint) from error
 

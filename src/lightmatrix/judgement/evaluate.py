@@ -115,7 +115,11 @@ class ColourErrors:
 
     def as_dict(self) -> dict[str, Any]:
         """Names and values, JSON-ready, with the errors of each primary under its name."""
-        return self._joint | {name: getattr(self, name).as_dict() for name in COLOURS}
+        joint = {
+            "relative_error": self.relative_error,
+            "relighting_error": self.relighting_error,
+        }
+        return joint | {name: getattr(self, name).as_dict() for name in COLOURS}
 
     def __repr__(self) -> str:
         return text_table("Errors in colour", labelled(self.table()))
@@ -125,17 +129,11 @@ class ColourErrors:
 
     def table(self) -> dict[str, float]:
         """The two errors that matter most, of the three together and of each."""
-        return self._joint | {
-            f"{error}_{colour}": getattr(getattr(self, colour), error)
+        names = "relative_error", "relighting_error"
+        return {name: getattr(self, name) for name in names} | {
+            f"{name}_{colour}": getattr(getattr(self, colour), name)
             for colour in COLOURS
-            for error in self._joint
-        }
-
-    @property
-    def _joint(self) -> dict[str, float]:
-        return {
-            "relative_error": self.relative_error,
-            "relighting_error": self.relighting_error,
+            for name in names
         }
 
 

@@ -1,4 +1,4 @@
-"""How far to trust an estimate: `verdict` judges T, `lm.verdicts` its uses as well.
+"""How far to trust an estimate: `lm.verdicts` judges T and what it is used for.
 
 T is judged by the errors that an estimate states of its own rows. Photographs held out of an
 estimate do not show what is wrong with all photographs alike, nor what none of them shows. The
@@ -91,13 +91,6 @@ class Verdict:
         What else bears on the verdict, in short sentences with their numbers.
     measure : str
         What the error is.
-
-    Examples
-    --------
-    >>> import lightmatrix as lm
-    >>> from lightmatrix.judgement.judgement import Verdict
-    >>> print(Verdict("good", 0.012, ("100 % of the rows converged.",)))
-    Good. Estimated error of T: 1.2 %. 100 % of the rows converged.
     """
 
     level: Level
@@ -115,27 +108,20 @@ class Verdict:
         return f"{self.level.capitalize()}. {self.sentence}"
 
     def with_findings(self, kinds: Iterable[str], spoiling: Collection[str] = _SPOILING) -> Verdict:
-        """The verdict, doubtful and without error if `check` found what spoils T unnoticed.
+        """The verdict, doubtful and without error if some `kinds` of findings are `spoiling`.
 
-        It is fair at best where nothing tells whether the photographs are linear in light.
-
-        Parameters
-        ----------
-        kinds : iterable of str
-            The kinds of the findings.
-        spoiling : collection of str
-            The kinds that no error estimate shows.
+        These are the kinds that no error estimate shows. The verdict is fair at best where nothing
+        tells whether the photographs are linear in light.
         """
         kinds = set(kinds)
-        found = sorted(kinds & set(spoiling))
-        if not found and "linearity" in kinds and spoiling == _SPOILING and self.level == "good":
+        if found := sorted(kinds & set(spoiling)):
+            doubt = f"The check found what no error estimate shows ({', '.join(found)})."
+            level: Level = self.level if self.level == "not tested" else "doubtful"
+            return replace(self, level=level, error=None, reasons=(*self.reasons, doubt))
+        if "linearity" in kinds and spoiling == _SPOILING and self.level == "good":
             untested = "Whether the photographs are linear in light could not be tested."
             return replace(self, level="fair", reasons=(*self.reasons, untested))
-        if not found:
-            return self
-        doubt = f"The check found what no error estimate shows ({', '.join(found)})."
-        level: Level = self.level if self.level == "not tested" else "doubtful"
-        return replace(self, level=level, error=None, reasons=(*self.reasons, doubt))
+        return self
 
 
 @dataclass(frozen=True)
@@ -167,14 +153,11 @@ class Verdicts:
     @classmethod
     def from_dict(cls, verdicts: Mapping[str, Mapping[str, Any]]) -> Self:
         """The verdicts of `as_dict`."""
-        return cls(
-            **{
-                name: Verdict(
-                    each["verdict"], each["error"], tuple(each["reasons"]), each["measure"]
-                )
-                for name, each in verdicts.items()
-            }
-        )
+        facts = {
+            name: (each["verdict"], each["error"], tuple(each["reasons"]), each["measure"])
+            for name, each in verdicts.items()
+        }
+        return cls(**{name: Verdict(*each) for name, each in facts.items()})
 
     def _repr_html_(self) -> str:
         rows = (line.partition(": ") for line in self.lines())
@@ -183,13 +166,8 @@ class Verdicts:
     def as_dict(self) -> dict[str, dict[str, Any]]:
         """The verdicts by their names, each with its parts and its sentence, JSON-ready."""
         return {
-            name: {
-                "verdict": each.level,
-                "sentence": each.sentence,
-                "error": each.error,
-                "reasons": list(each.reasons),
-                "measure": each.measure,
-            }
+            name: {"verdict": each.level, "sentence": each.sentence, "error": each.error}
+            | {"reasons": list(each.reasons), "measure": each.measure}
             for name, each in vars(self).items()
         }
 
@@ -202,34 +180,11 @@ class Verdicts:
         ]
 
 
-def verdict(transport: LightTransport) -> Verdict:
-    """Judge an estimate by the errors that it estimates of its own rows.
-
-    Parameters
-    ----------
-    transport : LightTransport
-        An estimate. A matrix without diagnostics cannot be judged.
-
-    Returns
-    -------
-    Verdict
-        "not tested" where no row has an estimated error, and nothing makes it doubtful. A solver
-        that converged certifies that it solved its problem, not that the solution is T. Doubtful if
-        `check` found in the capture what no error estimate shows; the provenance of an estimate
-        holds its findings.
-
-    Examples
-    --------
-    >>> import lightmatrix as lm
-    >>> from lightmatrix.judgement.judgement import verdict
-    >>> print(verdict(lm.truth("metal").transport()))
-    Not tested. The matrix has no diagnostics.
-    """
-    return verdict_by_rows(transport).with_findings(stored_findings(transport))
-
-
 def verdicts(transport: LightTransport) -> Verdicts:
     """Judge the correspondence, the relighting and the T of an estimate.
+
+    T is judged by the errors that the estimate states of its own rows. It is doubtful if `check`
+    found in the capture what these do not show; the provenance holds its findings.
 
     Parameters
     ----------
@@ -239,7 +194,7 @@ def verdicts(transport: LightTransport) -> Verdicts:
     Returns
     -------
     Verdicts
-        "not tested" where nothing bears on a question.
+        "not tested" where nothing bears on a question, as for a matrix without diagnostics.
 
     Examples
     --------
@@ -253,7 +208,7 @@ def verdicts(transport: LightTransport) -> Verdicts:
     return Verdicts(
         correspondence_verdict(transport, kinds),
         relighting_verdict(transport, kinds),
-        verdict(transport),
+        verdict_by_rows(transport).with_findings(kinds),
     )
 
 
@@ -350,10 +305,9 @@ class OwnError:
 
     @cached_property
     def stated(self) -> float | None:
-        """The relative error of T that the estimate states.
+        """The relative error of T that the estimate states, also for light that is only bounded.
 
-        It follows from the estimated errors of its rows and from the share of the light that only
-        has a lower bound. None if no row has an estimated error, or if there are `doubts`.
+        None if no row has an estimated error, or if there are `doubts`.
         """
         if self.estimated is None or self.doubts:
             return None
@@ -394,10 +348,9 @@ class OwnError:
 
     @cached_property
     def estimated(self) -> float | None:
-        """The relative error of T that follows from the estimated errors of its rows.
+        """||error of T|| / ||T|| in the Frobenius norm, by the errors that its rows estimate.
 
-        It is ||error of T|| / ||T|| in the Frobenius norm, over the rows that have an estimate of
-        their error; None if no row has.
+        Over the rows that have such an error; None if no row has.
         """
         errors = _diagnostic(self.transport, "estimated_error")
         known = np.flatnonzero(np.isfinite(errors))

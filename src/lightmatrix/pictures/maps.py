@@ -84,7 +84,7 @@ def gap_map(transport: LightTransport) -> Map:
         raise InputError("no row has a duality gap", hint="estimate with the solver active-set")
     middle, largest = 100 * np.median(known), 100 * known.max()
     title = f"Duality gap: median {middle:.1g} %, largest {largest:.1g} %"
-    label = "(P - D) / P of a camera pixel's row"
+    label = "(P - D) / P of a camera pixel's row; dark: converged"
     # Gaps below the usual tolerance look alike: bright pixels are rows that did not converge.
     return Map("gap", title, label, gaps, 1e-3, 1, logarithmic=True)
 

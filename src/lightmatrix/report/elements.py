@@ -49,24 +49,6 @@ class Gallery:
 
 
 @dataclass(frozen=True)
-class Pair:
-    """A pattern, the photograph under it, and a few words."""
-
-    number: int
-    pattern: Image
-    photograph: Image
-    note: str
-
-
-@dataclass(frozen=True)
-class Strip:
-    """Pairs of patterns and photographs in the order of the capture."""
-
-    pairs: tuple[Pair, ...]
-    kind: ClassVar[str] = "strip"
-
-
-@dataclass(frozen=True)
 class Table:
     """A table whose first column names the row."""
 
@@ -102,14 +84,6 @@ class Text:
 
 
 @dataclass(frozen=True)
-class Points:
-    """A bullet list of sentences."""
-
-    items: tuple[str, ...]
-    kind: ClassVar[str] = "points"
-
-
-@dataclass(frozen=True)
 class Columns:
     """Elements in two columns on wide screens, below each other on narrow ones."""
 
@@ -118,7 +92,7 @@ class Columns:
     kind: ClassVar[str] = "columns"
 
 
-Element: TypeAlias = "Gallery | Strip | Table | Bars | Text | Points | Columns"
+Element: TypeAlias = "Gallery | Table | Bars | Text | Columns"
 
 
 @dataclass(frozen=True)
@@ -134,10 +108,8 @@ class Section:
 # Arrays as images of the report: small enough for one page, with alternative texts and scales.
 
 
-# The longer side of a picture has at most this many pixels, which fills a column of the page. The
-# second limit is that of thumbnails.
+# The longer side of a picture has at most this many pixels, which fills a column of the page.
 MOST_PIXELS = 320
-THUMB_PIXELS = 72
 # Photographs of up to this many pixels a side are stored without loss: single pixels are visible on
 # the page, and noise does not make the file large.
 MOST_LOSSLESS = 128
@@ -166,22 +138,19 @@ def image_of_map(shown: Map, caption: str = "") -> Image:
 
 def photograph(
     light: NDArray[Any], alternative: str, title: str = "", caption: str = "",
-    *, white: float | None = None, most: int = MOST_PIXELS, exact: bool = True,
+    *, white: float | None = None,
 ) -> Image:  # fmt: skip
-    """A linear image (rows, cols[, 3]) with gamma 2.2 and a longer side of `most` pixels."""
+    """A linear image (rows, cols[, 3]) with gamma 2.2."""
     level = white_level(light) if white is None else white
-    shown = display(_shrink(np.asarray(light, float), most, "mean"), level)
+    shown = display(_shrink(np.asarray(light, float), MOST_PIXELS, "mean"), level)
     small = max(shown.shape[:2]) <= MOST_LOSSLESS
-    return _image(_bytes(shown), alternative, title, caption, exact=exact and small)
+    return _image(_bytes(shown), alternative, title, caption, exact=small)
 
 
-def pattern_image(
-    pattern: NDArray[Any], alternative: str, title: str = "", caption: str = "",
-    *, most: int = MOST_PIXELS,
-) -> Image:  # fmt: skip
+def pattern_image(pattern: NDArray[Any], alternative: str, title: str) -> Image:
     """A pattern with its values in [0, 1] as grey levels."""
-    shown = np.clip(_shrink(np.asarray(pattern, float), most, "mean"), 0, 1)
-    return _image(_bytes(shown), alternative, title, caption)
+    shown = np.clip(_shrink(np.asarray(pattern, float), MOST_PIXELS, "mean"), 0, 1)
+    return _image(_bytes(shown), alternative, title, "")
 
 
 def colour_image(

@@ -22,16 +22,12 @@ from lightmatrix.pictures.maps import (
 )
 from lightmatrix.pictures.style import white_level
 from lightmatrix.report.elements import (
-    THUMB_PIXELS,
     Bars,
     Columns,
     Element,
     Gallery,
     Image,
-    Pair,
-    Points,
     Section,
-    Strip,
     Table,
     Text,
     colour_image,
@@ -91,7 +87,7 @@ def uses(facts: Facts) -> Section:
         words = (
             "For a camera of this size, use `lightmatrix separate SCENE.zarr -o FOLDER`, "
             "`lightmatrix compensate SCENE.zarr WANTED.png -o PATTERN.png` and "
-            "`lightmatrix triangulate SCENE.zarr --geometry RIG.json -o CLOUD.ply`."
+            "`lightmatrix triangulate SCENE.zarr --geometry GEOMETRY.json -o CLOUD.ply`."
         )
         return Section("uses", "Uses", lead, (Text(words),))
     shape = _triangulated(transport, facts.geometry)
@@ -256,7 +252,8 @@ def error_estimates(facts: Facts) -> Section:
     if has_diagnostic(facts.transport, "estimated_error"):
         caption = "Each camera pixel's own estimate, from its samples and its neighbours."
         maps.append(image_of_map(estimated_error_map(facts.transport), caption))
-    if has_diagnostic(facts.transport, "gap"):
+    # Where all rows have converged, the numbers in the table say all.
+    if np.nanmax(facts.transport.diagnostics.get("gap", 0), initial=0) > 1e-3:
         caption = (
             "How far the objective of each row can be from its optimum. A small gap means solved. "
             "Whether it is right, only unseen photographs can show."
@@ -322,20 +319,20 @@ def _unseen_photographs(facts: Facts) -> list[Element]:
 
 
 # The page shows at most this many frames.
-MOST = 5
+MOST = 3
 
 
 def photographs(facts: Facts) -> Section:
     """A table of the capture, charts and a map of clipping, and frames."""
     capture = facts.capture
     frames = facts.frames
-    maps: list[Element] = []
+    images: list[Image] = []
     if "clipped_share" in facts.transport.diagnostics:
         caption = (
             "A clipped sample is a lower bound. A camera pixel that clips in nearly every frame "
             "tells little."
         )
-        maps.append(Gallery((image_of_map(clipping_map(facts.transport), caption),)))
+        images.append(image_of_map(clipping_map(facts.transport), caption))
     clipped = percent(float(frames.clipped.mean()))
     decoder, masked = capture.decoder, int((~capture.valid).sum())
     settings: dict[str, object] = {
@@ -355,16 +352,16 @@ def photographs(facts: Facts) -> Section:
         _bars("Clipped samples per frame", frames.clipped),
         _bars("Mean level per frame, relative to the clip level", frames.level),
     )
-    elements: list[Element] = [Columns((table, *maps), charts), *_rig(facts.transport)]
     shown = np.unique(np.linspace(0, capture.count - 1, MOST).astype(int))
-    elements.append(Strip(tuple(_pair(facts, int(k)) for k in shown)))
+    images += [_frame(facts, int(k)) for k in shown]
+    elements = (Columns((table,), charts), *_rig(facts.transport), Gallery(tuple(images)))
     lead = (
         f"The capture has {capture.count} photographs, one per pattern. "
         f"{clipped} of the samples clipped."
     )
     if capture.count > MOST:
         lead += f" The page shows {MOST} of them, spread over the capture."
-    return Section("photographs", "Patterns and photographs", lead, tuple(elements))
+    return Section("photographs", "Patterns and photographs", lead, elements)
 
 
 def _rig(transport: LightTransport) -> list[Element]:
@@ -372,7 +369,7 @@ def _rig(transport: LightTransport) -> list[Element]:
     model = RigModel.of(transport)
     if not model.names:
         return []
-    sentences = tuple(f"{each[0].upper()}{each[1:]}: corrected." for each in model.sentences)
+    sentences = " ".join(f"{each[0].upper()}{each[1:]}: corrected." for each in model.sentences)
     values = model.values
     charts = []
     if "gain" in values:
@@ -383,12 +380,11 @@ def _rig(transport: LightTransport) -> list[Element]:
     if "shift" in values:
         far = np.hypot(*values["shift"])
         charts.append(_bars("Displacement per frame, relative to a camera pixel", far))
-    return [Points(sentences), *charts]
+    return [Text(sentences), *charts]
 
 
-def _pair(facts: Facts, index: int) -> Pair:
+def _frame(facts: Facts, index: int) -> Image:
     capture, decoder = facts.capture, facts.capture.decoder
-    pattern = capture.patterns.images(index, index + 1)[0]
     note = f"{percent(float(facts.frames.clipped[index]))} clip"
     if np.ptp(capture.exposures) > 0:
         note += f", exposure {capture.exposures[index]:g}"
@@ -397,10 +393,7 @@ def _pair(facts: Facts, index: int) -> Pair:
     light = decoder.response.linearise(np.clip(raw / decoder.full_scale, 0, None))
     clip = np.broadcast_to(np.asarray(decoder.clip, float), (capture.count,))[index]
     light = np.asarray(light / decoder.response.linearise(clip / decoder.full_scale))
-    image = photograph(
-        light, f"Photograph {index}: {note}", white=1.0, most=THUMB_PIXELS, exact=False
-    )
-    return Pair(index, pattern_image(pattern, f"Pattern {index}", most=THUMB_PIXELS), image, note)
+    return photograph(light, f"Photograph {index}: {note}", f"Photograph {index}", note, white=1.0)
 
 
 def _bars(title: str, values: NDArray[np.float64]) -> Bars:

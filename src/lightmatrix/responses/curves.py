@@ -2,8 +2,7 @@
 
 The camera's comes from photographs of one scene at several exposures: a pixel's light grows with
 the exposure, which gives the light of each level up to a common factor (Debevec & Malik 1997). The
-projector's comes from photographs of a ramp, each of one
-grey value all over.
+projector's comes from photographs of a ramp, each of one grey value all over.
 """
 
 from __future__ import annotations
@@ -64,7 +63,7 @@ def exposures_of(frames: Frames, stated: float | NDArray[Any] | None) -> NDArray
         paths = frames.paths if isinstance(frames, ImageStack) else ()
         times = [exposure_time(path) for path in paths if isinstance(path, Path)]
         if not times or None in times:
-            which = f"{paths[times.index(None)]}: " if None in times else ""
+            which = f"{paths[times.index(None)]}: " if times else ""
             raise InputError(
                 f"{which}the exposures of the photographs are unknown",
                 hint="give the exposures, in any unit, in the order of the photographs",
@@ -169,21 +168,6 @@ def sample_pixels(
 # The camera's curve.
 
 
-@dataclass(frozen=True, eq=False)
-class Residuals:
-    """How far the light of pixels departs from growing with the exposure."""
-
-    # (n,): middle of each range of light.
-    light: NDArray[np.float64]
-    # (n,): mean over its pixels, as a share of full light.
-    off: NDArray[np.float64]
-
-    @property
-    def largest(self) -> float:
-        """The largest of them; NaN if there are none."""
-        return float(np.abs(self.off).max()) if len(self.off) else float("nan")
-
-
 def fit_curve(series: PixelSeries) -> NDArray[np.float64]:
     """Light of the levels 0 to 255: 0 without light, 1 at the clip level, never decreasing."""
     cv2 = load_opencv("measuring a camera's response", "response")
@@ -214,8 +198,12 @@ def fit_curve(series: PixelSeries) -> NDArray[np.float64]:
     return np.asarray(np.clip(rising / rising[-1], 0, 1))
 
 
-def measure_residuals(curve: NDArray[np.float64], series: PixelSeries) -> Residuals:
-    """How far each pixel's light is from growing with the exposure, over ranges of light."""
+def measure_residuals(curve: NDArray[np.float64], series: PixelSeries) -> NDArray[np.float64]:
+    """How far light departs from growing with the exposure, (2, n).
+
+    These are the middle of each of 16 ranges of light in which 30 pixels tell something, and the
+    mean departure there, as shares of full light.
+    """
     light, times = curve[series.values], series.exposures[:, None]
     weight = series.trusted.astype(np.float64)
     per_exposure = (weight * light * times).sum(axis=0) / (weight * times**2).sum(axis=0)
@@ -224,10 +212,8 @@ def measure_residuals(curve: NDArray[np.float64], series: PixelSeries) -> Residu
     bins = np.minimum((expected[trusted] * 16).astype(int), 15)
     count = np.bincount(bins, minlength=16)
     total = np.bincount(bins, (light - expected)[trusted], 16)
-    # A range of light tells something from 30 pixels on.
     keep = count >= 30
-    centre = (np.arange(16) + 0.5) / 16
-    return Residuals(centre[keep], total[keep] / count[keep])
+    return np.stack([(np.arange(16) + 0.5)[keep] / 16, total[keep] / count[keep]])
 
 
 def nearest_gamma(curve: NDArray[np.float64], series: PixelSeries) -> float:
@@ -258,8 +244,8 @@ class CameraResponse:
         Exposure of each photograph, in the unit in which they were given.
     channels : float, optional
         For a colour camera, the largest difference between the curves of its channels, in light.
-    residuals : Residuals
-        The means of which `misfit` is the largest.
+    residuals : (2, n) float64
+        Middles of the ranges of light, and the means of which `misfit` is the largest.
 
     Examples
     --------
@@ -278,7 +264,7 @@ class CameraResponse:
     gamma: float
     exposures: NDArray[np.float64]
     channels: float | None
-    residuals: Residuals
+    residuals: NDArray[np.float64]
 
     __repr__ = short_repr
 
@@ -366,10 +352,7 @@ def camera_response(
     >>> round(measured.gamma, 1), lm.Response.parse("curve.json").full_scale
     (2.2, 255.0)
     """
-    for path, kind in ((output, RESPONSE), (picture, PICTURE)):
-        if path is not None:
-            check_output(path, kind, overwrite=overwrite)
-    frames = open_photographs(photographs)
+    frames = _opened(photographs, output, picture, overwrite)
     times = exposures_of(frames, None if exposures is None else np.asarray(exposures))
     steps = np.unique(times)
     if len(steps) < 3 or steps[-1] < 4 * steps[0]:
@@ -407,7 +390,7 @@ def camera_response(
     measured = CameraResponse(
         Response(np.arange(TOP + 1) / TOP, curve, "measured", top),
         float(several.std(axis=0, ddof=1).max()),
-        residuals.largest,
+        float(max(abs(residuals[1]), default=np.nan)),
         nearest_gamma(curve, series),
         times,
         max((float(np.abs(each - curve).max()) for each in by_channel), default=None),
@@ -416,8 +399,9 @@ def camera_response(
     if output is not None:
         measured.save(output, overwrite=overwrite)
     if picture is not None:
-        drawing = draw_camera_response(measured.response, residuals, measured.gamma)
-        drawing.write(picture, overwrite=overwrite)
+        share = np.linspace(0, 1, 256)
+        points = top * share, measured.response.linearise(share)
+        _draw(*points, measured.gamma, "camera", residuals).write(picture, overwrite=overwrite)
     return measured
 
 
@@ -474,10 +458,7 @@ def projector_response(
     >>> round(measured.gamma, 1)
     1.8
     """
-    for path, kind in ((output, RESPONSE), (picture, PICTURE)):
-        if path is not None:
-            check_output(path, kind, overwrite=overwrite)
-    frames = open_photographs(photographs)
+    frames = _opened(photographs, output, picture, overwrite)
     count = frames.count
     if count < 5:
         raise InputError(f"{count} photographs of grey values", hint="take 5 at least, better 17")
@@ -527,51 +508,55 @@ def projector_response(
     if output is not None:
         measured.save(output, overwrite=overwrite)
     if picture is not None:
-        draw_projector_response(measured).write(picture, overwrite=overwrite)
+        light_of_levels = np.array(measured.light)
+        drawing = _draw(np.array(measured.levels), light_of_levels, measured.gamma, "projector")
+        drawing.write(picture, overwrite=overwrite)
     return measured
 
 
-# Pictures of responses: light over level.
+def _opened(
+    photographs: Photographs,
+    output: str | Path | None,
+    picture: str | Path | None,
+    overwrite: bool,
+) -> Frames:
+    """The photographs, once it is known that what comes of them can be written."""
+    for path, kind in ((output, RESPONSE), (picture, PICTURE)):
+        if path is not None:
+            check_output(path, kind, overwrite=overwrite)
+    return open_photographs(photographs)
 
 
-def draw_camera_response(response: Response, residuals: Residuals, gamma: float) -> Picture:
-    """A camera's curve beside known ones, and its residuals."""
+def _draw(
+    levels: NDArray[Any],
+    light: NDArray[np.float64],
+    gamma: float,
+    device: str,
+    residuals: NDArray[np.float64] | None = None,
+) -> Picture:
+    """The measured curve of a device beside known ones, and the residuals of a camera's."""
     with mpl.rc_context(STYLE):
-        drawing = Picture(figsize=(7.2, 3.2), layout="constrained")
-        curve, deviations = drawing.subplots(1, 2)
-        top = response.full_scale or 1.0
+        count = 1 if residuals is None else 2
+        drawing = Picture(figsize=(3.7 * count, 3.2), layout="constrained")
+        curve, *others = drawing.subplots(1, count, squeeze=False)[0]
+        style = "o-" if len(levels) < 100 else "-"
+        curve.plot(levels, light, style, color=COLOURS[0], markersize=4, label="measured")
         share = np.linspace(0, 1, 256)
-        curve.plot(top * share, response.linearise(share), color=COLOURS[0], label="measured")
-        _add_known(curve, top, gamma)
-        curve.set(xlabel="raw level", ylabel="light", title="Response of the camera")
+        places = levels[-1] * share
+        curve.plot(places, share, color="0.6", linewidth=1, label="linear")
+        label = f"gamma {gamma:.2f}"
+        curve.plot(places, share**gamma, ":", color=COLOURS[1], linewidth=1.2, label=label)
+        word = "grey value" if device == "projector" else "raw level"
+        curve.set(xlabel=word, ylabel="light", title=f"Response of the {device}")
         curve.legend()
-        deviations.axhline(0, color="0.7", linewidth=0.8)
-        deviations.plot(residuals.light, 100 * residuals.off, "o-", color=COLOURS[1], markersize=4)
-        most = max(1.0, 120 * residuals.largest)
-        deviations.set(
-            xlabel="light", ylabel="% of full light", xlim=(0, 1), ylim=(-most, most),
-            title="Light of a pixel, less what its exposure says",
-        )  # fmt: skip
+        for deviations in others:
+            assert residuals is not None
+            deviations.axhline(0, color="0.7", linewidth=0.8)
+            middles, off = residuals
+            deviations.plot(middles, 100 * off, "o-", color=COLOURS[1], markersize=4)
+            most = max(1.0, 120 * max(abs(off), default=0.0))
+            deviations.set(
+                xlabel="light", ylabel="% of full light", xlim=(0, 1), ylim=(-most, most),
+                title="Light of a pixel, less what its exposure says",
+            )  # fmt: skip
     return drawing
-
-
-def draw_projector_response(response: ProjectorResponse) -> Picture:
-    """A projector's light over its grey values."""
-    with mpl.rc_context(STYLE):
-        drawing = Picture(figsize=(3.8, 3.2), layout="constrained")
-        curve = drawing.subplots()
-        grey = np.linspace(0, 1, 256)
-        curve.plot(255 * grey, response.light_of(grey), color=COLOURS[0], label="measured")
-        curve.plot(response.levels, response.light, "o", color=COLOURS[0], markersize=4)
-        _add_known(curve, 255.0, response.gamma)
-        curve.set(xlabel="grey value", ylabel="light", title="Response of the projector")
-        curve.legend()
-    return drawing
-
-
-def _add_known(axes: Any, top: float, gamma: float) -> None:
-    share = np.linspace(0, 1, 256)
-    axes.plot(top * share, share, color="0.6", linewidth=1, label="linear")
-    axes.plot(
-        top * share, share**gamma, ":", color=COLOURS[1], linewidth=1.2, label=f"gamma {gamma:.2f}"
-    )

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import shutil
 from collections.abc import Callable
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -337,7 +337,6 @@ def _begin(
         record.save()
     photographer = Photographer(rig, known.settle.seconds)
     references = rig.persistently(lambda: take_references(photographer, seconds))
-    photographer.changing = references.black.changing
     black, white = record.read_image(_BLACK), record.read_image(_WHITE)
     if black is None or white is None or not record.state.frames:
         record.keep_image(_BLACK, references.black.without_noise)
@@ -407,10 +406,7 @@ def _write(
             shutil.copyfile(curve, folder / Path(curve).name)
         rig = session.photographer.rig
         if rig.truth is not None and settings.cell == 1:
-            scale = np.float32(longest / rig.unit)
-            matrix = rig.truth.with_data(rig.truth.matrix.data * scale)
-            direct = rig.truth.direct_data * scale
-            replace(rig.truth, matrix=matrix, direct_data=direct).save_beside(folder)
+            rig.truth.scaled(np.float32(longest / rig.unit)).save_beside(folder)
 
     write_capture(
         folder,

@@ -1,18 +1,15 @@
-"""Photographs that can be right, judged by their numbers, times and rows, and averages of them.
+"""Photographs that can be right, judged by their times, and averages of them.
 
-A `Photographer` shows an image, waits, and grabs a frame. It rejects frames that are stale, lost,
-handed out twice or partly copied from an earlier one, and exposures that another program changed.
-Whether a frame shows its pattern is a question for `session`. The `References` are the black
-and white frames at the start of a capture: they show whether two photographs have the same light,
-and whether the rig has changed since.
+A `Photographer` shows an image, waits, and grabs a frame. It rejects frames that are stale or
+handed out twice. Whether a frame shows its pattern is a question for `session`. The `References`
+are the black and white frames at the start of a capture: they show whether two photographs have the
+same light, and whether the rig has changed since.
 """
 
 from __future__ import annotations
 
-from collections import deque
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
-from itertools import pairwise
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -36,21 +33,15 @@ class UntrustedFrameError(DeviceError):
 
 @dataclass(frozen=True, eq=False)
 class Shot:
-    """A frame, its exposure in seconds as the camera says, and when the image was shown."""
+    """A frame and its exposure in seconds, as the camera says."""
 
     frame: Frame
     exposure: float
-    shown: float
 
     @property
     def data(self) -> NDArray[np.uint8] | NDArray[np.uint16]:
         """Raw levels."""
         return self.frame.data
-
-    @property
-    def delay(self) -> float:
-        """Seconds from the image being shown to the start of the exposure."""
-        return self.frame.timestamp - self.exposure - self.shown
 
 
 @dataclass(eq=False)
@@ -60,14 +51,9 @@ class Photographer:
     rig: Rig
     # Seconds between an image being shown and the earliest start of an exposure.
     settle: float
-    # Share of the samples of each row that noise changes from frame to frame. If it is known,
-    # copied rows are recognized.
-    changing: NDArray[np.float64] | None = None
     # The exposure that was last asked for, and what the camera made of it.
     _exposure: tuple[float, float] = (0.0, 0.0)
     _last: Frame | None = None
-    # Frames whose rows a driver may hand out again: it reuses its few newest buffers.
-    _recent: deque[NDArray[Any]] = field(default_factory=lambda: deque(maxlen=3))
 
     def take(
         self, image: NDArray[np.uint8], exposure: float | None = None, settle: float | None = None
@@ -89,28 +75,20 @@ class Photographer:
 
     def _take(self, image: NDArray[np.uint8], exposure: float | None, settle: float) -> Shot:
         actual = self._set_exposure(exposure)
-        shown = self.rig.projector.show(image)
-        earliest = shown + settle
+        earliest = self.rig.projector.show(image) + settle
         self.rig.clock.sleep(earliest - self.rig.clock.now())
         camera = self.rig.camera
         camera.flush()
         camera.trigger()
-        before: Frame | None = None
         # No camera has buffers for 32 frames from before the pattern.
         for _ in range(32):
             frame = camera.get_image(self.rig.patience + 2 * actual)
-            self._check_order(frame, before)
-            self._check_copied(frame)
-            self._recent.append(frame.data)
-            self._last = before = frame
+            last, self._last = self._last, frame
+            if last is not None and frame.timestamp <= last.timestamp:
+                raise UntrustedFrameError("a frame was handed out twice")
             # Times are rounded to microseconds.
             if frame.timestamp - actual >= earliest - 1e-6:
-                now = camera.exposure
-                if not same_exposure(now, actual):
-                    raise UntrustedFrameError(
-                        f"another program changed the exposure from {actual:g} to {now:g} s"
-                    )
-                return Shot(frame, actual, shown)
+                return Shot(frame, actual)
         raise UntrustedFrameError(
             "32 frames came, all of before the pattern", hint="are the camera's timestamps right?"
         )
@@ -123,51 +101,6 @@ class Photographer:
         if exposure != asked or not same_exposure(camera.exposure, actual):
             self._exposure = exposure, set_exposure(camera, exposure)
         return self._exposure[1]
-
-    def _check_order(self, frame: Frame, before: Frame | None) -> None:
-        last = self._last
-        if last is None:
-            return
-        if frame.id <= last.id or frame.timestamp <= last.timestamp:
-            raise UntrustedFrameError(f"frame {frame.id} was handed out twice")
-        # Numbers may be missing between two patterns, where frames are discarded.
-        if before is not None and frame.id != before.id + 1:
-            # Otherwise the next pattern would be refused for the same gap.
-            self._last = frame
-            raise UntrustedFrameError(f"frames {before.id + 1} to {frame.id - 1} were lost")
-
-    def _check_copied(self, frame: Frame) -> None:
-        if self.changing is None:
-            return
-        for earlier in self._recent:
-            rows = copied_rows(frame.data, earlier, self.changing, frame.clip_level)
-            if rows:
-                self._last = frame
-                whole = rows == len(frame.data)
-                what = "is a copy of" if whole else f"holds {rows} rows of"
-                raise UntrustedFrameError(f"frame {frame.id} {what} an earlier one")
-
-
-def copied_rows(
-    data: NDArray[Any], earlier: NDArray[Any], changing: NDArray[np.float64], clip_level: float
-) -> int:
-    """How many rows at the top or bottom of a frame are copies of an earlier frame's; 0 for none.
-
-    Noise changes a share `changing` (rows,) of the samples of each row, except clipped ones.
-    """
-    if data.shape != earlier.shape:
-        return 0
-    same = (data == earlier).reshape(len(data), -1).all(axis=1)
-    if not (same[0] or same[-1]):
-        return 0
-    free = (data < clip_level).reshape(len(data), -1).sum(axis=1)
-    unlikely = free * np.log1p(-np.minimum(changing, 0.999))
-    for rows in (slice(None), slice(None, None, -1)):
-        run = int(np.cumprod(same[rows]).sum())
-        # Noise leaves so many samples equal less than once in 10^8 frames.
-        if unlikely[rows][:run].sum() < -20:
-            return run
-    return 0
 
 
 @dataclass(frozen=True, eq=False)
@@ -204,13 +137,6 @@ class AveragedFrame:
         if np.median(apart) > 1.15 * 0.67 * noise:
             return self.mean
         return np.where(apart > 6 * noise, self.mean, np.float32(level))
-
-    @property
-    def changing(self) -> NDArray[np.float64]:
-        """Share of the samples of each row that change from frame to frame, (rows,)."""
-        data = [shot.data.reshape(len(shot.data), -1) for shot in self.shots]
-        # A median, since one of the frames may be a copy.
-        return np.asarray(np.median([(a != b).mean(axis=1) for a, b in pairwise(data)], axis=0))
 
 
 def take_average(

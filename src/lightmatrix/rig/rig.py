@@ -4,15 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from contextlib import suppress
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any, Self, TypeVar
+from typing import Self, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lightmatrix.defaults import PROCEDURAL, USUAL_PATIENCE
-from lightmatrix.errors import DeviceError, FrameTimeoutError, InputError
+from lightmatrix.errors import DeviceError, FrameTimeoutError, InputError, warn
 from lightmatrix.patterns.pattern_set import PatternSet, to_grey
 from lightmatrix.patterns.projector_curve import ProjectorResponse
 from lightmatrix.ranges import check_number
@@ -82,10 +82,6 @@ class Rig:
 
     def __exit__(self, *_: object) -> None:
         self.close()
-
-    def info(self) -> dict[str, Any]:
-        """JSON-ready facts about both devices."""
-        return {"projector": self.projector.info(), "camera": self.camera.info()}
 
     def close(self) -> None:
         """Give both devices back; may be called twice."""
@@ -207,12 +203,7 @@ def _virtual(settings: VirtualSettings) -> Rig:
     light = VirtualLight(truth, realism.ambient(truth, settings.room), settings)
     camera = VirtualCamera(light, clock)
     # The light of a black pixel is in the black frame, so the T that can be measured is smaller.
-    contrast = np.float32(1 - HARDWARE.leak)
-    measurable = replace(
-        truth,
-        matrix=truth.with_data(contrast * truth.matrix.data),
-        direct_data=contrast * truth.direct_data,
-    )
+    measurable = truth.scaled(np.float32(1 - HARDWARE.leak))
     projector = VirtualProjector(light, clock)
     return Rig(projector, camera, camera.reopen, clock, measurable, settings.unit)
 
@@ -239,6 +230,11 @@ class ProjectedPatterns:
                 f"{self.screen[0]} x {self.screen[1]}",
                 hint=f"make patterns of {self.screen[0] // self.cell}x"
                 f"{self.screen[1] // self.cell} at most",
+            )
+        if rows > cols and self.screen[0] < self.screen[1]:
+            warn(
+                f"the patterns are portrait, {rows} rows by {cols} columns, and the projector is "
+                f"landscape, {self.screen[0]} by {self.screen[1]}: rows come first in all sizes"
             )
 
     @cached_property

@@ -266,12 +266,20 @@ def measure_exposure(
     frame = WhiteFrame(levels, clipped)
     noise = max(whites.white.noise, whites.black.noise) / top
     advised = advise_exposures(frame, noise)
-    possible, warnings = [], []
+    shortest, longest = limits
+    possible, warnings = set[float](), []
     for exposure, _ in advised:
-        seconds, concerns = _possible(exposure, period, limits)
-        possible.append(seconds)
-        warnings += concerns
-    seconds_used = tuple(sorted(set(possible), reverse=True))
+        # One that does not flicker, and that the camera has.
+        steady = max(1, math.floor(exposure / period + 1e-6)) * period if period else exposure
+        seconds = min(max(steady, shortest), longest)
+        possible.add(seconds)
+        # A stop, or a fifth to avoid flicker, is within the tolerance of the advice.
+        if not 0.5 < seconds / exposure < (1.2 if steady > exposure else 2):
+            warnings.append(
+                f"an exposure of {exposure:.3g} s is advised, and the nearest that the camera has "
+                f"and that does not flicker is {seconds:.3g} s: change the aperture"
+            )
+    seconds_used = tuple(sorted(possible, reverse=True))
     return ExposureAdvice(
         seconds_used,
         advise_density(frame, advised),
@@ -281,32 +289,6 @@ def measure_exposure(
         period,
         tuple(warnings),
     )
-
-
-def _possible(
-    exposure: float, period: float, limits: tuple[float, float]
-) -> tuple[float, list[str]]:
-    """The exposure nearest to an advised one that does not flicker and that the camera has."""
-    shortest, longest = limits
-    # These say where it is off by a stop, or by a fifth to avoid flicker: less is within the
-    # tolerance of the advice.
-    warnings = []
-    steady = exposure
-    if period:
-        steady = max(1, math.floor(exposure / period + 1e-6)) * period
-        if steady > 1.2 * exposure:
-            warnings.append(
-                f"an exposure of {exposure:.3g} s would flicker; {steady:.3g} s clips more: "
-                "close the aperture"
-            )
-    if steady > 2 * longest:
-        warnings.append(f"the camera exposes for {longest:g} s at most, not {steady:.3g} s")
-    if 2 * steady < shortest:
-        warnings.append(
-            f"the camera exposes for {shortest:g} s at least, not {steady:.3g} s: close the "
-            "aperture"
-        )
-    return min(max(steady, shortest), longest), warnings
 
 
 def measure_response(

@@ -245,14 +245,16 @@ class CaptureSession:
         return self.references.agree(shot.data, other.data, shot.exposure, lights)
 
     def _show_other(self, k: int, befores: set[int]) -> None:
-        """Show an image that is neither pattern k nor one of `befores`."""
-        rig, count = self.photographer.rig, self.patterns.count
+        """Photograph an image that is neither pattern k nor one of `befores`.
+
+        A driver that hands out an old buffer once more hands out this one.
+        """
+        count = self.patterns.count
         others = [_BLACK, _WHITE, *((k + step) % count for step in range(1, count))]
         self._shown = next((each for each in others if each not in befores), _BLACK)
-        plain = dict(zip((_BLACK, _WHITE), plain_images(rig), strict=True))
+        plain = dict(zip((_BLACK, _WHITE), plain_images(self.photographer.rig), strict=True))
         image = plain[self._shown] if self._shown in plain else self.image(self._shown)
-        shown = rig.projector.show(image)
-        rig.clock.sleep(shown + self.photographer.settle - rig.clock.now())
+        self.photographer.take(image, float(self.exposures[k]))
 
     def _fail(self, k: int, reason: str) -> None:
         """Count a fault, with N for the numbers that make each one differ."""

@@ -17,6 +17,7 @@ from lightmatrix.defaults import USUAL_SAMPLES
 from lightmatrix.errors import InputError, OutputError, warn
 from lightmatrix.files.numpy_files import read_npz
 from lightmatrix.ranges import as_path
+from lightmatrix.reprs import html_table
 from lightmatrix.simulation.renderer import Progress, render
 from lightmatrix.simulation.scenes import Scene, names, scene
 from lightmatrix.simulation.truth import Truth, view_geometry
@@ -25,17 +26,6 @@ from lightmatrix.simulation.truth import Truth, view_geometry
 def read_bundled(path: Path) -> Truth:
     """Read a file of `tools/bundled_scenes.py`."""
     content = read_npz(path)
-    try:
-        version = int(content["lightmatrix_packed"])
-    except (KeyError, TypeError, ValueError) as error:
-        raise InputError(
-            f"{path} is not a bundled scene", hint="install lightmatrix again"
-        ) from error
-    if version != 1:
-        raise InputError(
-            f"{path} has format version {version}, but this lightmatrix reads 1",
-            hint="update lightmatrix, or install it again",
-        )
     sums = content["sums"].astype(np.float64)
     rows, cols = (int(v) for v in content["projector_shape"])
     shape = (len(sums), rows * cols)
@@ -153,7 +143,16 @@ class SceneSummary(NamedTuple):
     bundled: bool
 
 
-def scenes() -> tuple[SceneSummary, ...]:
+class Scenes(tuple[SceneSummary, ...]):
+    """The scenes of the simulator; a table in a notebook."""
+
+    __slots__ = ()
+
+    def _repr_html_(self) -> str:
+        return html_table("Scenes", {scene.name: scene.description for scene in self})
+
+
+def scenes() -> Scenes:
     """The scenes of the simulator.
 
     Returns
@@ -168,7 +167,7 @@ def scenes() -> tuple[SceneSummary, ...]:
     >>> [scene.name for scene in lm.scenes() if scene.bundled]
     ['l_objects', 'gripper', 'metal', 'corner']
     """
-    return tuple(SceneSummary(name, scene(name).description, name in BUNDLED) for name in names())
+    return Scenes(SceneSummary(name, scene(name).description, name in BUNDLED) for name in names())
 
 
 def cache_folder() -> Path:

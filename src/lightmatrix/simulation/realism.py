@@ -76,11 +76,7 @@ def vignetting(truth: Truth, strength: float) -> Truth:
     channels = truth.camera_shape[2] if len(truth.camera_shape) == 3 else 1
     gain = np.repeat(gain, channels).astype(np.float32)
     entry_gain = np.repeat(gain, np.diff(truth.matrix.indptr))
-    return replace(
-        truth,
-        matrix=truth.with_data(truth.matrix.data * entry_gain),
-        direct_data=np.asarray(truth.direct_data * entry_gain, np.float32),
-    )
+    return truth.scaled(entry_gain)
 
 
 def ambient(truth: Truth, level: float) -> NDArray[np.float32]:

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
 from lightmatrix.errors import InputError, MissingExtraError
-from lightmatrix.ranges import check_seed
+from lightmatrix.ranges import check_seed, check_sides
 from lightmatrix.resources.memory import available_bytes
 from lightmatrix.simulation.scenes import Part, Scene, View
 from lightmatrix.simulation.scenes import scene as find_scene
@@ -207,48 +207,22 @@ def check_memory(
 # collected and then summed by one sort, so a rendering costs the same for any projector.
 
 
-@dataclass(frozen=True)
-class LoadedScene:
-    """A scene in Mitsuba (`mi`), with all that tracing its paths needs to know."""
+def sum_contributions(
+    place: NDArray[np.uint32],
+    value: NDArray[np.float32],
+    direct: NDArray[np.bool_],
+    shape: tuple[int, int],
+) -> csr_array:
+    """The sums of the light of n path vertices, complex64: all light + i direct light.
 
-    mi: ModuleType
-    scene: Any
-    camera_shape: tuple[int, int]
-    projector_shape: tuple[int, int]
-    max_depth: int
-    colour: bool
-
-    @property
-    def channels(self) -> int:
-        """Camera samples per camera pixel."""
-        return 3 if self.colour else 1
-
-    @property
-    def pixels(self) -> int:
-        """Projector pixels N."""
-        return self.projector_shape[0] * self.projector_shape[1]
-
-
-@dataclass(frozen=True)
-class Contributions:
-    """Light of n path vertices: its place in T (row * N + column), value, whether it is direct."""
-
-    place: NDArray[np.uint32]
-    value: NDArray[np.float32]
-    direct: NDArray[np.bool_]
-
-
-def sum_contributions(contributions: Contributions, shape: tuple[int, int]) -> csr_array:
-    """The sums of contributions, complex64: all light + i direct light; zeros are dropped.
-
-    The matrix has at most 2^32 places.
+    `place` (n,) is row * N + column of T, which has at most 2^32 places. Zeros are dropped.
     """
-    lit = contributions.value > 0
-    value, direct = contributions.value[lit], contributions.direct[lit]
+    lit = value > 0
+    value, direct = value[lit], direct[lit]
     bits = value.view(np.uint32) | (direct.astype(np.uint32) << np.uint32(31))
     # The key holds the place, then the value, whose unused sign bit marks direct light. One sort
     # of integers is several times faster than sorting the places and gathering the values.
-    key = (contributions.place[lit].astype(np.uint64) << np.uint64(32)) | bits
+    key = (place[lit].astype(np.uint64) << np.uint64(32)) | bits
     key.sort()
     places = (key >> np.uint64(32)).astype(np.uint32)
     bits = key.astype(np.uint32)
@@ -263,79 +237,6 @@ def sum_contributions(contributions: Contributions, shape: tuple[int, int]) -> c
     row, column = np.divmod(places[starts], np.uint32(shape[1]))
     indptr = np.searchsorted(row, np.arange(shape[0] + 1))
     return csr_array((data, column.astype(np.int32), indptr.astype(np.int32)), shape=shape)
-
-
-def _trace(loaded: LoadedScene, first: int, count: int, samples: int, seed: int) -> Contributions:
-    """Contributions of `samples` paths from each of `count` camera pixels from `first` on.
-
-    Zeros are among them. Mitsuba's LLVM variant follows all paths at once, bounce by bounce.
-    """
-    import drjit as dr
-
-    mi, scene, channels = loaded.mi, loaded.scene, loaded.channels
-    paths = count * samples
-    sampler = mi.load_dict({"type": "independent"})
-    sampler.seed(seed, paths)
-    path = dr.arange(mi.UInt32, paths)
-    block_pixel = path // samples
-    # One contribution per path and depth.
-    places = dr.zeros(mi.UInt32, paths * loaded.max_depth)
-    values = [dr.zeros(mi.Float, paths * loaded.max_depth) for _ in range(channels)]
-    row_start = block_pixel * (channels * loaded.pixels)
-    # `first` is opaque to the compiler, so that one kernel serves all blocks.
-    camera_pixel = block_pixel + dr.opaque(mi.UInt32, first)
-    offset = sampler.next_2d()
-    camera_rows, camera_cols = loaded.camera_shape
-    film = mi.Point2f(
-        (mi.Float(camera_pixel % camera_cols) + offset.x) / camera_cols,
-        (mi.Float(camera_pixel // camera_cols) + offset.y) / camera_rows,
-    )
-    ray, weight = scene.sensors()[0].sample_ray(0.0, 0.5, film, mi.Point2f(0.5))
-    context = mi.BSDFContext()
-    rows, cols = loaded.projector_shape
-
-    def alive(active: Any, *_: Any) -> Any:
-        return active
-
-    def bounce(active: Any, ray: Any, throughput: Any, depth: Any, sampler: Any) -> Any:
-        hit = scene.ray_intersect(ray, active)
-        active &= hit.is_valid()
-        bsdf = hit.bsdf(ray)
-        light, emitted = scene.sample_emitter_direction(hit, sampler.next_2d(active), True, active)
-        lit = active & (light.pdf > 0)
-        value = throughput * bsdf.eval(context, hit, hit.to_local(light.d), lit) * emitted
-        # The light came through this pixel of the projector.
-        row = mi.UInt32(dr.clip(light.uv.y * rows, 0, rows - 1))
-        col = mi.UInt32(dr.clip(light.uv.x * cols, 0, cols - 1))
-        slot = depth * paths + path
-        dr.scatter(places, row_start + row * cols + col, slot, lit)
-        of_channels = [value.x, value.y, value.z] if loaded.colour else [dr.mean(value)]
-        for target, channel in zip(values, of_channels, strict=True):
-            dr.scatter(target, channel, slot, lit)
-        sample, factor = bsdf.sample(
-            context, hit, sampler.next_1d(active), sampler.next_2d(active), active
-        )
-        throughput *= factor
-        ray = hit.spawn_ray(hit.to_world(sample.wo))
-        depth += 1
-        active &= (depth < loaded.max_depth) & (dr.max(throughput) > 0)
-        return active, ray, throughput, depth, sampler
-
-    dr.while_loop(
-        (mi.Bool(True), mi.Ray3f(ray.o, ray.d), mi.Color3f(weight), mi.UInt32(0), sampler),
-        alive,
-        bounce,
-        labels=("active", "ray", "throughput", "depth", "sampler"),
-    )
-    dr.eval(places, values)
-    # Contributions of one depth stand together; those of depth 0, the direct light, come first.
-    place = np.asarray(places.numpy())
-    direct = np.arange(len(place)) < paths
-    return Contributions(
-        np.concatenate([place + np.uint32(c * loaded.pixels) for c in range(channels)]),
-        np.concatenate([np.asarray(channel.numpy()) for channel in values]),
-        np.tile(direct, channels),
-    )
 
 
 Progress = Callable[[int, int], None]
@@ -400,10 +301,7 @@ def render(
     scene = find_scene(name)
     projector = projector_size or size
     for device, shape in (("camera", size), ("projector", projector)):
-        if min(shape) < 1:
-            raise InputError(
-                f"a {device} of {shape[0]} x {shape[1]} pixels", hint="use at least 1 x 1"
-            )
+        check_sides(f"a {device}", shape)
     check_seed(seed)
     if samples < 2:
         raise InputError(f"{samples} samples a pixel", hint="use at least 2, better 1024 or more")
@@ -412,24 +310,18 @@ def render(
     check_memory(size, projector, 3 if colour else 1)
     started = time.perf_counter()
     mi = load_mitsuba()
-    loaded = LoadedScene(
-        mi,
-        mitsuba_scene(mi, scene, size, projector),
-        size,
-        projector,
-        scene.max_depth,
-        colour,
-    )
-    most = min(loaded.pixels, samples * loaded.max_depth)
-    if needed_bytes(size, loaded.channels, most) > available_bytes():
+    loaded = mitsuba_scene(mi, scene, size, projector)
+    about = (mi, loaded, size, projector, scene.max_depth, 3 if colour else 1, samples, seed)
+    rendering = _Rendering(*about, progress)
+    most = min(rendering.pixels, samples * scene.max_depth)
+    if needed_bytes(size, rendering.channels, most) > available_bytes():
         # The size of the result is estimated from a few camera pixels, with a margin of 30 %: they
         # cost little beside a rendering that might not fit.
         pixels = np.unique(np.linspace(0, size[0] * size[1] - 1, 24).astype(int))
-        pilot = _Rendering(loaded, samples, seed, None)
+        pilot = _Rendering(*about)
         thin = [thinned_in_steps(*pilot.rows(int(pixel), 1), keep)[0] for pixel in pixels]
-        entries = 1.3 * float(np.mean([part.nnz for part in thin])) / loaded.channels
-        check_memory(size, projector, loaded.channels, int(min(most, entries)))
-    rendering = _Rendering(loaded, samples, seed, progress)
+        entries = 1.3 * float(np.mean([part.nnz for part in thin])) / rendering.channels
+        check_memory(size, projector, rendering.channels, int(min(most, entries)))
     matrix, direct = rendering.matrix(keep)
     # At exposure 1, a fifth of the rows clip under their strongest single pixel.
     level = float(np.quantile(matrix.max(axis=1).toarray(), 0.8))
@@ -461,22 +353,34 @@ def render(
 class _Rendering:
     """One rendering: traces blocks of camera pixels, and keeps count of paths and noise."""
 
-    loaded: LoadedScene
+    # Mitsuba and the scene in it.
+    mi: ModuleType
+    scene: Any
+    camera_shape: tuple[int, int]
+    projector_shape: tuple[int, int]
+    max_depth: int
+    # Camera samples per camera pixel.
+    channels: int
     samples: int
     seed: int
-    progress: Progress | None
+    progress: Progress | None = None
     # Energies of half the difference and of half the sum of the two halves of the samples: of the
     # entries, and of the white image.
     energies: NDArray[np.float64] = field(default_factory=lambda: np.zeros((2, 2)))
     paths_done: int = 0
 
+    @property
+    def pixels(self) -> int:
+        """Projector pixels N."""
+        return self.projector_shape[0] * self.projector_shape[1]
+
     def matrix(self, keep: float) -> tuple[csr_array, NDArray[np.float32]]:
         """All rows, thinned, and the direct part of each entry."""
-        rows, cols = self.loaded.camera_shape
+        rows, cols = self.camera_shape
         total, half = rows * cols, self.samples - self.samples // 2
         # Half the samples of a block of camera pixels make up one wavefront.
         # The places of one block, camera samples times projector pixels, are numbered in 32 bits.
-        most = (1 << 32) // (self.loaded.channels * self.loaded.pixels)
+        most = (1 << 32) // (self.channels * self.pixels)
         block = min(total, max(1, min(WAVEFRONT // half, most)))
         return joined(
             [
@@ -504,17 +408,91 @@ class _Rendering:
     def _sums(self, first: int, count: int, half: int) -> csr_array:
         """Sums over one half of the samples, (count * channels, N): all light + i direct light."""
         samples = self.samples // 2 if half else self.samples - self.samples // 2
-        rows, cols = self.loaded.camera_shape
+        rows, cols = self.camera_shape
         step = max(1, WAVEFRONT // count)
-        shape = (count * self.loaded.channels, self.loaded.pixels)
-        sums = csr_array(shape, dtype=np.complex64)
+        sums = csr_array((count * self.channels, self.pixels), dtype=np.complex64)
         for number, start in enumerate(range(0, samples, step)):
             paths = min(step, samples - start)
             key = (self.seed, first, half, number)
             stream = int(np.random.SeedSequence(key).generate_state(1)[0])
-            traced = sum_contributions(_trace(self.loaded, first, count, paths, stream), shape)
+            traced = self._traced(first, count, paths, stream)
             sums = traced if start == 0 else csr_array(sums + traced)
             self.paths_done += count * paths
             if self.progress is not None:
                 self.progress(self.paths_done, rows * cols * self.samples)
         return sums
+
+    def _traced(self, first: int, count: int, samples: int, seed: int) -> csr_array:
+        """The light of `samples` paths from each of `count` camera pixels from `first` on.
+
+        It is summed as in `sum_contributions`. Mitsuba's LLVM variant follows all paths at once,
+        bounce by bounce.
+        """
+        import drjit as dr
+
+        mi, scene, channels = self.mi, self.scene, self.channels
+        paths = count * samples
+        sampler = mi.load_dict({"type": "independent"})
+        sampler.seed(seed, paths)
+        path = dr.arange(mi.UInt32, paths)
+        block_pixel = path // samples
+        # One contribution per path and depth.
+        places = dr.zeros(mi.UInt32, paths * self.max_depth)
+        values = [dr.zeros(mi.Float, paths * self.max_depth) for _ in range(channels)]
+        row_start = block_pixel * (channels * self.pixels)
+        # `first` is opaque to the compiler, so that one kernel serves all blocks.
+        camera_pixel = block_pixel + dr.opaque(mi.UInt32, first)
+        offset = sampler.next_2d()
+        camera_rows, camera_cols = self.camera_shape
+        film = mi.Point2f(
+            (mi.Float(camera_pixel % camera_cols) + offset.x) / camera_cols,
+            (mi.Float(camera_pixel // camera_cols) + offset.y) / camera_rows,
+        )
+        ray, weight = scene.sensors()[0].sample_ray(0.0, 0.5, film, mi.Point2f(0.5))
+        context = mi.BSDFContext()
+        rows, cols = self.projector_shape
+
+        def alive(active: Any, *_: Any) -> Any:
+            return active
+
+        def bounce(active: Any, ray: Any, throughput: Any, depth: Any, sampler: Any) -> Any:
+            hit = scene.ray_intersect(ray, active)
+            active &= hit.is_valid()
+            bsdf = hit.bsdf(ray)
+            point = sampler.next_2d(active)
+            light, emitted = scene.sample_emitter_direction(hit, point, True, active)
+            lit = active & (light.pdf > 0)
+            value = throughput * bsdf.eval(context, hit, hit.to_local(light.d), lit) * emitted
+            # The light came through this pixel of the projector.
+            row = mi.UInt32(dr.clip(light.uv.y * rows, 0, rows - 1))
+            col = mi.UInt32(dr.clip(light.uv.x * cols, 0, cols - 1))
+            slot = depth * paths + path
+            dr.scatter(places, row_start + row * cols + col, slot, lit)
+            of_channels = [value.x, value.y, value.z] if channels == 3 else [dr.mean(value)]
+            for target, channel in zip(values, of_channels, strict=True):
+                dr.scatter(target, channel, slot, lit)
+            sample, factor = bsdf.sample(
+                context, hit, sampler.next_1d(active), sampler.next_2d(active), active
+            )
+            throughput *= factor
+            ray = hit.spawn_ray(hit.to_world(sample.wo))
+            depth += 1
+            active &= (depth < self.max_depth) & (dr.max(throughput) > 0)
+            return active, ray, throughput, depth, sampler
+
+        dr.while_loop(
+            (mi.Bool(True), mi.Ray3f(ray.o, ray.d), mi.Color3f(weight), mi.UInt32(0), sampler),
+            alive,
+            bounce,
+            labels=("active", "ray", "throughput", "depth", "sampler"),
+        )
+        dr.eval(places, values)
+        # Contributions of one depth stand together; those of depth 0, the direct light, come first.
+        place = np.asarray(places.numpy())
+        direct = np.arange(len(place)) < paths
+        return sum_contributions(
+            np.concatenate([place + np.uint32(c * self.pixels) for c in range(channels)]),
+            np.concatenate([np.asarray(channel.numpy()) for channel in values]),
+            np.tile(direct, channels),
+            (count * channels, self.pixels),
+        )

@@ -268,18 +268,7 @@ def simulate(
         ArrayStack(frames),
         decoder,
         provenance=provenance,
-        truth=_without_leak(truth, leak),
+        # Without the leak, which the black frame holds.
+        truth=truth.scaled(np.float32(1 - leak)) if leak else truth,
         sensor=sensor,
-    )
-
-
-def _without_leak(truth: Truth, leak: float) -> Truth:
-    """The T that remains once the black frame, which holds the leak, has been subtracted."""
-    if leak == 0:
-        return truth
-    share = np.float32(1 - leak)
-    return replace(
-        truth,
-        matrix=truth.with_data(share * truth.matrix.data),
-        direct_data=share * truth.direct_data,
     )

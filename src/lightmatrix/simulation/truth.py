@@ -246,6 +246,11 @@ class Truth:
         """A matrix with the same places of entries but other values, (nnz,)."""
         return csr_array((data, self.matrix.indices, self.matrix.indptr), shape=self.matrix.shape)
 
+    def scaled(self, gain: np.float32 | NDArray[np.floating]) -> Truth:
+        """The truth with its entries multiplied by a gain, or each by its own, (nnz,)."""
+        direct = np.asarray(self.direct_data * gain, np.float32)
+        return replace(self, matrix=self.with_data(self.matrix.data * gain), direct_data=direct)
+
     def crop(self, region: Region) -> Truth:
         """The truth of a rectangle of the camera's pixels."""
         rows = region.samples(self.camera_shape)

@@ -59,13 +59,10 @@ class ActiveSet:
     Examples
     --------
     >>> import lightmatrix as lm
-    >>> patterns = lm.BernoulliPatterns((4, 4), 24)
-    >>> lit = np.eye(16)[[5]]
-    >>> values = patterns.forward(lit)
-    >>> samples = lm.Samples(values, values > 2, np.full(24, 2.0))
-    >>> result = lm.solve(lm.Problem(patterns, samples, regularization=0.01), lm.ActiveSet())
-    >>> int(result.coefficients.toarray().argmax())
-    5
+    >>> capture = lm.simulate("metal", lm.BernoulliPatterns((64, 64), 32)).bin(camera=16)
+    >>> problem = lm.Problem(capture.patterns, capture.samples(), regularization=0.1)
+    >>> lm.solve(problem, lm.ActiveSet()).coefficients.shape
+    (16, 4096)
     """
 
     fidelity: Fidelity | str = Fidelity.ONE_SIDED

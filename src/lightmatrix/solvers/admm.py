@@ -15,7 +15,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -25,6 +25,7 @@ from lightmatrix.errors import SolverError
 from lightmatrix.patterns.pattern_set import PatternSet
 from lightmatrix.ranges import check_at_least_one, check_positive
 from lightmatrix.solvers.fidelity import Fidelity
+from lightmatrix.solvers.loop import IterativeSolver
 from lightmatrix.solvers.problem import Problem
 
 
@@ -116,10 +117,10 @@ class System:
         dtype = point.dtype
         distance = target - self.forward(point)
         if self._wide:
-            t = _each_by(distance.astype(np.float64), self._inverse)
+            t = distance.astype(np.float64) @ self._inverse
             prediction = target - (self.ridge * t).astype(dtype)
             return point + self.adjoint(t.astype(dtype)), prediction
-        step = _each_by(self.adjoint(distance).astype(np.float64), self._inverse)
+        step = self.adjoint(distance).astype(np.float64) @ self._inverse
         x = point + step.astype(dtype)
         return x, self.forward(x)
 
@@ -151,13 +152,6 @@ def _sums(patterns: PatternSet, column: NDArray[np.float64]) -> NDArray[np.float
     # If the column is the means, compute the sums from it, so that all terms of the centred Gram
     # matrix have the same rounding.
     return patterns.pixels * column if column is patterns.means else patterns.sums
-
-
-def _each_by(rows: NDArray[np.float64], matrix: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Rows times one matrix, or equal groups of rows times one matrix each."""
-    if matrix.ndim == 2:
-        return rows @ matrix
-    return (rows.reshape(len(matrix), -1, rows.shape[1]) @ matrix).reshape(rows.shape)
 
 
 # Number of rows that are handled at a time in double precision, to save memory.
@@ -217,8 +211,23 @@ class ADMMState:
     penalty_x: float
 
 
+class _Splitting(IterativeSolver):
+    """What both solvers share: they end at z, the part of the split x = z that is sparse."""
+
+    penalty_x: float | None
+
+    def __post_init__(self) -> None:
+        check_positive(penalty_x=self.penalty_x, tolerance=self.tolerance)
+        check_at_least_one(max_iterations=self.max_iterations)
+
+    def solution(self, problem: Problem, state: Any) -> tuple[NDArray[Any], NDArray[Any]]:
+        """Coefficients (M, N) and background (M,)."""
+        coefficients, background = state.system.split(state.z)
+        return coefficients, background
+
+
 @dataclass(frozen=True)
-class ADMM:
+class ADMM(_Splitting):
     """Clip-blind l1 minimisation (Eq. 2), solved by ADMM.
 
     ::
@@ -238,24 +247,18 @@ class ADMM:
     Examples
     --------
     >>> import lightmatrix as lm
-    >>> patterns = lm.BernoulliPatterns((4, 4), 24)
-    >>> lit = np.eye(16)[[5]]
-    >>> values = patterns.forward(lit)
-    >>> samples = lm.Samples(values, values > 2, np.full(24, 2.0))
-    >>> result = lm.solve(lm.Problem(patterns, samples, regularization=0.01), lm.ADMM())
-    >>> int(result.coefficients.toarray().argmax())
-    5
+    >>> capture = lm.simulate("metal", lm.BernoulliPatterns((64, 64), 32)).bin(camera=16)
+    >>> problem = lm.Problem(capture.patterns, capture.samples(), regularization=0.1)
+    >>> lm.solve(problem, lm.ADMM()).coefficients.shape
+    (16, 4096)
     """
 
     penalty_x: float | None = None
     max_iterations: int = ADMM_ITERATIONS
     tolerance: float = 5e-4
 
-    fidelity: ClassVar[Fidelity] = Fidelity.LINEAR
-
-    def __post_init__(self) -> None:
-        check_positive(penalty_x=self.penalty_x, tolerance=self.tolerance)
-        check_at_least_one(max_iterations=self.max_iterations)
+    # No parameter: the system of ADMM is that of least squares.
+    fidelity = Fidelity.LINEAR
 
     def init(self, problem: Problem) -> ADMMState:
         mu = self.penalty_x or automatic_penalty_x(problem)
@@ -287,9 +290,6 @@ class ADMM:
         primal = relative(after.x - after.z, threshold, after.x, after.z)
         dual = relative(after.z - before.z, threshold, after.z, after.h * threshold)
         return primal, dual
-
-    def solution(self, problem: Problem, state: ADMMState) -> tuple[NDArray[Any], NDArray[Any]]:
-        return state.system.split(state.z)
 
     def row_bytes(self, patterns: int, pixels: int) -> int:
         """Bytes of one row: 13 float32 vectors of pixels, for two states, a step and the gap."""
@@ -361,7 +361,7 @@ class SaturationADMMState:
 
 
 @dataclass(frozen=True)
-class SaturationADMM:
+class SaturationADMM(_Splitting):
     """l1 minimisation through a clipping camera (Eq. 6), solved by ADMM.
 
     ::
@@ -375,26 +375,19 @@ class SaturationADMM:
     ----------
     fidelity : Fidelity
         clipped (the paper), one-sided, rejection or linear.
-    penalty_x : float or None
-        The paper's mu, > 0, in 1 / (units of T). None: computed by `automatic_penalty_x`; for 0/1
-        patterns of density 0.5 it is sqrt(K N) / (24 lambda).
     penalty_u : float or None
-        The paper's nu, > 0, in 1 / (units of camera sample). None: 1 / (8 lambda).
-    max_iterations : int
-        Limit of iterations, at least 1. A row that reaches it is returned as it is.
-    tolerance : float
-        A row stops when its relative primal and dual residuals are at most this, > 0.
+        The paper's nu, > 0, in 1 / (units of camera sample). None: 1 / (8 lambda), which Eq. 18
+        adds to the data term's 1.
+    penalty_x, max_iterations, tolerance
+        As for `ADMM`.
 
     Examples
     --------
     >>> import lightmatrix as lm
-    >>> patterns = lm.BernoulliPatterns((4, 4), 24)
-    >>> lit = np.eye(16)[[5]]
-    >>> values = patterns.forward(lit)
-    >>> samples = lm.Samples(values, values > 2, np.full(24, 2.0))
-    >>> result = lm.solve(lm.Problem(patterns, samples, regularization=0.01), lm.SaturationADMM())
-    >>> int(result.coefficients.toarray().argmax())
-    5
+    >>> capture = lm.simulate("metal", lm.BernoulliPatterns((64, 64), 32)).bin(camera=16)
+    >>> problem = lm.Problem(capture.patterns, capture.samples(), regularization=0.1)
+    >>> lm.solve(problem, lm.SaturationADMM()).coefficients.shape
+    (16, 4096)
     """
 
     fidelity: Fidelity | str = Fidelity.ONE_SIDED
@@ -405,12 +398,12 @@ class SaturationADMM:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "fidelity", Fidelity(self.fidelity))
-        check_positive(penalty_x=self.penalty_x, penalty_u=self.penalty_u, tolerance=self.tolerance)
-        check_at_least_one(max_iterations=self.max_iterations)
+        check_positive(penalty_u=self.penalty_u)
+        super().__post_init__()
 
     def init(self, problem: Problem) -> SaturationADMMState:
         mu = self.penalty_x or automatic_penalty_x(problem)
-        nu = self.penalty_u or automatic_penalty_u(problem)
+        nu = self.penalty_u or 1 / (8 * problem.regularization)
         system = system_of(problem, mu / nu)
         y = problem.samples.values
         x = np.zeros((problem.rows, system.unknowns), y.dtype)
@@ -447,16 +440,6 @@ class SaturationADMM:
         )
         return primal, dual
 
-    def solution(
-        self, problem: Problem, state: SaturationADMMState
-    ) -> tuple[NDArray[Any], NDArray[Any]]:
-        return state.system.split(state.z)
-
     def row_bytes(self, patterns: int, pixels: int) -> int:
         """Bytes of one row: 13 float32 vectors of pixels, for two states, a step and the gap."""
         return 4 * (13 * pixels + 14 * patterns)
-
-
-def automatic_penalty_u(problem: Problem) -> float:
-    """The penalty nu with lambda nu = 1/8, which Eq. 18 adds to the data term's 1."""
-    return 1 / (8 * problem.regularization)

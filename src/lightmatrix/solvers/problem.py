@@ -65,12 +65,9 @@ class Problem:
     Examples
     --------
     >>> import lightmatrix as lm
-    >>> patterns = lm.BernoulliPatterns((4, 4), 24)
-    >>> lit = np.eye(16)[[5]]
-    >>> values = patterns.forward(lit)
-    >>> samples = lm.Samples(values, values > 2, np.full(24, 2.0))
-    >>> lm.Problem(patterns, samples, regularization=0.01).rows
-    1
+    >>> capture = lm.simulate("metal", lm.BernoulliPatterns((64, 64), 8))
+    >>> lm.Problem(capture.patterns, capture.samples(0, 5), regularization=0.01).rows
+    5
     """
 
     patterns: PatternSet
@@ -144,14 +141,13 @@ class Result:
 
     Examples
     --------
+    See `solve`.
+
     >>> import lightmatrix as lm
-    >>> patterns = lm.BernoulliPatterns((4, 4), 24)
-    >>> lit = np.eye(16)[[5]]
-    >>> values = patterns.forward(lit)
-    >>> samples = lm.Samples(values, values > 2, np.full(24, 2.0))
-    >>> result = lm.solve(lm.Problem(patterns, samples, regularization=0.01), lm.ActiveSet())
-    >>> result.converged
-    array([ True])
+    >>> capture = lm.simulate("metal", lm.BernoulliPatterns((64, 64), 8))
+    >>> problem = lm.Problem(capture.patterns, capture.samples(0, 3), regularization=0.1)
+    >>> lm.solve(problem, lm.ActiveSet()).converged
+    array([ True,  True,  True])
     """
 
     rows: SparseRows

@@ -50,13 +50,10 @@ class ROMP:
     Examples
     --------
     >>> import lightmatrix as lm
-    >>> patterns = lm.BernoulliPatterns((4, 4), 24)
-    >>> lit = np.eye(16)[[5]]
-    >>> values = patterns.forward(lit)
-    >>> samples = lm.Samples(values, values > 2, np.full(24, 2.0))
-    >>> result = lm.solve(lm.Problem(patterns, samples, regularization=0.01), lm.ROMP())
-    >>> int(result.coefficients.toarray().argmax())
-    5
+    >>> capture = lm.simulate("metal", lm.BernoulliPatterns((64, 64), 32)).bin(camera=16)
+    >>> problem = lm.Problem(capture.patterns, capture.samples(), regularization=0.1)
+    >>> lm.solve(problem, lm.ROMP()).coefficients.shape
+    (16, 4096)
     """
 
     sparsity: int | None = None

@@ -150,9 +150,13 @@ def _write_index(part: Path, matrix: StoredTransport, progress: Callable[[int, i
             rows = hstack([block[:, some].T.tocsr() for block in blocks()], format="csr")
             # The first row's beginning is that of the array as well.
             yield arrays(ends[first + 1 if first else 0 : last + 1], rows)
+        end = ends[-1:]
         for cell in range(cells):
             light = matrix.arrays["background"].read(slice(None), slice(cell, cell + 1))
-            yield arrays(ends[-1:] + samples * (cell + 1), csr_array(light.T + 0.0))
+            # Samples without background have no entry.
+            row = csr_array(light.T + 0.0)
+            end = end + row.nnz
+            yield arrays(end, row)
 
     shapes = {
         "camera_shape": [pixels + cells, 1],

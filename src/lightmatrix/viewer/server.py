@@ -12,7 +12,6 @@ import socket
 import tempfile
 import threading
 import webbrowser
-from collections import OrderedDict
 from collections.abc import Awaitable, Callable, Iterator
 from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass, field
@@ -116,64 +115,27 @@ def _header(scope: dict[str, Any], name: bytes) -> list[str]:
     return [value.decode("latin-1") for key, value in scope["headers"] if key == name]
 
 
-class Strangers:
-    """Connections that have not shown the token yet.
-
-    They get a few seconds for a whole request, and beyond a number the oldest one is closed, so
-    that connections of others never keep the owner of the token out.
-    """
-
-    _SECONDS, _MOST = 5, 64
-
-    def __init__(self) -> None:
-        self._transports: OrderedDict[tuple[str, int], asyncio.Transport] = OrderedDict()
-
-    def came(self, transport: asyncio.Transport) -> None:
-        """A client has connected."""
-        client = transport.get_extra_info("peername")
-        self._transports[client] = transport
-        if len(self._transports) > self._MOST:
-            self._transports.popitem(last=False)[1].abort()
-        asyncio.get_running_loop().call_later(self._SECONDS, self._late, client, transport)
-
-    def showed_the_token(self, client: tuple[str, int]) -> None:
-        """A client is no stranger any more."""
-        self._transports.pop(client, None)
-
-    def _late(self, client: tuple[str, int], transport: asyncio.Transport) -> None:
-        # Another client may have come from the same port meanwhile.
-        if self._transports.get(client) is transport:
-            del self._transports[client]
-            transport.abort()
-
-
 # What the server answers, as an ASGI application: the page, the matrix, its layers, notices.
 
 
 Receive = Callable[[], Awaitable[dict[str, Any]]]
 Send = Callable[[dict[str, Any]], Awaitable[None]]
 
-# Windows that may be open at once. More are turned away, so that a broken page cannot use up
-# sockets.
-MOST_SOCKETS = 16
 # Seconds between two looks at the store.
 _WATCH_SECONDS = 1.0
-# WebSocket's codes for "you broke the rules" and "come again later".
-_VIOLATION, _TRY_LATER = 1008, 1013
+# WebSocket's code for "you broke the rules".
+_VIOLATION = 1008
 _BINARY, _TEXT = "application/octet-stream", "text/plain; charset=utf-8"
 
 
 class Answers:
     """The ASGI application of one scene."""
 
-    def __init__(self, scene: Scene, guard: Guard, strangers: Strangers) -> None:
-        self._scene, self._guard, self._strangers = scene, guard, strangers
-        self._sockets = 0
+    def __init__(self, scene: Scene, guard: Guard) -> None:
+        self._scene, self._guard = scene, guard
 
     async def __call__(self, scope: dict[str, Any], receive: Receive, send: Send) -> None:
         path = self._guard.inner_path(scope)
-        if path is not None:
-            self._strangers.showed_the_token(scope["client"])
         if scope["type"] == "websocket":
             await self._socket(path, receive, send)
         elif path is None:
@@ -223,12 +185,6 @@ class Answers:
         if path != "socket":
             await send({"type": "websocket.close", "code": _VIOLATION})
             return
-        if self._sockets >= MOST_SOCKETS:
-            # The page learns the code only of a connection that was accepted.
-            await send({"type": "websocket.accept"})
-            await send({"type": "websocket.close", "code": _TRY_LATER})
-            return
-        self._sockets += 1
         watching = None
         try:
             await send({"type": "websocket.accept"})
@@ -238,7 +194,6 @@ class Answers:
             # The window was closed while it was being answered.
             return
         finally:
-            self._sockets -= 1
             if watching is not None:
                 watching.cancel()
 
@@ -281,10 +236,6 @@ class Answers:
                 await send({"type": "websocket.send", "text": json.dumps({"notice": notice})})
                 told = notice
             await asyncio.sleep(_WATCH_SECONDS)
-
-
-# Seconds that open pages have to say goodbye after Ctrl-C.
-_GOODBYE_SECONDS = 1
 
 
 def serve_viewer(
@@ -356,22 +307,41 @@ def serve_viewer(
         # The socket listens already, so that whoever opens the page now is answered.
         if ready is not None:
             ready(guard.address)
-        strangers = Strangers()
-        config = _config(uvicorn, Answers(scene, guard, strangers), strangers, scene.most_message)
+        http, ws = _protocols()
+        config = uvicorn.Config(
+            Answers(scene, guard),
+            lifespan="off",
+            log_level="critical",
+            access_log=False,
+            server_header=False,
+            proxy_headers=False,
+            http=http,
+            ws=ws,
+            timeout_keep_alive=2,
+            ws_max_size=scene.most_message,
+            ws_per_message_deflate=False,
+            # Seconds that open pages have to say goodbye after Ctrl-C.
+            timeout_graceful_shutdown=1,
+        )
         with _handed_to_the_browser(guard.address) if browser else nullcontext():
             uvicorn.Server(config).run(sockets=[listening])
     # Only Ctrl-C ends the server. The event loop may have swallowed its KeyboardInterrupt.
     raise KeyboardInterrupt
 
 
-def _config(uvicorn: Any, answers: Answers, strangers: Strangers, most_message: int) -> Any:
+def _protocols() -> tuple[type, type]:
+    """What uvicorn speaks with clients, so that none of them costs the server much."""
     from uvicorn.protocols.http.h11_impl import H11Protocol
     from uvicorn.protocols.websockets.websockets_sansio_impl import WebSocketsSansIOProtocol
 
     class Http(H11Protocol):
+        """Closes connections that ask for nothing, as it does after each answer."""
+
         def connection_made(self, transport: Any) -> None:
             super().connection_made(transport)
-            strangers.came(transport)
+            self.timeout_keep_alive_task = self.loop.call_later(
+                self.timeout_keep_alive, self.timeout_keep_alive_handler
+            )
 
     class WebSocket(WebSocketsSansIOProtocol):
         """Reads nothing more from a client that does not read its answers, such as pongs."""
@@ -386,19 +356,7 @@ def _config(uvicorn: Any, answers: Answers, strangers: Strangers, most_message: 
             if not self.read_paused:
                 self.transport.resume_reading()
 
-    return uvicorn.Config(
-        answers,
-        lifespan="off",
-        log_level="critical",
-        access_log=False,
-        server_header=False,
-        proxy_headers=False,
-        http=Http,
-        ws=WebSocket,
-        ws_max_size=most_message,
-        ws_per_message_deflate=False,
-        timeout_graceful_shutdown=_GOODBYE_SECONDS,
-    )
+    return Http, WebSocket
 
 
 def _bound(port: int) -> socket.socket:

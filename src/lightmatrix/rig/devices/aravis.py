@@ -29,12 +29,8 @@ class AravisCamera(GenICamCamera):
         # it: the traceback of an error would keep it alive.
         self._stream: Any = None
         self._camera: Any = aravis.Camera.new(address.argument or None)
-        try:
-            with self._talking("be set up"):
-                self._set_up()
-        except BaseException:
-            self.close()
-            raise
+        with self._opening(), self._talking("be set up"):
+            self._set_up()
 
     def _set_up(self) -> None:
         self._require_control()
@@ -49,9 +45,7 @@ class AravisCamera(GenICamCamera):
         self._set_shape(height, width)
         shortest, longest = self._camera.get_exposure_time_bounds()
         self._range = (1e-6 * shortest, 1e-6 * longest)
-        # GigE Vision numbers frames from 1 to 65,535, unless the camera extends the numbers.
-        largest = 0xFFFF if self._has_short_ids() else None
-        self._stamps = FrameStamps(largest_id=largest, first_id=1)
+        self._stamps = FrameStamps()
         self._stream = self._camera.create_stream(None, None)
         for _ in range(BUFFERS):
             self._stream.push_buffer(self._aravis.Buffer.new_allocate(self._camera.get_payload()))
@@ -59,7 +53,7 @@ class AravisCamera(GenICamCamera):
         self._camera.start_acquisition()
 
     def get_image(self, timeout: float) -> Frame:
-        """The next complete frame; the numbers of incomplete ones are missing from the ids."""
+        """The next complete frame."""
         until = time.monotonic() + timeout
         incomplete = 0
         while True:
@@ -69,9 +63,8 @@ class AravisCamera(GenICamCamera):
             if buffer is None:
                 raise self._no_frame(timeout, incomplete)
             try:
-                frame_id = self._stamps.count(buffer.get_frame_id())
                 if buffer.get_status() == self._aravis.BufferStatus.SUCCESS:
-                    return self._frame(buffer, frame_id)
+                    return self._frame(buffer)
             finally:
                 self._stream.push_buffer(buffer)
             incomplete += 1
@@ -80,20 +73,9 @@ class AravisCamera(GenICamCamera):
         """Discard frames that arrived but were not yet handed out."""
         self._check_open()
         while (buffer := self._stream.try_pop_buffer()) is not None:
-            self._stamps.count(buffer.get_frame_id())
             self._stream.push_buffer(buffer)
 
-    def trigger(self) -> None:
-        """Ask for one frame; nothing unless the camera was opened with trigger=software."""
-        self._check_open()
-        if self._trigger == "software":
-            with self._talking("be triggered"):
-                self._camera.software_trigger()
-
-    def close(self) -> None:
-        """Stop the camera and give it back."""
-        if self._closed:
-            return
+    def _give_back(self) -> None:
         # A camera that is gone delays each command by seconds.
         if not self._gone:
             with suppress(*self._errors):
@@ -103,7 +85,9 @@ class AravisCamera(GenICamCamera):
                 self._camera.clear_triggers()
         # The stream's thread ends with its last reference, and then the control of the camera.
         self._stream = self._camera = None
-        self._closed = True
+
+    def _fire(self) -> None:
+        self._camera.software_trigger()
 
     def _exposure_range(self) -> tuple[float, float]:
         return self._range
@@ -116,14 +100,14 @@ class AravisCamera(GenICamCamera):
         with self._talking("set its exposure"):
             self._camera.set_exposure_time(seconds * 1e6)
 
-    def _frame(self, buffer: Any, frame_id: int) -> Frame:
+    def _frame(self, buffer: Any) -> Frame:
         # The wall clock may be set meanwhile, so only its difference to now is used.
         age = max(0.0, time.time() - buffer.get_system_timestamp() * 1e-9)
         arrival = time.monotonic() - age
         timestamp = self._stamps.time(buffer.get_timestamp() * 1e-9, arrival)
         rows, cols = buffer.get_image_height(), buffer.get_image_width()
         data = self._format.image(buffer.get_data(), rows, cols)
-        return Frame(data, frame_id, timestamp, self._format.clip_level)
+        return Frame(data, timestamp, self._format.clip_level)
 
     def _no_frame(self, timeout: float, incomplete: int) -> DeviceError:
         self._gone = True
@@ -184,13 +168,6 @@ class AravisCamera(GenICamCamera):
             self._camera.clear_triggers()
         else:
             self._camera.set_trigger(source)
-
-    def _has_short_ids(self) -> bool:
-        if not self._camera.is_gv_device():
-            return False
-        with suppress(*self._errors):
-            return not self._camera.get_device().get_boolean_feature_value("GevGVSPExtendedIDMode")
-        return True
 
 
 def open_aravis(address: Address) -> AravisCamera:

@@ -6,7 +6,8 @@ import re
 import time
 from abc import ABC, abstractmethod
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from importlib import import_module
 from typing import Any, ClassVar
@@ -120,8 +121,8 @@ def load(extra: str, what: str, *modules: str) -> list[Any]:
 
 
 def size_in_words(shape: tuple[int, ...]) -> str:
-    """A shape with the width first, as monitors and cameras write it: "1024 x 768"."""
-    return f"{shape[1]} x {shape[0]}"
+    """The rows and columns of a shape: "768 x 1024"."""
+    return f"{shape[0]} x {shape[1]}"
 
 
 class Clock:
@@ -143,8 +144,6 @@ class Frame:
 
     # (rows, cols[, channels]): sensor values, which the frame owns.
     data: NDArray[np.uint8] | NDArray[np.uint16]
-    # One more than that of the frame before unless frames were lost.
-    id: int
     # End of the exposure as well as is known, in seconds of `time.monotonic`.
     timestamp: float
     # The value at which the sensor clips, in units of `data`.
@@ -268,7 +267,22 @@ class Camera(ABC):
 
     def close(self) -> None:
         """Give the device back; may be called twice."""
-        self._closed = True
+        if not self._closed:
+            self._give_back()
+            self._closed = True
+
+    def _give_back(self) -> None:
+        """What closing takes."""
+        return
+
+    @contextmanager
+    def _opening(self) -> Iterator[None]:
+        """Give the device back if it cannot be set up."""
+        try:
+            yield
+        except BaseException:
+            self.close()
+            raise
 
     def _details(self) -> dict[str, Any]:
         """Facts that only this kind of camera has."""
@@ -323,32 +337,18 @@ def set_exposure(camera: Camera, seconds: float) -> float:
 
 
 class FrameStamps:
-    """Turns a camera's frame numbers into ones without end, and its times into `time.monotonic`.
+    """Turns a camera's times of its frames into `time.monotonic`.
 
     A frame arrives by a delay that varies. The offset of the camera's clock is the smallest
     difference between arrival and stamp over the last frames, so that a frame that waited in a
-    queue keeps its time. After `largest_id` the camera begins again at `first_id`.
+    queue keeps its time.
     """
 
-    def __init__(self, *, largest_id: int | None = None, first_id: int = 0) -> None:
-        self._largest = largest_id
-        self._first = first_id
-        self._rounds = 0
-        self._last_id: int | None = None
+    def __init__(self) -> None:
         self._last_stamp = float("-inf")
         # In the time of 100 frames a camera's clock drifts by less than a frame; fewer frames may
         # all have waited in a queue.
         self._offsets: deque[float] = deque(maxlen=100)
-
-    def count(self, camera_id: int) -> int:
-        """The frame's number, one more than that of the frame before it if none was lost."""
-        if self._largest is None:
-            return camera_id
-        # Frames may overtake each other, but none is half a round late.
-        wrapped = self._last_id is not None and camera_id < self._last_id - self._largest // 2
-        self._rounds += wrapped
-        self._last_id = camera_id
-        return camera_id + self._rounds * (self._largest - self._first + 1)
 
     def time(self, stamp: float | None, arrival: float) -> float:
         """When a frame was taken, in `time.monotonic`; never later than it arrived."""

@@ -33,13 +33,8 @@ class DSLRCamera(Camera):
         self._trigger = "software"
         # Pictures that still lie in the camera, each with the time at which it was taken.
         self._waiting: deque[tuple[Any, float]] = deque()
-        self._count = 0
-        try:
-            with self._talking("be set up"):
-                self._set_up()
-        except BaseException:
-            self.close()
-            raise
+        with self._opening(), self._talking("be set up"):
+            self._set_up()
 
     def _set_up(self) -> None:
         settings = self._settings()
@@ -71,14 +66,11 @@ class DSLRCamera(Camera):
     def get_image(self, timeout: float) -> Frame:
         """The next picture, timed when the camera reported it, which is after its exposure."""
         self._check_open()
-        until = time.monotonic() + timeout
-        while not self._waiting:
-            left = until - time.monotonic()
-            if left <= 0:
-                raise self._timeout(timeout, "can it focus? switch the lens to manual focus")
-            self._listen(left)
+        if not self._waiting:
+            # A picture is there when `trigger` returns, or never comes.
+            time.sleep(timeout)
+            raise self._timeout(timeout, "can it focus? switch the lens to manual focus")
         where, when = self._waiting.popleft()
-        self._count += 1
         with self._talking("hand over a picture"):
             file = self._camera.file_get(
                 where.folder, where.name, self._gphoto2.GP_FILE_TYPE_NORMAL
@@ -104,14 +96,10 @@ class DSLRCamera(Camera):
             time.sleep(left)
         self._waiting.append((where, time.monotonic()))
 
-    def close(self) -> None:
-        """Give the camera back."""
-        if self._closed:
-            return
+    def _give_back(self) -> None:
         with suppress(self._gphoto2.GPhoto2Error):
             self._camera.exit()
         self._camera = None
-        self._closed = True
 
     def _exposure_range(self) -> tuple[float, float]:
         return min(self._speeds), max(self._speeds)
@@ -128,17 +116,6 @@ class DSLRCamera(Camera):
         with self._talking("set its exposure"):
             self._set(str(self._shutter), self._speeds[nearest])
 
-    def _listen(self, seconds: float) -> None:
-        """Wait for a picture that somebody takes at the camera."""
-        began = time.monotonic()
-        with self._talking("be listened to"):
-            kind, what = self._camera.wait_for_event(max(1, int(1000 * seconds)))
-        if kind == self._gphoto2.GP_EVENT_FILE_ADDED:
-            self._waiting.append((what, time.monotonic()))
-        # Some drivers return at once without an event.
-        elif time.monotonic() - began < 0.01:
-            time.sleep(min(0.01, seconds))
-
     def _frame(self, name: str, content: bytes, when: float) -> Frame:
         suffix = Path(name).suffix.lower()
         if suffix not in READABLE:
@@ -154,7 +131,7 @@ class DSLRCamera(Camera):
             except InputError as error:
                 raise self._error(f"{name} came damaged", "check the USB cable") from error
         self._shape, self._bits = image.shape, 8 * image.dtype.itemsize
-        return Frame(image, self._count, when, float(np.iinfo(image.dtype).max))
+        return Frame(image, when, float(np.iinfo(image.dtype).max))
 
     def _settings(self) -> dict[str, tuple[str, ...]]:
         """Settings by name with their choices; none for a free text."""

@@ -59,15 +59,15 @@ class FolderProjector(Projector):
 
 
 def open_folder(address: Address) -> FolderProjector:
-    """Open "folder:DIR,size=1024x768", width first as monitors have it; makes a missing folder."""
+    """Open "folder:DIR,size=768x1024", rows by columns as everywhere; makes a missing folder."""
     address.check_options(("size",))
     size = re.fullmatch(r"([1-9][0-9]{0,4})x([1-9][0-9]{0,4})", address.options.get("size", ""))
     if not address.argument or size is None:
         raise InputError(
             f"{address}: a folder and its size are needed",
-            hint="give folder:DIR,size=WIDTHxHEIGHT, with the pixels of the projector",
+            hint="give folder:DIR,size=ROWSxCOLUMNS, with the pixels of the projector",
         )
-    return FolderProjector(address, Path(address.argument), (int(size[2]), int(size[1])))
+    return FolderProjector(address, Path(address.argument), (int(size[1]), int(size[2])))
 
 
 class WatchedFolder(Camera):
@@ -79,11 +79,9 @@ class WatchedFolder(Camera):
         super().__init__(address)
         self._folder, self._stated, self._clip = folder, exposure, clip
         self._name, self._trigger = f"folder {folder}", "elsewhere"
-        self._by_name = address.choice("numbers", ("order", "name")) == "name"
         # The ending of all frames: that of the first.
         self._suffix = ""
         self._seen = self._states()
-        self._count = 0
 
     def get_image(self, timeout: float) -> Frame:
         """The next complete file, timed by its last change, the likeliest end of exposure."""
@@ -119,7 +117,6 @@ class WatchedFolder(Camera):
     def flush(self) -> None:
         """Pass over the files that are there."""
         self._check_open()
-        self._count += len(self._new_files())
         self._seen = self._states()
 
     def _states(self) -> dict[Path, tuple[int, int]]:
@@ -148,7 +145,6 @@ class WatchedFolder(Camera):
 
     def _frame(self, file: Path, image: NDArray[Any], state: tuple[int, int]) -> Frame:
         self._seen[file] = state
-        self._count += 1
         if image.dtype not in (np.uint8, np.uint16):
             raise DeviceError(
                 f"{file}: is {image.dtype}, which no sensor delivers",
@@ -162,19 +158,10 @@ class WatchedFolder(Camera):
             )
         self._suffix = file.suffix.lower()
         self._shape, self._bits = image.shape, 8 * image.dtype.itemsize
-        number = self._count
-        if self._by_name:
-            match = re.search(r"([0-9]+)[^0-9]*$", file.stem)
-            if match is None:
-                raise DeviceError(
-                    f"{file}: has no number in its name",
-                    hint="leave out numbers=name, or have frames saved as frame-0001.png",
-                )
-            number = int(match[1])
         # The wall clock may be set meanwhile, so only its difference to now is used.
         age = max(0.0, time.time() - state[1] * 1e-9)
         clip_level = self._clip or float(np.iinfo(image.dtype).max)
-        return Frame(image, number, time.monotonic() - age, clip_level)
+        return Frame(image, time.monotonic() - age, clip_level)
 
 
 def open_watched(address: Address) -> WatchedFolder:
@@ -185,10 +172,8 @@ def open_watched(address: Address) -> WatchedFolder:
 
     The address is "watch:DIR,exposure=0.1" with the exposure, in seconds, that was set on the
     camera. The option clip is the largest value where it is not that of 8 or 16 bits (clip=4095).
-    numbers=name takes the number at the end of a file's name for the frame's, so that lost frames
-    are noticed; numbers=order, the default, counts.
     """
-    address.check_options(("exposure", "clip", "numbers"))
+    address.check_options(("exposure", "clip"))
     exposure = address.stated_exposure
     clip = address.number("clip", 0.0) if "clip" in address.options else None
     folder = Path(address.argument)

@@ -77,11 +77,9 @@ def choose_format(camera: str, offered: Sequence[str], wanted: str | None = None
     if wanted is not None:
         chosen = next((known for known in usable if known.name == wanted), None)
         if chosen is None:
-            reason = (
-                "lightmatrix does not unpack it" if wanted in offered else "it does not offer that"
-            )
+            reason = "is not unpacked by us" if wanted in offered else "is not offered by it"
             raise DeviceError(
-                f"{camera}: pixel format {wanted} cannot be used, {reason}",
+                f"{camera}: pixel format {wanted} {reason}",
                 hint=f"choose one of {names}" if usable else f"it offers {', '.join(offered)}",
             )
         return chosen
@@ -120,11 +118,20 @@ class GenICamCamera(Camera):
     _trigger_sources: Callable[[], Sequence[str]]
     # Trigger by a source of the camera; None lets it run freely.
     _use_trigger: Callable[[str | None], None]
+    # Trigger by software.
+    _fire: Callable[[], None]
     # These hints tell the user where the camera lists its features, and their values.
     _features_hint: str
     _values_hint: str
     # What to check when a camera without a cabled trigger delivers nothing.
     _silent_hint: str
+
+    def trigger(self) -> None:
+        """Ask for one frame; nothing unless the camera was opened with trigger=software."""
+        self._check_open()
+        if self._trigger == "software":
+            with self._talking("be triggered"):
+                self._fire()
 
     def _configure(self) -> None:
         """Switch off what alters pictures, then set what the address asks for."""

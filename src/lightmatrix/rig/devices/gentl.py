@@ -34,15 +34,11 @@ class GenTLCamera(GenICamCamera):
         self._errors, self._timeouts = (gentl.GenericException,), (gentl.TimeoutException,)
         self._acquirer: Any = None
         self._stamps = FrameStamps()
-        try:
+        with self._opening(), self._talking("be set up"):
             device = _chosen_device(harvester, address)
             self._name = f"{device.vendor} {device.model} {device.serial_number}"
-            with self._talking("be set up"):
-                self._acquirer = harvester.create(harvester.device_info_list.index(device))
-                self._set_up()
-        except BaseException:
-            self.close()
-            raise
+            self._acquirer = harvester.create(harvester.device_info_list.index(device))
+            self._set_up()
 
     def _set_up(self) -> None:
         self._configure()
@@ -77,23 +73,15 @@ class GenTLCamera(GenICamCamera):
             except self._timeouts:
                 return
 
-    def trigger(self) -> None:
-        """Ask for one frame; nothing unless the camera was opened with trigger=software."""
-        self._check_open()
-        if self._trigger == "software":
-            with self._talking("be triggered"):
-                self._acquirer.remote_device.node_map.TriggerSoftware.execute()
-
-    def close(self) -> None:
-        """Stop the camera and give it back."""
-        if self._closed:
-            return
+    def _give_back(self) -> None:
         with suppress(*self._errors):
             if self._acquirer is not None:
                 self._acquirer.destroy()
         self._harvester.reset()
         self._acquirer = self._harvester = None
-        self._closed = True
+
+    def _fire(self) -> None:
+        self._acquirer.remote_device.node_map.TriggerSoftware.execute()
 
     def _exposure_range(self) -> tuple[float, float]:
         return float(self._exposure_node.min) * 1e-6, float(self._exposure_node.max) * 1e-6
@@ -119,7 +107,7 @@ class GenTLCamera(GenICamCamera):
         # The data is copied because the buffer will hold another frame.
         data = self._format.image(image.data.tobytes(), image.height, image.width)
         timestamp = self._stamps.time(stamp, arrival)
-        return Frame(data, int(buffer.module.frame_id), timestamp, self._format.clip_level)
+        return Frame(data, timestamp, self._format.clip_level)
 
     def _switch_off_automatics(self) -> None:
         for name in ("ExposureAuto", "GainAuto", "BlackLevelAuto", "BalanceWhiteAuto"):

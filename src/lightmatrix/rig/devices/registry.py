@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from typing import Generic, TypeVar
+from typing import Any, Generic, TypeVar
 
 from lightmatrix.errors import DeviceError, InputError, MissingExtraError
 from lightmatrix.rig.devices.aravis import find_aravis, open_aravis
@@ -20,37 +20,7 @@ Device = TypeVar("Device")
 
 @dataclass(frozen=True)
 class BackEnd(Generic[Device]):
-    """A kind of device: what it is, the form of its addresses, how to open one."""
-
-    summary: str
-    form: str
-    open: Callable[[Address], Device]
-    # Lists the devices that are present; None where they cannot be listed.
-    find: Callable[[], list[AvailableDevice]] | None = None
-
-
-PROJECTORS: dict[str, BackEnd[Projector]] = {
-    "window": BackEnd(
-        "full-screen window on a monitor", "window:MONITOR", open_window, find_windows
-    ),
-    "folder": BackEnd(
-        "file that another program shows", "folder:DIR,size=WIDTHxHEIGHT", open_folder
-    ),
-}
-CAMERAS: dict[str, BackEnd[Camera]] = {
-    "aravis": BackEnd("GigE and USB3 Vision", "aravis:ID", open_aravis, find_aravis),
-    "gentl": BackEnd("any maker's, by its GenTL producer", "gentl:ID", open_gentl, find_gentl),
-    "video": BackEnd(
-        "web cameras and frame grabbers", "video:DEVICE,exposure=SECONDS", open_video, find_video
-    ),
-    "dslr": BackEnd("digital cameras, tethered", "dslr:MODEL", open_dslr, find_dslr),
-    "watch": BackEnd("files from whatever takes them", "watch:DIR,exposure=SECONDS", open_watched),
-}
-
-
-@dataclass(frozen=True)
-class BackEndStatus:
-    """What is known of one back end on this computer."""
+    """A kind of device: what it is, how to open one, and what of it is there."""
 
     # One of "projector", "camera".
     role: str
@@ -58,12 +28,48 @@ class BackEndStatus:
     kind: str
     summary: str
     form: str
-    # Whether its devices can be listed at all.
-    finds: bool
+    open: Callable[[Address], Device]
+    # Lists the devices that are present; None where they cannot be listed.
+    find: Callable[[], list[AvailableDevice]] | None = None
     found: tuple[AvailableDevice, ...] = ()
     # Why it cannot be used now, and what to do.
     problem: str | None = None
     hint: str | None = None
+
+    def looked_for(self) -> BackEnd[Device]:
+        """The same with the devices that are there, or with what it lacks."""
+        if self.find is None:
+            return self
+        try:
+            return replace(self, found=tuple(self.find()))
+        except (MissingExtraError, DeviceError) as error:
+            return replace(self, problem=error.message, hint=error.hint)
+
+
+PROJECTORS: dict[str, BackEnd[Projector]] = {
+    kind: BackEnd("projector", kind, *each)
+    for kind, each in {
+        "window": ("full-screen window on a monitor", "window:MONITOR", open_window, find_windows),
+        "folder": (
+            "file that another program shows", "folder:DIR,size=ROWSxCOLUMNS", open_folder, None,
+        ),
+    }.items()
+}  # fmt: skip
+CAMERAS: dict[str, BackEnd[Camera]] = {
+    kind: BackEnd("camera", kind, *each)
+    for kind, each in {
+        "aravis": ("GigE and USB3 Vision", "aravis:ID", open_aravis, find_aravis),
+        "gentl": ("any maker's, by its GenTL producer", "gentl:ID", open_gentl, find_gentl),
+        "video": (
+            "web cameras and frame grabbers", "video:DEVICE,exposure=SECONDS", open_video,
+            find_video,
+        ),
+        "dslr": ("digital cameras, tethered", "dslr:MODEL", open_dslr, find_dslr),
+        "watch": (
+            "files from whatever takes them", "watch:DIR,exposure=SECONDS", open_watched, None,
+        ),
+    }.items()
+}  # fmt: skip
 
 
 def open_projector(address: str) -> Projector:
@@ -83,7 +89,7 @@ def open_projector(address: str) -> Projector:
     Examples
     --------
     >>> import lightmatrix as lm
-    >>> projector = lm.open_projector("folder:shown,size=64x48")
+    >>> projector = lm.open_projector("folder:shown,size=48x64")
     >>> projector.shape
     (48, 64)
     >>> projector.close()
@@ -107,7 +113,7 @@ def open_camera(address: str) -> Camera:
     return _open_device(CAMERAS, "camera", address)
 
 
-def list_devices() -> list[BackEndStatus]:
+def list_devices() -> list[BackEnd[Any]]:
     """List every back end with the devices that it finds, or with what it lacks.
 
     Examples
@@ -116,8 +122,8 @@ def list_devices() -> list[BackEndStatus]:
     >>> [back.kind for back in lm.list_devices() if back.role == "projector"]
     ['window', 'folder']
     """
-    projectors = [_status("projector", kind, back) for kind, back in PROJECTORS.items()]
-    return projectors + [_status("camera", kind, back) for kind, back in CAMERAS.items()]
+    known: list[BackEnd[Any]] = [*PROJECTORS.values(), *CAMERAS.values()]
+    return [back.looked_for() for back in known]
 
 
 def _open_device(known: Mapping[str, BackEnd[Device]], role: str, text: str) -> Device:
@@ -126,13 +132,3 @@ def _open_device(known: Mapping[str, BackEnd[Device]], role: str, text: str) -> 
         forms = ", ".join(back.form for back in known.values())
         raise InputError(f"{text}: no such {role}", hint=f"a {role} is one of {forms}")
     return known[address.kind].open(address)
-
-
-def _status(role: str, kind: str, back: BackEnd[Device]) -> BackEndStatus:
-    status = BackEndStatus(role, kind, back.summary, back.form, back.find is not None)
-    if back.find is None:
-        return status
-    try:
-        return replace(status, found=tuple(back.find()))
-    except (MissingExtraError, DeviceError) as error:
-        return replace(status, problem=error.message, hint=error.hint)

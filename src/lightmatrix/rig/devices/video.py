@@ -49,8 +49,8 @@ class VideoCamera(Camera):
         if not self._grey and self._pixels == "all":
             self._shape += (3,)
         self._stamps = FrameStamps()
-        # Older frames are dropped, and their numbers are missing.
-        self._frames: deque[tuple[Any, int, float]] = deque(maxlen=4)
+        # Older frames are dropped.
+        self._frames: deque[tuple[Any, float]] = deque(maxlen=4)
         self._news = threading.Condition()
         self._failure: Exception | None = None
         self._reader = threading.Thread(target=self._read, daemon=True)
@@ -67,11 +67,11 @@ class VideoCamera(Camera):
                     hint = "does another program get pictures? try a smaller size or fps"
                     raise self._timeout(timeout, hint)
             self._check_open()
-            picture, number, timestamp = self._frames.popleft()
+            picture, timestamp = self._frames.popleft()
         data = picture.to_ndarray(**({} if self._grey else {"format": "rgb24"}))
         if not self._grey and self._pixels == "green":
             data = np.ascontiguousarray(data[..., 1])
-        return Frame(data, number, timestamp, self._clip_level)
+        return Frame(data, timestamp, self._clip_level)
 
     def flush(self) -> None:
         """Discard frames that wait."""
@@ -100,16 +100,14 @@ class VideoCamera(Camera):
         }
 
     def _read(self) -> None:
-        number = 0
         try:
             for picture in self._container.decode(self._stream):
                 arrival = time.monotonic()
                 timestamp = self._stamps.time(picture.time, arrival)
-                number += 1
                 with self._news:
                     if self._closed:
                         return
-                    self._frames.append((picture, number, timestamp))
+                    self._frames.append((picture, timestamp))
                     self._news.notify_all()
             raise EOFError("it ended")
         # The error is kept for whoever asks for the next frame.
@@ -130,10 +128,10 @@ class VideoCamera(Camera):
 def open_video(address: Address) -> VideoCamera:
     """Open a video device by the system's name for it: "video:/dev/video0,exposure=0.01".
 
-    The exposure in seconds is the one that was set on the camera. Further options: size=1280x720;
-    fps=30; format, one of FFmpeg's (x11grab, dshow); pixels, which is all (three channels of a
-    colour camera, the default) or green. FFmpeg takes input_format, pixel_format, channel,
-    rtbufsize, grab_x, grab_y and draw_mouse.
+    The exposure in seconds is the one that was set on the camera. Further options: size=720x1280,
+    rows by columns; fps=30; format, one of FFmpeg's (x11grab, dshow); pixels, which is all (three
+    channels of a colour camera, the default) or green. FFmpeg takes input_format, pixel_format,
+    channel, rtbufsize, grab_x, grab_y and draw_mouse.
     """
     address.check_options((*_OPTIONS, *_FFMPEG_OPTIONS))
     exposure = address.stated_exposure
@@ -146,7 +144,8 @@ def open_video(address: Address) -> VideoCamera:
     kind = address.options.get("format") or _SYSTEMS.get(sys.platform, "v4l2")
     options = {name: address.options[name] for name in _FFMPEG_OPTIONS if name in address.options}
     if "size" in address.options:
-        options["video_size"] = address.options["size"]
+        # FFmpeg has the width first.
+        options["video_size"] = "x".join(reversed(address.options["size"].split("x")))
     if "fps" in address.options:
         options["framerate"] = f"{address.number('fps', 0.0):g}"
     if kind == "x11grab":

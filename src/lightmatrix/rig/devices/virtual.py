@@ -263,10 +263,6 @@ class VirtualCamera(Camera):
         if not self._settings.fps:
             self._take(self._clock.now() + HARDWARE.trigger_delay)
 
-    def close(self) -> None:
-        self._waiting.clear()
-        self._closed = True
-
     def reopen(self) -> VirtualCamera:
         """The camera after it was closed or lost, without its frames."""
         self._closed = False
@@ -287,7 +283,7 @@ class VirtualCamera(Camera):
     def _take(self, start: float) -> None:
         number, self._id = self._id, self._id + 1
         stop = start + self._exposure
-        self._keep(Frame(self._expose(start, stop, number), number, stop, self._sensor.clip_level))
+        self._keep(Frame(self._expose(start, stop, number), stop, self._sensor.clip_level))
 
     def _keep(self, frame: Frame) -> None:
         self._waiting.append((frame.timestamp + HARDWARE.latency, frame))

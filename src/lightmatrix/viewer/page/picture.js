@@ -24,7 +24,7 @@ void main() {
     shown = texelFetch(colours, ivec2(int(t * 255.0 + 0.5), 0), 0);
   } else shown = vec4(pow(clamp(light, 0.0, 1.0), vec3(1.0 / gamma)), 1.0);
   // Where the pattern is dark, what lies behind it shows, dim and blue, so that it is not taken for light.
-  if (backed) shown.rgb = mix(DIM * texelFetch(behind, ivec2(at), 0).r, vec3(1.0), shown.r);
+  if (backed) shown.rgb = mix(DIM * texelFetch(behind, ivec2(at), 0).r, shown.rgb, min(4.0 * shown.r, 1.0));
   if (marked && any(greaterThanEqual(light, vec3(1.0)))) shown = vec4(CLIPPED, 1.0);
 }`;
 

@@ -1,0 +1,270 @@
+"""Projection mapping: maps of projector pixels, a picture on a pile of blocks, two projectors."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import csr_array
+from scipy.spatial import cKDTree
+from skimage import data
+
+from experiments.harness import Experiment, Measured, Row, means
+from lightmatrix.estimators.estimate import estimate
+from lightmatrix.files.images import write_image
+from lightmatrix.judgement.metrics import relative_error
+from lightmatrix.patterns.making import make_patterns
+from lightmatrix.planning.plan import plan
+from lightmatrix.rig.capturing import CaptureSettings, take_capture
+from lightmatrix.rig.rig import open_rig
+from lightmatrix.shape.decode import decode
+from lightmatrix.simulation import library
+from lightmatrix.simulation.simulate import simulate
+from lightmatrix.simulation.truth import Truth
+from lightmatrix.transport.correspondence import Correspondence
+from lightmatrix.transport.matrix import LightTransport
+from lightmatrix.uses.compensation import Compensation, Compensator, compensate, compensator
+from lightmatrix.uses.projector_map import map_projector
+from lightmatrix.uses.wanted import wanted_samples
+
+NOISE = 0.003
+# The columns of the simulated projector that each of two projectors has.
+LEFT, RIGHT = slice(0, 42), slice(22, 64)
+# A projector pixel is lit if more than this share of a bright pixel's light arrives at one place.
+# Its map is right if the place found is less than a camera pixel away from that of the true T.
+_LIT, _RIGHT = 0.1, 1.0
+
+
+@dataclass(frozen=True)
+class Case:
+    """A kind of measurement, of a scene, with a seed."""
+
+    kind: str
+    scene: str
+    side: int
+    seed: int
+
+    @property
+    def name(self) -> str:
+        """A file name."""
+        return f"{self.kind}-{self.scene}-{self.side}-s{self.seed}"
+
+
+def cases(quick: bool) -> Iterator[Case]:
+    """All cases; a quick run has one seed and bundled scenes."""
+    for seed in range(1 if quick else 3):
+        for scene in ("corner",) if quick else ("mirror_balls", "metal"):
+            yield Case("maps", scene, 64, seed)
+        for scene in ("l_objects", "corner"):
+            yield Case("projectors", scene, 64, seed)
+    yield Case("picture", "l_objects", 64 if quick else 128, 0)
+
+
+def measure(case: Case) -> Measured:
+    """The rows of a case, and the pictures of a photograph on a pile of blocks."""
+    truth = library.truth(case.scene, (case.side, case.side))
+    kinds = {"maps": _maps, "projectors": _projectors, "picture": _picture}
+    measured = kinds[case.kind](truth, case.seed)
+    names = {"kind": case.kind, "scene": case.scene, "size": case.side, "seed": case.seed}
+    return Measured([{**names, **row} for row in measured.rows], measured.arrays)
+
+
+def _photographed(truth: Truth, kind: str, count: int | None, seed: int, **options: Any) -> Any:
+    exposure = plan(truth, frames=32, noise=NOISE).exposure
+    patterns = make_patterns(kind, truth.projector_shape, count, seed=seed)
+    return simulate(truth, patterns, exposure=exposure, noise=NOISE, seed=seed, **options)
+
+
+def _maps(truth: Truth, seed: int) -> Measured:
+    """Shares of lit projector pixels whose place is right, by method."""
+    known = map_projector(truth.transport())
+    lit = known.weight > _LIT * np.quantile(known.weight, 0.9)
+
+    def right(place: NDArray[np.floating]) -> float:
+        away = np.linalg.norm(place - known.place, axis=-1)
+        return float((away[lit] < _RIGHT).mean())
+
+    places: dict[str, NDArray[Any]] = {}
+    for count in (32, 64, 128):
+        found = estimate(_photographed(truth, "bernoulli", count, seed), check=False)
+        places[f"T, {count} photographs"] = map_projector(found).place
+    for code in ("graycode", "phase", "microphase"):
+        seen = decode(_photographed(truth, code, None, seed))
+        places[f"{code}, {_count(truth, code)} photographs"] = _inverted(seen, truth)
+    return Measured([{"method": name, "right": right(place)} for name, place in places.items()])
+
+
+def _count(truth: Truth, code: str) -> int:
+    return make_patterns(code, truth.projector_shape).count
+
+
+def _inverted(seen: Correspondence, truth: Truth) -> NDArray[np.float64]:
+    """The camera pixel that sees each projector pixel best: the nearest within a pixel."""
+    known = seen.valid & np.isfinite(seen.place).all(axis=-1)
+    pixels = np.moveaxis(np.indices(truth.projector_shape), 0, -1)
+    away, nearest = cKDTree(seen.place[known]).query(pixels)
+    place = np.argwhere(known)[nearest].astype(np.float64)
+    place[away > 1] = np.nan
+    return place
+
+
+def _psnr(photograph: NDArray[np.floating], found: Compensation, counted: Any) -> float:
+    """The PSNR of a photograph at its best brightness, so that only its looks count."""
+    seen, target = photograph.ravel()[counted], found.target.ravel()[counted]
+    missed = (seen * (seen @ target) / (seen @ seen) - target) / found.scale
+    return float(-10 * np.log10(np.mean(missed**2)))
+
+
+def _plain(shared: Compensator, wanted: NDArray[np.float32], scale: float) -> NDArray[np.float32]:
+    """The picture as it is: each projector pixel shows what the camera pixels want that it lights.
+
+    With two projectors, both show it where they land.
+    """
+    weight = shared.light.adjoint(shared.lit.astype(np.float32))
+    light = shared.light.adjoint(shared.lit * wanted)
+    shown = np.divide(light, weight, out=np.zeros_like(light), where=weight > 0)
+    return np.clip(scale * shown, 0, 1)
+
+
+def _projectors(whole: Truth, seed: int) -> Measured:
+    """Two projectors that overlap by a third, measured at once by one set of random patterns."""
+    # The right one hangs upside down and is darker.
+    pixels = np.arange(whole.matrix.shape[1]).reshape(whole.projector_shape)
+    chosen = [pixels[:, LEFT], pixels[::-1, RIGHT][:, ::-1]]
+    truths = [_part(whole, *part) for part in zip(chosen, (1.0, 0.7), strict=True)]
+    cols = truths[0].projector_shape[1]
+    # Both are one wide projector to the estimate.
+    both = _part(whole, np.hstack(chosen), np.repeat([1.0, 0.7], cols))
+    alone = [estimate(_photographed(truth, "bernoulli", 32, seed)) for truth in truths]
+    rows_ = [
+        {"method": f"alone, projector {k}", "error": relative_error(found, truth.transport())}
+        for k, (found, truth) in enumerate(zip(alone, truths, strict=True), start=1)
+    ]
+    for count in (32, 40, 48):
+        joint = _split(estimate(_photographed(both, "bernoulli", count, seed)), cols)
+        rows_ += [
+            {
+                "method": f"at once, {count}, projector {k}",
+                "error": relative_error(found, truth.transport()),
+            }
+            for k, (found, truth) in enumerate(zip(joint, truths, strict=True), start=1)
+        ]
+    shared, known = compensator(joint), compensator([truth.transport() for truth in truths]).light
+    shape = whole.camera_shape
+    pictures = {"white": np.ones(shape, np.float32), "picture": _wanted(whole)}
+    for name, wanted in pictures.items():
+        # White that both projectors can give everywhere.
+        found = compensate(joint, wanted, brightness=0.5 if name == "white" else None)
+        counted = found.reachable.ravel()
+        ways = {
+            "as it is": _plain(shared, wanted.ravel(), found.brightness),
+            "gains": np.clip(shared.start(found.target.ravel()), 0, 1),
+            "compensated": np.concatenate([pattern.ravel() for pattern in found.patterns]),
+        }
+        for way, pattern in ways.items():
+            seen = known.forward(pattern)
+            row: Row = {"method": f"{name}, {way}", "PSNR": _psnr(seen, found, counted)}
+            if name == "white":
+                row["uniform"] = float(np.std(seen[counted]) / np.mean(seen[counted]))
+                row["seam"] = _seam(seen.reshape(shape), found.reachable)
+            rows_.append(row)
+    return Measured(rows_)
+
+
+def _part(whole: Truth, pixels: NDArray[np.int64], brightness: Any) -> Truth:
+    """T of a projector that has some pixels of another one, (rows, cols), darker by column."""
+    darker = np.broadcast_to(brightness, pixels.shape).ravel().astype(np.float32)
+    parts = (csr_array(part[:, pixels.ravel()]) for part in (whole.matrix, whole.direct))
+    matrix, direct = (csr_array(part.multiply(darker[None])) for part in parts)
+    # The direct part has the entries of the whole.
+    owner = np.repeat(np.arange(matrix.shape[0]), np.diff(matrix.indptr))
+    direct_data = np.asarray(direct[owner, matrix.indices], np.float32).ravel()
+    return Truth(matrix, direct_data, whole.camera_shape, (pixels.shape[0], pixels.shape[1]))
+
+
+def _split(both: LightTransport, cols: int) -> list[LightTransport]:
+    """T of each of two projectors that stand side by side in one."""
+    rows, total = both.projector_shape
+    whole = csr_array(both.to_matrix(dense_background=True)).tocsc()
+    pixels = np.arange(rows * total).reshape(rows, total)
+    errors = {name: both.diagnostics[name] for name in ("estimated_error",)}
+    return [
+        replace(
+            LightTransport.from_matrix(
+                csr_array(whole[:, part.ravel()]), both.camera_shape, part.shape
+            ),
+            diagnostics=errors,
+        )
+        for part in (pixels[:, :cols], pixels[:, cols:])
+    ]
+
+
+def _seam(seen: NDArray[np.float32], reached: NDArray[np.bool_]) -> float:
+    """Contrast across the borders of the overlap: of four columns before and behind each."""
+    contrasts = []
+    for border in (RIGHT.start, LEFT.stop):
+        sides = [slice(border - 4, border), slice(border, border + 4)]
+        both = reached[:, sides[0]].all(axis=1) & reached[:, sides[1]].all(axis=1)
+        before, behind = (float(seen[:, side][both].mean()) for side in sides)
+        contrasts.append(abs(before - behind) / (before + behind))
+    return max(contrasts)
+
+
+def _wanted(truth: Truth) -> NDArray[np.float32]:
+    """The luminance of a photograph, in light, of the camera's size."""
+    picture = np.asarray(data.astronaut(), np.float32) / 255  # type: ignore[no-untyped-call]
+    light = picture**2.2 @ np.array([0.2126, 0.7152, 0.0722], np.float32)
+    shape = truth.camera_shape
+    return wanted_samples(light.astype(np.float32), shape, fit="cover").reshape(shape)
+
+
+def _picture(truth: Truth, seed: int) -> Measured:
+    """A photograph on a scene, by a projector and a webcam of 8 bits that clips, with gammas."""
+    size = truth.camera_shape[0]
+    webcam = f"size={size},bits=8,black=8,camera_gamma=2.2,real=0,seed={seed}"
+    wanted = _wanted(truth)
+    with TemporaryDirectory() as folder, open_rig(f"virtual:l_objects,{webcam}") as rig:
+        settings = CaptureSettings(response="gamma:2.2")
+        capture = take_capture(Path(folder) / "capture", rig, count=64, settings=settings)
+        found_transport = estimate(capture)
+    known = truth.transport()
+    shared = compensator(found_transport)
+    found = compensate(found_transport, wanted)
+    counted = found.reachable.ravel()
+    ways = {
+        "as it is": _plain(shared, wanted.ravel(), found.brightness),
+        "gains": np.clip(shared.start(found.target.ravel()), 0, 1),
+        "compensated": found.pattern.ravel(),
+    }
+    white = found_transport.relight(np.ones(truth.projector_shape))
+    # The unit of T is the exposure that the rig chose.
+    unit = float(np.median(white[white > 0]) / np.median(truth.matrix.sum(axis=1)))
+    seen = {way: unit * known.relight(p.reshape(truth.projector_shape)) for way, p in ways.items()}
+    rows = [{"method": way, "PSNR": _psnr(one, found, counted)} for way, one in seen.items()]
+    shown = {way.replace(" ", "_"): image / found.scale for way, image in seen.items()}
+    return Measured(rows, {"wanted": wanted, **shown})
+
+
+def _draw(out: Path, results: list[tuple[Case, Measured]]) -> None:
+    """The picture, as it is, and compensated, beside each other."""
+    for case, measured in results:
+        if case.kind == "picture":
+            images = [measured.arrays[name] for name in ("wanted", "as_it_is", "compensated")]
+            gap = np.ones((len(images[0]), max(2, len(images[0]) // 32)), np.float32)
+            panels = np.hstack([images[0], gap, images[1], gap, images[2]])
+            larger = np.kron(panels.clip(0, 1) ** (1 / 2.2), np.ones((512 // case.side,) * 2))
+            write_image(out / "mapping.png", larger, overwrite=True)
+
+
+def _summary(rows: list[Row]) -> list[Row]:
+    values = ("right", "error", "PSNR", "uniform", "seam")
+    filled = [{**dict.fromkeys(values, np.nan), **row} for row in rows]
+    return means(filled, ("kind", "scene", "size", "method"), values)
+
+
+MAPPING = Experiment("mapping", cases, measure, _draw, summary=_summary)

@@ -1,0 +1,253 @@
+"""Whether the frames of a code of stripes are in order, and which one is missing.
+
+The frames of a code predict nothing of each other: each bit of a Gray code is needed. But scenes
+consist of surfaces, so neighbouring camera pixels see neighbouring projector pixels. Decoded in a
+wrong order, they see distant ones, and phases that do not belong together fit no place. Each likely
+order is judged by how much nearer neighbours then see to each other.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from functools import cached_property, partial
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lightmatrix.check.finding import WRONG_ORDER, Finding, order_findings
+from lightmatrix.check.relation import likely_orders
+from lightmatrix.check.survey import Survey
+from lightmatrix.errors import InputError
+from lightmatrix.patterns.codes import Code, Codes, correlate, find_codes
+from lightmatrix.patterns.pattern_set import PatternSet
+
+Order = NDArray[np.int64]
+Name = Callable[[int], str]
+# Another order explains more if what it gains exceeds this many standard errors. Chosen by hand:
+# chance reaches 4 among a thousand orders.
+_CERTAIN = 8.0
+
+
+@dataclass(frozen=True, eq=False)
+class CodeLattice:
+    """Camera pixels on a lattice over the image, in triples: a pixel, one below, one to the right.
+
+    `samples` (K, 3 n) are those of the n pixels, then of their neighbours; `pairs` (2, p) lead from
+    one to another. Codes of stripes and their patterns stand beside them.
+    """
+
+    patterns: PatternSet
+    codes: Codes
+    samples: NDArray[np.float32]
+    pairs: NDArray[np.int64]
+
+    @classmethod
+    def of(cls, survey: Survey, most: int = 1500) -> CodeLattice | None:
+        """The lattice of a survey; None if its patterns are no code, or too few pixels vary."""
+        try:
+            codes = find_codes(survey.patterns)
+        except InputError:
+            return None
+        tiles, rows, cols, channels = survey.grid
+        step = int(np.ceil(np.sqrt(tiles * rows * cols / most)))
+        # Each cell has one pixel at random, since stripes and a regular lattice interfere.
+        down, right = np.maximum(np.array([rows - 1, cols - 1]) // step, 1)
+        row, col = np.random.default_rng(0).integers(step, size=(2, tiles, down, right))
+        row = np.minimum(row + step * np.arange(down)[:, None], rows - 2)
+        col = np.minimum(col + step * np.arange(right), cols - 2)
+        tile = np.arange(tiles)[:, None, None]
+        grid = ((tile * rows + row) * cols + col) * channels + channels // 2
+        known = survey.statistics
+        usable = survey.valid & (known.highest > known.lowest)
+        if not usable.any() or min(rows, cols) < 2:
+            return None
+        usable &= known.spread > 0.15 * np.quantile(known.spread[usable], 0.9)
+        number = np.where(usable[grid], np.cumsum(usable[grid]).reshape(grid.shape) - 1, -1)
+        first = grid[number >= 0]
+        count = len(first)
+        if count < 40:
+            return None
+        # Neighbours of the lattice tell of the coarsest bits, and those in the image of the finest.
+        own = np.arange(count)
+        near = [(own, own + count), (own, own + 2 * count)]
+        far = [(number[:, 1:], number[:, :-1]), (number[:, :, 1:], number[:, :, :-1])]
+        far = [(a[(a >= 0) & (b >= 0)], b[(a >= 0) & (b >= 0)]) for a, b in far]
+        chosen = np.concatenate([first, first + cols * channels, first + channels])
+        samples = np.ascontiguousarray(survey.samples(chosen).values.T)
+        return cls(survey.patterns, codes, samples, np.hstack([*near, *far]))
+
+    @property
+    def neighbours(self) -> int:
+        """Pairs of neighbours in the image, which come first."""
+        return 2 * (self.samples.shape[1] // 3)
+
+    def lines(self, code: Code, frames: Order) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+        """The lines that each camera pixel may see, (1 or 2, m), and what is not explained, (m,).
+
+        Frame `frames[p]` shows pattern p; -1 for a pattern whose frame is missing, whose bit is
+        then 0 or 1.
+        """
+        missing = frames[code.frames] < 0
+        if not code.bits:
+            shown = frames[code.frames[~missing]]
+            rest = Code(code.axis, shown, code.values[:, ~missing], code.starts, ())
+            line, share = correlate(rest, np.ascontiguousarray(self.samples[shown].T))
+            return line[:1], 1 - share[0]
+        both = []
+        for value in (-1e9, 1e9):
+            # A missing frame is dark or bright, and both are possible.
+            samples = np.vstack([self.samples, np.full((1, self.samples.shape[1]), value)])
+            ends = {name: getattr(self.codes, name) for name in ("white", "black")}
+            known = {k: None if p is None or frames[p] < 0 else p for k, p in ends.items()}
+            both.append(Codes((code,), **known).lines(code, samples, frames))
+            if not missing.any():
+                break
+        pairs = [pair for pair in code.bits if pair[1] >= 0]
+        left = np.zeros(len(both[0]))
+        if pairs and not missing.any():
+            # A pattern and its inverse add up to white.
+            paired = frames[code.frames[np.array(pairs)]]
+            sums = self.samples[paired].sum(axis=1)
+            whole = sums.mean(axis=0)
+            left = np.abs(sums - whole).mean(axis=0) / np.maximum(whole, 1e-6)
+        return np.stack(both), left
+
+    def apart(self, code: Code, frames: Order) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """How many lines apart pairs see, (p,), and the share not explained of each pixel, (m,).
+
+        Infinity where the bits of one are no word of the code.
+        """
+        lines, left = self.lines(code, frames)
+        a, b = lines[:, self.pairs[0]], lines[:, self.pairs[1]]
+        apart = np.full(a.shape[1], np.inf)
+        for one in a:
+            for other in b:
+                known = np.where((one < 0) | (other < 0), np.inf, np.abs(one - other))
+                apart = np.minimum(apart, known)
+        return apart, left
+
+    @cached_property
+    def usual(self) -> dict[int, NDArray[np.float64]]:
+        """How many lines apart pairs usually see in the order as it is, by axis, (p,)."""
+        result = {}
+        for code in self.codes.codes:
+            apart = self.apart(code, np.arange(self.patterns.count) % len(self.samples))[0]
+            parts = apart[: self.neighbours], apart[self.neighbours :]
+            medians = [
+                np.median(part[np.isfinite(part)]) if np.isfinite(part).any() else 0.0
+                for part in parts
+            ]
+            result[code.axis] = np.repeat(medians, [len(part) for part in parts])
+        return result
+
+    @property
+    def readable(self) -> NDArray[np.bool_]:
+        """Which costs in the order as it is come from words of the code."""
+        parts = [self.apart(code, np.arange(len(self.samples))) for code in self.codes.codes]
+        return np.concatenate([np.isfinite(part) for pair in parts for part in pair])
+
+    def cost(self, code: Code, frames: Order) -> NDArray[np.float64]:
+        """How far apart pairs see, from 0 to 1, and how badly the code fits each pixel."""
+        apart, left = self.apart(code, frames)
+        # Up to the limit the cost is linear, so that nothing is gained by coarser lines.
+        limit = np.maximum(8, 4 * self.usual[code.axis])
+        return np.concatenate([np.minimum(apart / limit, 1), 0.3 * np.log(left + 0.03)])
+
+    def costs(self, frames: Order, known: dict[bytes, NDArray[np.float64]]) -> NDArray[np.float64]:
+        """The costs by all codes under an order; `known` keeps those of orders seen before."""
+        parts = []
+        for code in self.codes.codes:
+            ends = [k for k in (self.codes.white, self.codes.black) if k is not None]
+            used = frames[np.append(code.frames, ends).astype(np.int64)]
+            key = bytes([code.axis]) + used.tobytes()
+            if key not in known:
+                known[key] = self.cost(code, frames)
+            parts.append(known[key])
+        return np.concatenate(parts)
+
+    def unrelated(self, frames: Order) -> bool:
+        """Whether neighbours in the image see no nearer to each other than any two pixels."""
+        shuffled = np.random.default_rng(0).permutation(self.samples.shape[1] // 3)
+        near = []
+        for code in self.codes.codes:
+            line = self.lines(code, frames)[0][0]
+            a, b = line[self.pairs[:, : self.neighbours]]
+            quarter = np.quantile(np.abs(line[: len(shuffled)] - line[shuffled]), 0.25)
+            near.append(float((np.abs(a - b) <= max(quarter, 1)).mean()))
+        return max(near) < 0.4
+
+
+def check_code_order(lattice: CodeLattice, name: Name) -> list[Finding]:
+    """Whether another order of the frames fits better, or none does."""
+    count = lattice.patterns.count
+    frames = np.arange(count)
+    known: dict[bytes, NDArray[np.float64]] = {}
+    plain, read = lattice.costs(frames, known), lattice.readable
+    best, best_order, found = 0.0, frames, list[Finding]()
+    for order, describe in _orders(count):
+        # Pixels that cannot be read may lie beside the projector's image: they tell nothing.
+        gain = np.where(read, plain - lattice.costs(order, known), 0)
+        # Stray light differs a little from frame to frame, which many pixels show alike.
+        gain[np.abs(gain) < 0.05] = 0
+        total = float(gain.sum())
+        if total > best and total > _CERTAIN * float(np.sqrt((gain**2).sum())):
+            best, best_order, found = total, order, describe(name)
+    if lattice.unrelated(best_order):
+        message = (
+            "the photographs do not follow the patterns: neighbouring camera pixels see places of "
+            "the projector that have nothing to do with each other"
+        )
+        return [Finding("unrelated", (), message, WRONG_ORDER)]
+    return found
+
+
+def _orders(count: int) -> Iterator[tuple[Order, Callable[[Name], list[Finding]]]]:
+    """The frame that shows each pattern, in likely wrong orders, and how to describe each."""
+    frames = np.arange(count)
+    for message, shown in likely_orders(count, turned=False):
+        finding = Finding("order", (), message, WRONG_ORDER)
+        yield np.argsort(shown % count), partial(_itself, [finding])
+    for a, b in itertools.combinations(range(count), 2):
+        order = frames.copy()
+        order[[a, b]] = b, a
+        yield order, partial(order_findings, {a: b, b: a})
+    for start in range(1, count - 2):
+        # A frame is lost, and the last one is there twice; or a frame is there twice.
+        for step in (1, -1):
+            order = frames.copy()
+            order[start:] = np.clip(frames[start:] - step, start, count - 1)
+            yield order, partial(_run, start, count - 1, step)
+
+
+def _itself(findings: list[Finding], _: Name) -> list[Finding]:
+    return findings
+
+
+def _run(start: int, stop: int, step: int, name: Name) -> list[Finding]:
+    which = f"each image shows the pattern {'after' if step > 0 else 'before'} its own"
+    message = f"from {name(start)} to {name(stop)}, {which}"
+    return [Finding("order", tuple(range(start, stop + 1)), message, WRONG_ORDER)]
+
+
+def missing_of_code(lattice: CodeLattice) -> tuple[int, ...]:
+    """Which of K patterns has no frame among K - 1; several where nothing tells them apart."""
+    frames = np.arange(lattice.patterns.count)
+    known: dict[bytes, NDArray[np.float64]] = {}
+    costs = [
+        lattice.costs(np.where(frames == place, -1, frames - (frames > place)), known)
+        for place in frames
+    ]
+    best = int(np.argmin([cost.sum() for cost in costs]))
+    likely = []
+    for place, cost in enumerate(costs):
+        more = cost - costs[best]
+        if more.sum() <= 3 * np.sqrt((more**2).sum()):
+            likely.append(place)
+    for code in lattice.codes.codes if len(likely) == 1 else ():
+        # Without its finest bit, a code is that without its coarsest one, of half the size.
+        changes = np.abs(np.diff(code.values, axis=0)).sum(axis=0)
+        if code.bits and likely[0] == code.frames[changes > 0][changes[changes > 0].argmin()]:
+            likely.append(int(code.frames[changes.argmax()]))
+    return tuple(likely) if len(likely) <= 4 else ()

@@ -1,0 +1,368 @@
+"""Codes of stripes, and which projector pixel a camera pixel sees by its samples under them.
+
+The code is read from the patterns themselves, in whatever order. Black and white codes are decoded
+bit by bit, any other by the best correlation with the samples. Then the samples are explained as a
+mixture of two neighbouring projector pixels, for the place within the pixel.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lightmatrix.defaults import USUAL_NOISE
+from lightmatrix.errors import InputError
+from lightmatrix.patterns.colour import ColourPatterns
+from lightmatrix.patterns.pattern_set import PatternSet
+from lightmatrix.patterns.stripes import COLUMNS, NOTHING, ROWS, Stripes, stripes_of
+
+# Grey values that differ by less than one level of 8 bits are the same.
+_LEVEL = 1 / 255
+# A place that the samples leave open is looked for within this many lines. Chosen by hand: a camera
+# that resolves 8 projector pixels leaves three bits open.
+_OPEN = 16
+
+
+@dataclass(frozen=True, eq=False)
+class Code:
+    """The values that number the projector's pixels along one axis, COLUMNS or ROWS.
+
+    Neighbouring pixels that all patterns show alike are one line: one pixel of most codes, a block
+    of those that lack their finest bits.
+    """
+
+    axis: int
+    # (k,): the patterns of the code; of a code without inverses, white and black too.
+    frames: NDArray[np.int64]
+    # (lines, k): the value of each line in each of these patterns.
+    values: NDArray[np.float32]
+    # The first pixel of each line, and the number of all pixels, (lines + 1,).
+    starts: NDArray[np.int64]
+    # The patterns of each bit and of its inverse, as indices into `frames`; -1 where there is no
+    # inverse. Empty if some value is grey.
+    bits: tuple[tuple[int, int], ...]
+
+    @cached_property
+    def centred(self) -> NDArray[np.float32]:
+        """The values of each line less their mean, (lines, k): without the constant light."""
+        return np.asarray(self.values - self.values.mean(axis=1, keepdims=True), np.float32)
+
+    @cached_property
+    def words(self) -> NDArray[np.int64]:
+        """The line of each word of bits, (2^bits,); -1 where it does not occur."""
+        lit = self.values[:, [frame for frame, _ in self.bits]] > 0.5
+        lines = np.full(1 << len(self.bits), -1)
+        lines[lit @ (1 << np.arange(len(self.bits)))] = np.arange(len(lit))
+        return lines
+
+    @property
+    def block(self) -> int:
+        """The projector pixels of a usual line."""
+        return int(np.median(np.diff(self.starts)))
+
+    def places(self, line: NDArray[np.floating]) -> NDArray[np.float64]:
+        """The projector pixel in the middle of lines, to fractions."""
+        middle = (self.starts[1:] + self.starts[:-1] - 1) / 2
+        return np.interp(line, np.arange(len(middle)), middle)
+
+
+@dataclass(frozen=True, eq=False)
+class Codes:
+    """The codes of a capture, and its uniform patterns: the brightest and the darkest, or None."""
+
+    codes: tuple[Code, ...]
+    white: int | None
+    black: int | None
+
+    def lines(
+        self, code: Code, values: NDArray[np.float32], frames: NDArray[np.int64]
+    ) -> NDArray[np.int64]:
+        """The line of a code of bits that m camera pixels see, -1 for none, (m,).
+
+        `values` (K, m) are samples, `frames` (patterns,) the one that shows each pattern.
+        """
+        shown = frames[code.frames]
+        own = values[shown[shown >= 0]]
+        ends = [
+            own.max(axis=0) if self.white is None else values[frames[self.white]],
+            own.min(axis=0) if self.black is None else values[frames[self.black]],
+        ]
+        middle = (ends[0] + ends[1]) / 2
+        word = np.zeros(values.shape[1], np.int64)
+        for place, (frame, inverse) in enumerate(code.bits):
+            # The brighter of a pattern and its inverse decides a bit; without inverse, whether the
+            # sample is above the middle of black and white.
+            threshold = middle if inverse < 0 else values[shown[inverse]]
+            word |= (values[shown[frame]] > threshold).astype(np.int64) << place
+        return code.words[word]
+
+
+def find_codes(patterns: PatternSet) -> Codes:
+    """The codes of the columns and of the rows.
+
+    An InputError says that a pattern varies along both or is in colour, or that the patterns of an
+    axis show two of its pixels alike that do not lie side by side.
+    """
+    if isinstance(patterns, ColourPatterns):
+        raise InputError(
+            "the patterns are in colour, and no code of stripes in colour is known",
+            hint="save them as grey images, or estimate T from them with `estimate`",
+        )
+    stripes = stripes_of(patterns)
+    if stripes is None:
+        raise InputError(
+            "these patterns are no stripes: one varies along both rows and columns",
+            hint="estimate T from them with `estimate`",
+        )
+    uniform = np.flatnonzero(stripes.axes == NOTHING)
+    levels = [float(stripes.profiles[k][0]) for k in uniform]
+    white = black = None
+    if levels and max(levels) > 1 - _LEVEL:
+        white = int(uniform[int(np.argmax(levels))])
+    if levels and min(levels) < _LEVEL:
+        black = int(uniform[int(np.argmin(levels))])
+    ends = [(k, value) for k, value in ((white, 1), (black, 0)) if k is not None]
+    found = tuple(
+        _code(stripes, axis, ends) for axis in (COLUMNS, ROWS) if (stripes.axes == axis).any()
+    )
+    if not found:
+        raise InputError("no pattern varies", hint="project a code, such as Gray code")
+    return Codes(found, white, black)
+
+
+def _code(stripes: Stripes, axis: int, ends: list[tuple[int, int]]) -> Code:
+    """The code of an axis; `ends` are the white and the black pattern, as far as there are any."""
+    frames = np.flatnonzero(stripes.axes == axis)
+    values = np.stack([stripes.profiles[k] for k in frames], axis=1)
+    levels = np.rint(values / _LEVEL)
+    starts = np.flatnonzero(np.append(True, (levels[1:] != levels[:-1]).any(axis=1)))
+    distinct = len(np.unique(levels, axis=0))
+    if distinct < len(starts):
+        lines = "columns" if axis == COLUMNS else "rows"
+        raise InputError(
+            f"the {len(frames)} patterns along {lines} tell only {distinct} of {len(values)} "
+            f"{lines} apart, and some of them do not lie side by side",
+            hint="is a pattern missing? project the whole code",
+        )
+    values, starts = values[starts], np.append(starts, len(values))
+    bits = _bits(values)
+    if any(inverse < 0 for _, inverse in bits):
+        # Without inverses, the words of only 0 or only 1 are as constant as no light at all. White
+        # and black tell them apart; where there are inverses, they would only add global light.
+        frames = np.concatenate([frames, [k for k, _ in ends]]).astype(np.int64)
+        constant = [np.full((len(values), 1), value, np.float32) for _, value in ends]
+        values = np.concatenate([values, *constant], axis=1)
+    return Code(axis, frames, values, starts, bits)
+
+
+def _bits(values: NDArray[np.float32]) -> tuple[tuple[int, int], ...]:
+    """Each bit with its inverse, once; none if a value is neither black nor white."""
+    lit = values > 0.5
+    if (np.abs(values - lit) > _LEVEL).any():
+        return ()
+    known: dict[bytes, int] = {}
+    pairs: list[list[int]] = []
+    for k, bit in enumerate(lit.T):
+        if bit.tobytes() in known:
+            continue
+        inverse = known.get((~bit).tobytes())
+        if inverse is None:
+            known[bit.tobytes()] = len(pairs)
+            pairs.append([k, -1])
+        elif pairs[inverse][1] < 0:
+            pairs[inverse][1] = k
+    return tuple((first, second) for first, second in pairs)
+
+
+def best_code_pixels(
+    patterns: PatternSet, samples: NDArray[np.floating]
+) -> NDArray[np.int64] | None:
+    """The projector pixels that m rows (m, K) follow best, (m,); None if the patterns are no code.
+
+    Columns and rows are looked for by themselves, which takes a thousandth of the time that all
+    pixels take.
+    """
+    try:
+        codes = find_codes(patterns).codes
+    except InputError:
+        return None
+    place = np.zeros((len(samples), 2), np.int64)
+    for code in codes:
+        own = np.ascontiguousarray(samples[:, code.frames], np.float32)
+        place[:, code.axis] = np.rint(code.places(correlate(code, own)[0][0]))
+    return place @ np.array([patterns.shape[1], 1])
+
+
+@dataclass(frozen=True, eq=False)
+class Reading:
+    """What m camera pixels see along one axis."""
+
+    # The projector pixel to fractions; NaN where the samples are no word of the code.
+    place: NDArray[np.float64]
+    # How much brighter a lit projector pixel makes the camera pixel than a dark one, in units of
+    # the clip level.
+    light: NDArray[np.float64]
+    # Share of the samples' variance that the code explains, in [0, 1].
+    explained: NDArray[np.float64]
+    # Standard deviation of the place, in projector pixels.
+    uncertainty: NDArray[np.float64]
+    # Logarithm of how much likelier the place makes the samples than the best of all places makes
+    # mere noise.
+    evidence: NDArray[np.float64]
+
+
+def correlate(
+    code: Code, samples: NDArray[np.float32]
+) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+    """The line whose values correlate best with each camera pixel's samples (m, k), and a rival.
+
+    The most likely one under noise that is the same in all samples, whatever the surface and the
+    constant light (Mirdehghan et al. 2018). Places half way between two lines are tried too: few
+    patterns of short periods resemble them elsewhere better than in their neighbours. The rival is
+    the best of the lines that do not lie around the first one.
+
+    Returns both lines, (2, m), and the share of the samples' variance that each explains. The rival
+    of a line that explains more than 98 % is not looked for, and explains nothing.
+    """
+    centred = np.empty((2 * len(code.values) - 1, samples.shape[1]), np.float32)
+    centred[::2] = code.centred
+    centred[1::2] = (code.centred[1:] + code.centred[:-1]) / 2
+    length = np.sqrt((centred**2).sum(axis=1, keepdims=True))
+    directions = np.ascontiguousarray((centred / np.maximum(length, 1e-12)).T)
+    line, share = np.zeros((2, len(samples)), np.int64), np.zeros((2, len(samples)))
+    # 64 MB of correlations at a time, which a matrix product fills fast and the search of their
+    # largest values then finds in the cache or near it.
+    step = max(1, (1 << 24) // len(centred))
+    for start in range(0, len(samples), step):
+        part = samples[start : start + step]
+        # Columns of `directions` sum to 0, so that the mean of the samples does not matter.
+        scores = part @ directions
+        energy = np.maximum(part.var(axis=1, dtype=np.float64) * part.shape[1], 1e-30)
+        some = np.arange(len(part))
+        for place in (0, 1):
+            best = scores.argmax(axis=1)
+            fit = np.maximum(scores[np.arange(len(best)), best], 0).astype(np.float64) ** 2
+            line[place, start + some] = best // 2
+            share[place, start + some] = np.minimum(fit / energy[some], 1 - 1e-12)
+            weak = share[place, start + some] < 0.98
+            some, scores = some[weak], scores[weak]
+            near = best[weak, None] + np.arange(-2 * _OPEN, 2 * _OPEN + 1)
+            scores[np.arange(len(near))[:, None], near.clip(0, len(centred) - 1)] = -np.inf
+    return line, share
+
+
+def read_code(codes: Codes, code: Code, values: NDArray[np.float32]) -> Reading:
+    """What camera pixels with samples (m, K) see along the axis of a code.
+
+    A camera pixel that sees parts of two neighbouring lines has samples that are a mixture of their
+    values: least squares gives the shares (and the constant light).
+    """
+    samples = np.ascontiguousarray(values[:, code.frames])
+    count, k = code.values.shape
+    if code.bits:
+        line = codes.lines(code, np.ascontiguousarray(values.T), np.arange(values.shape[1]))
+    else:
+        (line, other), shares = correlate(code, samples)
+    known = np.maximum(line, 0)
+    centred = code.centred
+    own = samples - samples.mean(axis=1, keepdims=True)
+    energy = np.einsum("ij,ij->i", own, own).astype(np.float64)
+    # A constant word has no light, and divides nothing by 0.
+    square = np.maximum((centred.astype(np.float64) ** 2).sum(axis=1), 1e-12)
+    product = (centred[:-1].astype(np.float64) * centred[1:]).sum(axis=1)
+    here = np.einsum("ij,ij->i", own, centred[known]).astype(np.float64)
+    light = here / square[known]
+    fit = light * here
+    offset = np.zeros(len(line))
+    for side in (-1, 1):
+        other = np.clip(known + side, 0, count - 1)
+        there = np.einsum("ij,ij->i", own, centred[other]).astype(np.float64)
+        cross = product[np.minimum(np.minimum(known, other), len(product) - 1)]
+        determinant = square[known] * square[other] - cross**2
+        with np.errstate(invalid="ignore", divide="ignore"):
+            first = (square[other] * here - cross * there) / determinant
+            second = (square[known] * there - cross * here) / determinant
+            share = second / (first + second)
+        mixed = (other != known) & (second > 0) & (first > 0)
+        offset += np.where(mixed, side * share, 0)
+        better = mixed & (first * here + second * there > fit)
+        light = np.where(better, first + second, light)
+        fit = np.where(better, first * here + second * there, fit)
+    explained = np.clip(fit / np.maximum(energy, 1e-30), 0, 1)
+    variance = np.maximum(np.maximum(energy - fit, 0) / max(1, k - 3), USUAL_NOISE**2)
+    # How far the values move per line.
+    change = np.sqrt((np.gradient(centred.astype(np.float64), axis=0) ** 2).sum(axis=1))
+    slope = np.maximum(change, 1e-6)[known] * np.maximum(light, 1e-12)
+    uncertainty = np.sqrt(variance) / slope
+    place = known + offset
+    # Where the camera does not resolve the finest stripes, their samples are grey and fit several
+    # lines about as well as the best one. The place is then their mean by their likelihoods.
+    wide = np.flatnonzero((line >= 0) & (uncertainty > 0.2))
+    step = max(1, (1 << 24) // ((2 * _OPEN + 1) * k))
+    for part in (wide[start : start + step] for start in range(0, len(wide), step)):
+        near = known[part, None] + np.arange(-_OPEN, _OPEN + 1)
+        inside = (near >= 0) & (near < count)
+        near = np.clip(near, 0, count - 1)
+        fits = np.einsum("mk,mnk->mn", own[part], centred[near]).astype(np.float64)
+        fits = np.where(inside, np.maximum(fits, 0) ** 2 / square[near], -np.inf)
+        less = (fits.max(axis=1, keepdims=True) - fits) / (2 * variance[part, None])
+        weight = np.exp(-less)
+        weight /= weight.sum(axis=1, keepdims=True)
+        mean = (weight * near).sum(axis=1)
+        spread = np.sqrt((weight * (near - mean[:, None]) ** 2).sum(axis=1))
+        # Within two lines their mixture is more exact.
+        place[part] = np.where(spread > 0.75, mean, place[part])
+        uncertainty[part] = np.hypot(uncertainty[part], spread)
+    if not code.bits:
+        # The spread of two places by their likelihoods under noise of unknown size; once in a
+        # hundred, a place may be wrong.
+        odds = ((1 - np.maximum(explained, shares[0])) / (1 - shares[1])) ** ((k - 2) / 2)
+        rival = np.abs(other - line) * np.sqrt(odds) / (1 + odds)
+        uncertainty = np.hypot(uncertainty, np.where(odds > 0.01, rival, 0))
+    width = np.diff(code.starts)[known]
+    return Reading(
+        np.where(line >= 0, code.places(place), np.nan),
+        light,
+        explained,
+        np.sqrt((uncertainty * width) ** 2 + (width**2 - 1) / 12),
+        _evidence(code, own, known, explained),
+    )
+
+
+def _evidence(
+    code: Code,
+    own: NDArray[np.float32],
+    line: NDArray[np.int64],
+    explained: NDArray[np.float64],
+) -> NDArray[np.float64]:
+    """How much likelier lines make samples of mean 0, (m, k), than chance, as a logarithm, (m,).
+
+    The best of n lines explains noise of d dimensions but for a share of about n^(-2 / d). Frames
+    whose stripes the camera does not resolve explain nothing, so the coarsest frames are tried by
+    themselves too.
+    """
+
+    def logarithm(share: NDArray[np.float64], frames: int, lines: int) -> NDArray[np.float64]:
+        left = np.maximum(1 - share, 1e-12)
+        return np.asarray(-0.5 * (frames - 2) * np.log(left) - np.log(lines))
+
+    best = logarithm(explained, own.shape[1], len(code.values))
+    changes = np.rint(np.abs(np.diff(code.values, axis=0)).sum(axis=0))
+    for most in np.unique(changes)[-2::-1]:
+        frames = np.flatnonzero(changes <= most)
+        some = np.flatnonzero(best < 10)
+        if len(frames) < 4 or not len(some):
+            break
+        shown = code.values[line[some][:, None], frames]
+        shown = shown - shown.mean(axis=1, keepdims=True)
+        seen = own[some][:, frames]
+        seen = seen - seen.mean(axis=1, keepdims=True)
+        both = np.maximum(np.einsum("ij,ij->i", seen, shown), 0).astype(np.float64) ** 2
+        power = np.einsum("ij,ij->i", seen, seen) * np.einsum("ij,ij->i", shown, shown)
+        lines = len(np.unique(code.values[:, frames], axis=0))
+        found = logarithm(both / np.maximum(power, 1e-30), len(frames), lines)
+        best[some] = np.maximum(best[some], found)
+    return best
