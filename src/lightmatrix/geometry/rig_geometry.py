@@ -456,14 +456,8 @@ class RigGeometry:
             K of camera and projector.
         rotation, translation : (3, 3) and (3,) array-like
             They lead from the camera's frame to the projector's: x_projector = R x_camera + t.
-        camera_shape, projector_shape : (rows, cols)
-            Size of their images in pixels.
-        camera_distortion, projector_distortion : (5,) array-like
-            Coefficients of their lenses; those that are left out are 0.
-        units : str, optional
-            Unit of `translation`.
-        rms : mapping, optional
-            Residuals of the calibration, in pixels.
+        camera_shape, projector_shape, camera_distortion, projector_distortion, units, rms
+            As in the class; coefficients of distortion that are left out are 0.
 
         Returns
         -------
