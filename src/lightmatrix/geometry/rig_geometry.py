@@ -345,10 +345,10 @@ class RigGeometry:
 
     Parameters
     ----------
-    camera_matrix : (3, 4) float64
+    camera_matrix : (3, 4) array-like
         Projection of the camera, K [R | t]: (X, Y, Z, 1) to w (col, row, 1) without distortion. It
         is scaled so that w is the distance along the camera's axis, and positive in front of it.
-    projector_matrix : (3, 4) float64
+    projector_matrix : (3, 4) array-like
         The same of the projector.
     camera_shape, projector_shape : (rows, cols)
         Size of their images in pixels.
@@ -370,7 +370,7 @@ class RigGeometry:
     >>> import lightmatrix as lm
     >>> camera = [[100, 0, 32, 0], [0, 100, 32, 0], [0, 0, 1, 0]]
     >>> projector = [[100, 0, 32, -50], [0, 100, 32, 0], [0, 0, 1, 0]]
-    >>> rig = lm.RigGeometry.from_matrices(camera, projector, (64, 64), (64, 64))
+    >>> rig = lm.RigGeometry(camera, projector, (64, 64), (64, 64))
     >>> rig.triangulate([[42, 32]], [[32, 32]]).round(6).tolist()
     [[0.5, 0.0, 5.0]]
     """
@@ -402,36 +402,6 @@ class RigGeometry:
                 "camera and projector have the same centre, so depth cannot be measured",
                 hint="check that the two projection matrices differ and share one world frame",
             )
-
-    @classmethod
-    def from_matrices(
-        cls,
-        camera: ArrayLike,
-        projector: ArrayLike,
-        camera_shape: Shape,
-        projector_shape: Shape,
-        *,
-        units: str | None = None,
-    ) -> Self:
-        """The geometry of a rig without distortion, from two projection matrices.
-
-        Parameters
-        ----------
-        camera, projector : (3, 4) array-like
-            Each leads from (X, Y, Z, 1) to (col, row, 1) up to a factor, with pixel centres at
-            whole numbers. Both share one world frame, which is kept.
-        camera_shape, projector_shape : (rows, cols)
-            Size of their images in pixels.
-        units : str, optional
-            Unit of length.
-
-        Returns
-        -------
-        RigGeometry
-            Errors are those of the class.
-        """
-        matrices = np.asarray(camera), np.asarray(projector)
-        return cls(*matrices, camera_shape, projector_shape, units=units)
 
     @classmethod
     def from_intrinsics(

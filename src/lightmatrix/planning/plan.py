@@ -138,28 +138,19 @@ class Advice:
 
     Parameters
     ----------
-    source : str
-        The white frame, scene or truth.
-    simulated : bool
-        Whether the source is a scene or a truth, to be simulated, instead of a photograph.
+    source, simulated : str, bool
+        The white frame, scene or truth, and whether it is one of the latter, to be simulated.
     projector : (rows, cols)
         Pixels of the projector.
-    frames : int
-        Number of frames K.
-    patterns : {"mix", "bernoulli"}
-        Kind of patterns.
-    density : float
-        Share of lit pixels.
+    frames, patterns, density : int, {"mix", "bernoulli"}, float
+        Number K and kind of patterns, and their share of lit pixels.
     mix : sequence of ((rows, cols), share)
         Grids whose cells are lit as a whole, and their shares of the patterns.
-    exposures : tuple of AdvisedExposure
-        Exposures, from the longest to the shortest.
-    exposure_of_frames : (K,) float64
-        Exposure of each frame.
-    white_clipped_share : float
-        Share of the white frame's lit pixels that clipped.
-    rows_that_clip_singly : float
-        Share of the lit camera pixels that will clip under a single projector pixel.
+    exposures, exposure_of_frames : tuple of AdvisedExposure, (K,) float64
+        Exposures, from the longest to the shortest, and that of each frame.
+    white_clipped_share, rows_that_clip_singly : float
+        Share of the white frame's lit pixels that clipped, and of the lit camera pixels that will
+        clip under a single projector pixel.
     expected : tuple of ExpectedErrors
         Errors to expect with this and with other numbers of frames, of the better estimator; none
         of fewer frames than were measured.
