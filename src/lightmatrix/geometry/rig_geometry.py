@@ -95,7 +95,10 @@ def undistort(points: NDArray[np.float64], lens: NDArray[np.float64]) -> NDArray
             seen, (xx, xy, yy) = _seen(ideal, lens)
             dx, dy = (points - seen).T
             determinant = xx * yy - xy**2
-            ideal += np.column_stack([yy * dx - xy * dy, xx * dy - xy * dx]) / determinant[:, None]
+            step = np.column_stack([yy * dx - xy * dy, xx * dy - xy * dx]) / determinant[:, None]
+            ideal += step
+            if not (np.abs(step) > 1e-9).any():
+                break
         seen, (xx, xy, yy) = _seen(ideal, lens)
         # The lens leads back to within a thousandth of a pixel at a focal length of 10,000 pixels.
         # Where the determinant is negative, it has folded the image over.
