@@ -41,8 +41,8 @@ $(VENV)/.docs-installed: $(VENV)/.installed
 
 install: $(VENV)/.installed ## build lightmatrix into .venv
 
-demo: install ## run the demo; then open report/report.html
-	$(BIN)/lightmatrix demo -o report --overwrite
+demo: install ## run the demo; then open demo/report.html
+	$(BIN)/lightmatrix demo -o demo --overwrite
 
 test-install: $(VENV)/.test-installed
 
@@ -150,4 +150,4 @@ system-deps: ## install optional system packages: LLVM, a browser, screens, came
 	bash tools/system-deps.sh
 
 clean: ## remove everything that make made
-	rm -rf $(VENV) target dist report site bench-out experiments-out mutants-out src/lightmatrix/_core*.so
+	rm -rf $(VENV) target dist demo report site bench-out experiments-out mutants-out src/lightmatrix/_core*.so

@@ -112,16 +112,14 @@ def check_seed(seed: int) -> None:
 def check_positive(**values: float | None) -> None:
     """Refuse parameters that are not positive and finite; None means automatic."""
     for name, value in values.items():
-        number = 1.0 if value is None else as_float(value)
-        if not 0 < number < math.inf:
+        if value is not None and not 0 < as_float(value) < math.inf:
             raise InputError(f"{name} is {value}", hint="use a positive number")
 
 
 def check_at_least_one(**values: int | None) -> None:
     """Refuse counts below 1; None means automatic."""
     for name, value in values.items():
-        number = 1 if value is None else whole(value)
-        if number is None or not 1 <= number < 2**63:
+        if value is not None and not 1 <= (whole(value) or 0) < 2**63:
             raise InputError(f"{name} is {value}", hint="use a whole number, at least 1")
 
 

@@ -289,8 +289,8 @@ def _wanted(work: Path) -> Path:
         ("-o x.png", {}),
         ("-o x.npy --brightness 0.4 --gamma 2.2", {"brightness": 0.4, "gamma": 2.2}),
         (
-            "-o x.tiff --mask {wanted} --black {black} --exposure 0.5",
-            {"mask": "{wanted}", "ambient": "{black}", "exposure": 0.5},
+            "-o x.tiff --mask {wanted} --black {black}",
+            {"mask": "{wanted}", "ambient": "{black}"},
         ),
     ],
 )
@@ -394,7 +394,7 @@ def test_compensate_on_a_rig(
         ("{wanted} --rig virtual:metal --black b.png", "a rig and --black"),
         ("{wanted} --rig virtual:metal --beside x.zarr", "several matrices"),
         (". --green g.zarr --blue b.zarr", "several matrices"),
-        ("{wanted} --brightness bright", "a brightness of 'bright'"),
+        ("{wanted} --brightness bright", "Invalid value for '--brightness'"),
         ("{wanted} --green g.zarr", "--blue is missing"),
         ("--cancel-global --rig virtual:metal", "--cancel-global with options"),
         ("--cancel-global --brightness 0.7", "--cancel-global with options"),

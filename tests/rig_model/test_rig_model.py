@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from scipy.ndimage import shift
 
 import lightmatrix as lm
-from lightmatrix.capture.capture import KnownSamples
+from lightmatrix.capture.capture import capture_of_samples
 from lightmatrix.capture.correction import Correction
 from lightmatrix.capture.samples import Samples
 from lightmatrix.rig_model.least_squares import Regression
@@ -148,10 +148,10 @@ def test_what_a_term_takes_out_is_its_regressor(
         patterns = lm.ImagePatterns(greys)
     still = transport.relight(patterns.images()).reshape(32, -1).T
 
-    def of(values: np.ndarray) -> KnownSamples:
+    def of(values: np.ndarray) -> lm.Capture:
         level = np.full(32, 10, np.float32)
         samples = Samples(values.astype(np.float32), np.zeros(values.shape, bool), level)
-        return KnownSamples.of(patterns, samples, (64, 24), 1.0)
+        return capture_of_samples(patterns, samples, (64, 24), 1.0)
 
     seen = Prediction.of(of(still), of(still), transport)
     term = TERMS[name]()

@@ -105,7 +105,7 @@ def test_mpcdi_keeps_to_its_specification(found: lm.ProjectorMap, tmp_path: Path
         names = archive.namelist()
     assert not any("/" in name for name in names)
     text = (tmp_path / "mpcdi.xml").read_text()
-    assert text.startswith("<?xml version='1.0' encoding='utf-8'?>")
+    assert text.startswith('<?xml version="1.0" encoding="utf-8"?>')
     root = ElementTree.fromstring(text)
     assert root.tag == "MPCDI"
     assert set(root.attrib) == {"profile", "geometry", "color", "date", "version"}

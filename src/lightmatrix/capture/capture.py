@@ -9,7 +9,6 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -66,6 +65,8 @@ class Capture:
         taken as light until then.
     correction : Correction, optional
         What the rig did to the binned samples, taken out as they are read; see `fit_rig`.
+    known : Samples, optional
+        The samples, where they are not those of the frames; see `capture_of_samples`.
 
     Raises
     ------
@@ -91,6 +92,7 @@ class Capture:
     surroundings: Surroundings | None = None
     projector_unknown: bool = False
     correction: Correction | None = None
+    known: Samples | None = None
 
     def __repr__(self) -> str:
         facts = (f"{name}={value}" for name, value in self.summary().items())
@@ -381,7 +383,8 @@ class Capture:
     @computed_once
     def reader(self) -> Reader:
         """The reader, which decodes the frames and keeps the levels that it has read."""
-        return Reader(self.frames, self.decoder, self.mask, self.bin_camera, self.correction)
+        parts = self.frames, self.decoder, self.mask, self.bin_camera, self.correction
+        return Reader(*parts, self.known)
 
     @property
     def valid(self) -> NDArray[np.bool_]:
@@ -456,35 +459,14 @@ def open_capture(capture: Capture | str | Path) -> Capture:
     return capture if isinstance(capture, Capture) else Capture.open(capture)
 
 
-@dataclass(frozen=True, eq=False)
-class _SampleReader(Reader):
-    """Reads samples that are known already."""
+def capture_of_samples(
+    patterns: PatternSet, samples: Samples, camera_shape: tuple[int, ...], exposure: float
+) -> Capture:
+    """A capture of samples (M, K) that were computed from those of another one.
 
-    known: Samples = field(kw_only=True)
-
-    def _uncorrected(self, start: int, stop: int) -> Samples:
-        return self.known.rows(slice(start, min(stop, self.rows)))
-
-
-@dataclass(frozen=True, eq=False, repr=False)
-class KnownSamples(Capture):
-    """A capture of samples (M, K) in memory, which were computed from those of another capture."""
-
-    known: Samples = field(kw_only=True)
-
-    @classmethod
-    def of(
-        cls, patterns: PatternSet, samples: Samples, camera_shape: tuple[int, ...], exposure: float
-    ) -> KnownSamples:
-        """Samples of a camera under patterns, in units of the clip level at exposure 1."""
-        # Frames of no memory, which nothing reads.
-        frames = np.broadcast_to(np.float32(0), (patterns.count, *camera_shape))
-        decoder = Decoder(clip=1.0, full_scale=1.0, exposure=exposure)
-        return cls(patterns, ArrayStack(frames), decoder, known=samples)
-
-    @cached_property
-    def reader(self) -> Reader:
-        """The reader of the samples."""
-        return _SampleReader(
-            self.frames, self.decoder, None, (1, 1), self.correction, known=self.known
-        )
+    They are in units of the clip level at exposure 1.
+    """
+    # Frames of no memory, which nothing reads.
+    frames = np.broadcast_to(np.float32(0), (patterns.count, *camera_shape))
+    decoder = Decoder(clip=1.0, full_scale=1.0, exposure=exposure)
+    return Capture(patterns, ArrayStack(frames), decoder, known=samples)

@@ -232,6 +232,8 @@ class Reader:
     mask: NDArray[np.bool_] | None
     block: tuple[int, int]
     correction: Correction | None = None
+    # The samples, where they are not those of the frames.
+    known: Samples | None = None
 
     @property
     def camera_shape(self) -> tuple[int, ...]:
@@ -263,6 +265,8 @@ class Reader:
 
     def _uncorrected(self, start: int, stop: int) -> Samples:
         stop = min(stop, self.rows)
+        if self.known is not None:
+            return self.known.rows(slice(start, stop))
         if self.block == (1, 1):
             decoded = self.decoder.decode(self.levels(start, stop), first_row=start)
         else:

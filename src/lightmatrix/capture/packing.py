@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 from lightmatrix.capture.capture import Capture, open_capture
 from lightmatrix.capture.decoder import Decoder
 from lightmatrix.capture.folder import write_description
-from lightmatrix.capture.frames import Frames, PixelFrames, in_order
 from lightmatrix.capture.packed import FORMAT, FRAMES, PACKED, VERSION
 from lightmatrix.capture.settings import DEPTH, GEOMETRY, TRUTH
 from lightmatrix.errors import InputError
@@ -24,7 +23,7 @@ from lightmatrix.files.writing import atomic_folder, check_output
 from lightmatrix.files.zarr_arrays import create_array
 from lightmatrix.patterns.pattern_set import PatternSet
 from lightmatrix.ranges import as_path
-from lightmatrix.resources.disk import check_disk_space, scratch_array
+from lightmatrix.resources.disk import check_disk_space
 
 Progress = Callable[[int, int], None]
 # Called with a number of camera rows, iterates over strips of that height: the levels of all
@@ -40,14 +39,13 @@ def pack(
     capture: Capture | str | Path,
     output: str | Path,
     *,
-    memory: int = 1 << 30,
     overwrite: bool = False,
     progress: Progress | None = None,
 ) -> None:
     """Write a capture folder with all frames in one array, from which tiles are read fast.
 
-    `Capture.open` reads the same capture back. Every frame is read once, in bounded memory. An
-    interrupted run leaves nothing behind.
+    `Capture.open` reads the same capture back. Every frame is read once, and levels of more than
+    2 GiB are transposed through a temporary file. An interrupted run leaves nothing behind.
 
     Parameters
     ----------
@@ -55,13 +53,10 @@ def pack(
         A capture, not binned; or a capture folder, whose truth.npz is copied.
     output : str or Path
         Capture folder to write.
-    memory : int
-        Bytes to work in. Captures larger than half of it are transposed through a temporary file
-        beside the output, as large as their levels.
     overwrite : bool
         Whether an existing capture may be replaced.
     progress : callable, optional
-        Called with (done, total) frames.
+        Called with (done, total) camera rows, after all frames were read.
 
     Raises
     ------
@@ -92,7 +87,6 @@ def pack(
         opened,
         output,
         write_extras=copy_truth,
-        memory=memory,
         overwrite=overwrite,
         progress=progress,
     )
@@ -103,29 +97,35 @@ def pack_capture(
     output: str | Path,
     *,
     write_extras: Callable[[Path], None],
-    memory: int = 1 << 30,
     overwrite: bool = False,
     progress: Progress | None = None,
 ) -> None:
     """Pack a capture as `pack` does; `write_extras` writes further files into the folder."""
     if capture.bin_projector != (1, 1) or capture.bin_camera != (1, 1):
         raise InputError("a binned capture cannot be packed", hint="pack it first, then bin it")
-    frames, output = capture.frames, Path(output)
-    size = frames.count * math.prod(frames.shape) * frames.dtype.itemsize
+    frames, reader = capture.frames, capture.reader
+    height, *line = frames.shape
+    wide = math.prod(line)
+
+    def strips(rows: int) -> Iterator[NDArray[Any]]:
+        for top in range(0, height, rows):
+            end = min(top + rows, height)
+            yield reader.levels(top * wide, end * wide).T.reshape(frames.count, end - top, *line)
+            if progress is not None:
+                progress(end, height)
+
     # The place of cropped photographs is part of their description.
     crop = capture.description.get("crop")
     provenance = capture.provenance if crop is None else {**capture.provenance, "crop": crop}
     write_packed(
         output,
         capture.patterns,
-        _strips(frames, output.absolute().parent, memory, progress or (lambda done, total: None)),
+        strips,
         decoder=capture.decoder,
         shape=frames.shape,
         dtype=frames.dtype,
         names=[frames.name(k) for k in range(frames.count)],
         write_extras=write_extras,
-        # Frames that do not fit into memory lie beside the output until it is whole.
-        copies=1 if isinstance(frames, PixelFrames) or size <= memory // 2 else 2,
         overwrite=overwrite,
         mask=capture.mask,
         provenance=provenance,
@@ -143,15 +143,13 @@ def write_packed(
     dtype: np.dtype[Any],
     names: Sequence[str],
     write_extras: Callable[[Path], None] | None = None,
-    copies: int = 1,
     overwrite: bool = False,
     **described: Any,
 ) -> None:
     """Write a packed capture of K frames strip by strip, whole or not at all.
 
     `shape` and `dtype` are those of a frame. `write_extras` writes further files into the folder.
-    The disk must have room for as many `copies` of the levels. `described` is what else
-    `write_description` takes.
+    `described` is what else `write_description` takes.
     """
     count, dtype = len(names), np.dtype(dtype)
     # A chunk holds all frames of some whole camera rows, or of a part of one.
@@ -159,8 +157,7 @@ def write_packed(
     rows, cols = min(shape[0], max(1, pixels // shape[1])), min(shape[1], pixels)
     with atomic_folder(output, CAPTURE, overwrite=overwrite) as part:
         # Noise hardly compresses, so the output may be as large as the levels.
-        levels = count * math.prod(shape) * dtype.itemsize
-        check_disk_space(part, copies * levels, output)
+        check_disk_space(part, count * math.prod(shape) * dtype.itemsize, output)
         group = zarr.open_group(part / PACKED, mode="w", zarr_format=3)
         chunks = (count, rows, cols, *shape[2:])
         frames = create_array(group, FRAMES, (count, *shape), dtype, chunks)
@@ -172,30 +169,3 @@ def write_packed(
         write_description(part, patterns, shape, decoder, **described)
         if write_extras is not None:
             write_extras(part)
-
-
-def _strips(frames: Frames, folder: Path, memory: int, progress: Progress) -> Strips:
-    """Strips of frames: read as stored, or transposed in memory or through a file in `folder`."""
-    count, height, line = frames.count, frames.shape[0], frames.shape[1:]
-    wide = math.prod(line)
-
-    def strips(rows: int) -> Iterator[NDArray[Any]]:
-        if isinstance(frames, PixelFrames):
-            for top in range(0, height, rows):
-                end = min(top + rows, height)
-                levels = frames.levels(top * wide, end * wide)
-                yield levels.T.reshape(count, end - top, *line)
-                progress(count * end // height, count)
-            return
-        stack = scratch_array((count, *frames.shape), frames.dtype, memory // 2, folder)
-        for k, frame in enumerate(in_order(frames)):
-            stack[k] = frame
-            progress(k + 1, count)
-        # The frames lie one after the other, so many strips of each are copied at a time.
-        many = rows * max(1, memory // 4 // (rows * wide * count * frames.dtype.itemsize))
-        for top in range(0, height, many):
-            block = np.ascontiguousarray(stack[:, top : top + many])
-            for inner in range(0, block.shape[1], rows):
-                yield block[:, inner : inner + rows]
-
-    return strips

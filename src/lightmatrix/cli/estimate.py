@@ -118,7 +118,7 @@ _reporting = functools.partial(Option, rich_help_panel="Check and report")
     ),
     viewer=_reporting("--viewer", help="Add the viewer to the report, as viewer.html."),
     geometry=_reporting(
-        metavar="RIG.json",
+        metavar="GEOMETRY.json",
         help="Where camera and projector stand, for depth and normals in the report: a file of "
         "`calibrate`.",
     ),

@@ -26,7 +26,9 @@ def map(
     ] = False,
     geometry: Annotated[
         Path | None,
-        Option(metavar="RIG.json", help="A file of `calibrate`, for points in LightLeaks' folder."),
+        Option(
+            metavar="GEOMETRY.json", help="A file of `calibrate`, for points in LightLeaks' folder."
+        ),
     ] = None,
     overwrite: Overwrite = False,
     as_json: Json = False,

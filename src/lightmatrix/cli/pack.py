@@ -29,7 +29,7 @@ def pack(
     claim(output, CAPTURE, overwrite=overwrite)
     # From a capture folder `pack` copies truth.npz too.
     packable = source.open() if source.folder is None else source.folder
-    with progress("packing", "frames") as step:
+    with progress("packing", "rows") as step:
         lm.pack(packable, output, overwrite=overwrite, progress=step)
     size = sum(file.stat().st_size for file in output.rglob("*") if file.is_file())
     frames = lm.Capture.open(output).frames

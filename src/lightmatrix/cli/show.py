@@ -30,7 +30,7 @@ from lightmatrix.errors import InputError
     depth=Option("--depth", help="Depth of the surface; needs --geometry."),
     normals=Option("--normals", help="Normals of the surface; needs --geometry."),
     geometry=Option(
-        metavar="RIG.json",
+        metavar="GEOMETRY.json",
         help="Where camera and projector stand, for depth and normals: a file of `calibrate`.",
     ),
     raw=Option(

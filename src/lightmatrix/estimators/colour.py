@@ -27,7 +27,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lightmatrix.capture.camera_curve import AUTOMATIC
-from lightmatrix.capture.capture import Capture, KnownSamples, open_capture
+from lightmatrix.capture.capture import Capture, capture_of_samples, open_capture
 from lightmatrix.capture.samples import Samples
 from lightmatrix.check.finding import FINDINGS
 from lightmatrix.check.refusals import refuse_unordered, refuse_unusable, warn_of
@@ -148,14 +148,12 @@ _LEAST_GAIN = 1e-4
 _NEVER = np.float32(1e9)
 
 
-def grey_capture(
-    samples: ColourSamples, camera_shape: tuple[int, ...], exposure: float
-) -> KnownSamples:
+def grey_capture(samples: ColourSamples, camera_shape: tuple[int, ...], exposure: float) -> Capture:
     """The grey photographs as those of a grey camera: the means of the three channels."""
     chosen = np.flatnonzero(samples.patterns.grey)
     equal = np.full((samples.pixels, PRIMARIES), 1 / PRIMARIES)
     known = _grey_samples(samples, equal, chosen)
-    return KnownSamples.of(samples.patterns.red.subset(chosen), known, camera_shape, exposure)
+    return capture_of_samples(samples.patterns.red.subset(chosen), known, camera_shape, exposure)
 
 
 def unmixed_capture(
@@ -163,7 +161,7 @@ def unmixed_capture(
     gains: NDArray[np.float64],
     camera_shape: tuple[int, ...],
     exposure: float,
-) -> KnownSamples:
+) -> Capture:
     """The photographs as those of a grey camera under grey patterns, one for each primary.
 
     A grey photograph stays one, with less noise. Where the gains (n, 3, 3) hardly tell a primary
@@ -184,7 +182,7 @@ def unmixed_capture(
         )
     )
     patterns = _grey_patterns(samples.patterns, grey, coloured)
-    return KnownSamples.of(patterns, known, camera_shape, exposure)
+    return capture_of_samples(patterns, known, camera_shape, exposure)
 
 
 def _grey_samples(

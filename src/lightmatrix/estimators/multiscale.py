@@ -18,7 +18,7 @@ from lightmatrix.estimators.automatic_regularization import column_length
 from lightmatrix.estimators.base import rows_with_diagnostics
 from lightmatrix.estimators.certainty import with_certainty
 from lightmatrix.estimators.plain import PlainEstimator
-from lightmatrix.estimators.work import OneStep, Work
+from lightmatrix.estimators.work import ReadStep, SolveTile, Work
 from lightmatrix.patterns.pattern_set import ImagePatterns, PatternSet
 from lightmatrix.solvers import solve
 from lightmatrix.solvers.loop import Progress
@@ -137,9 +137,10 @@ class MultiScaleEstimator(PlainEstimator):
 
 
 @dataclass(frozen=True, eq=False)
-class _Strips(OneStep):
+class _Strips(Work):
     """The rows of a capture, solved in strips of camera blocks."""
 
+    capture: Capture
     estimator: MultiScaleEstimator
     regularization: float
 
@@ -150,7 +151,10 @@ class _Strips(OneStep):
         for start in range(0, rows, _BLOCK):
             yield start * width, min(start + _BLOCK, rows) * width
 
-    def solve(self, start: int, stop: int, progress: Progress) -> SparseRows:
+    def prepare(self, step: str, read: ReadStep) -> SolveTile:
+        return self._solve
+
+    def _solve(self, start: int, stop: int, progress: Progress) -> SparseRows:
         samples = self.capture.samples(start, stop)
         patterns = self.capture.patterns
         strip = self.estimator.problem(patterns, samples, self.regularization)

@@ -17,7 +17,7 @@ from lightmatrix.estimators.base import (
     solver_provenance,
 )
 from lightmatrix.estimators.certainty import with_certainty
-from lightmatrix.estimators.work import TILE_BYTES, OneStep, Work, cut_rows
+from lightmatrix.estimators.work import TILE_BYTES, ReadStep, SolveTile, Work, cut_rows
 from lightmatrix.patterns.pattern_set import PatternSet
 from lightmatrix.ranges import check_at_least_one
 from lightmatrix.solvers import Solver, solve
@@ -101,9 +101,10 @@ class PlainEstimator(Estimator):
 
 
 @dataclass(frozen=True, eq=False)
-class _Rows(OneStep):
+class _Rows(Work):
     """The rows of a capture, solved tile by tile."""
 
+    capture: Capture
     estimator: PlainEstimator
     regularization: float
 
@@ -113,7 +114,10 @@ class _Rows(OneStep):
         most = self.estimator.tile_rows or max(1, TILE_BYTES // row_bytes)
         return cut_rows(self.capture.rows, most, parts)
 
-    def solve(self, start: int, stop: int, progress: Progress) -> SparseRows:
+    def prepare(self, step: str, read: ReadStep) -> SolveTile:
+        return self._solve
+
+    def _solve(self, start: int, stop: int, progress: Progress) -> SparseRows:
         samples = self.capture.samples(start, stop)
         problem = self.estimator.problem(self.capture.patterns, samples, self.regularization)
         result = solve(problem, self.estimator.solver, progress=progress)

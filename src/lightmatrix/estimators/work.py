@@ -30,15 +30,15 @@ TILE_BYTES = 512 << 20
 LEAST_TILE = 64
 
 
-class Work(Protocol):
+class Work(ABC):
     """An estimate as steps, each of tiles of rows: what is solved, and after what.
 
-    It may travel to other processes, so it holds only the capture and parameters.
+    It may travel to other processes, so it holds only the capture and parameters. Unless methods
+    say so, it has one step, whose rows depend on their own samples alone.
     """
 
-    @property
-    def capture(self) -> Capture:
-        """The capture that T is estimated from."""
+    # The capture that T is estimated from.
+    capture: Capture
 
     @property
     def steps(self) -> Mapping[str, tuple[str, ...]]:
@@ -47,7 +47,9 @@ class Work(Protocol):
         No step comes before those that it needs. The last one is `ROWS`, the result. A name has
         lower case letters, digits and hyphens.
         """
+        return {ROWS: ()}
 
+    @abstractmethod
     def tiles(self, step: str, parts: int = 1) -> Iterator[Span]:
         """The rows start..stop of the tiles of a step, in order.
 
@@ -55,6 +57,7 @@ class Work(Protocol):
         end, so that all workers finish at about the same time.
         """
 
+    @abstractmethod
     def prepare(self, step: str, read: ReadStep) -> SolveTile:
         """Prepare a step, and return the function that solves its rows start..stop.
 
@@ -64,42 +67,11 @@ class Work(Protocol):
 
     @property
     def together(self) -> int:
-        """How many tiles are solved side by side in one process."""
-
-    def solved(self, step: str, done: int) -> int:
-        """How many rows of the estimate count as solved after `done` rows of a step."""
-
-
-@dataclass(frozen=True, eq=False)
-class OneStep(ABC):
-    """A `Work` of one step, whose rows depend on their own samples alone."""
-
-    capture: Capture
-
-    @property
-    def steps(self) -> Mapping[str, tuple[str, ...]]:
-        """The result alone."""
-        return {ROWS: ()}
-
-    @abstractmethod
-    def tiles(self, step: str, parts: int = 1) -> Iterator[Span]:
-        """The rows start..stop of the tiles, in order; see `Work`."""
-
-    @abstractmethod
-    def solve(self, start: int, stop: int, progress: Progress) -> SparseRows:
-        """The rows start..stop."""
-
-    def prepare(self, step: str, read: ReadStep) -> SolveTile:
-        """Return `solve`; nothing comes before it."""
-        return self.solve
-
-    @property
-    def together(self) -> int:
-        """One: each tile takes all cores, and Python has little to do."""
+        """How many tiles are solved side by side in one process; each takes all cores."""
         return 1
 
     def solved(self, step: str, done: int) -> int:
-        """The rows themselves."""
+        """How many rows of the estimate count as solved after `done` rows of a step."""
         return done
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, ClassVar
@@ -165,13 +166,25 @@ class BernoulliPatterns(BinaryPatterns):
     @cached_property
     def bits(self) -> NDArray[np.uint8]:  # type: ignore[override]
         """Lit pixels, (K, ceil(N / 8)) uint8, least significant bit first."""
-        bits = np.empty((self.count, (self.pixels + 7) // 8), np.uint8)
-        seeds = seed_sequence(self.seed, self.shape, self.density)
-        # Each pattern has its own generator, so the first k do not depend on how many follow.
-        for k, child in enumerate(seeds.spawn(self.count)):
-            lit = np.random.Generator(np.random.PCG64(child)).random(self.pixels) < self.density
-            bits[k] = np.packbits(lit, bitorder="little")
-        return bits
+        return drawn_bits(self, self.density, self.seed)
+
+
+def drawn_bits(
+    patterns: PatternSet,
+    density: float,
+    seed: int,
+    cells: Sequence[NDArray[np.int64]] | None = None,
+) -> NDArray[np.uint8]:
+    """Random bits of each pattern, whose cells (by its kind) are lit as a whole; None: pixels."""
+    bits = np.empty((patterns.count, (patterns.pixels + 7) // 8), np.uint8)
+    seeds = seed_sequence(seed, patterns.shape, density).spawn(patterns.count)
+    # Each pattern has its own generator, so the first k do not depend on how many follow.
+    for k, child in enumerate(seeds):
+        cell = None if cells is None else cells[patterns.kinds[k]]
+        count = patterns.pixels if cell is None else int(cell[-1]) + 1
+        lit = np.random.Generator(np.random.PCG64(child)).random(count) < density
+        bits[k] = np.packbits(lit if cell is None else lit[cell], bitorder="little")
+    return bits
 
 
 def check_random(shape: tuple[int, int], count: int, density: float, seed: int) -> None:

@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 
 from lightmatrix.defaults import FEWEST_MIXED, MIX_EXAMPLE
 from lightmatrix.errors import InputError
-from lightmatrix.patterns.bits import BinaryPatterns, check_random
-from lightmatrix.patterns.pattern_set import check_grid, grid_cells, seed_sequence
+from lightmatrix.patterns.bits import BinaryPatterns, check_random, drawn_bits
+from lightmatrix.patterns.pattern_set import check_grid, grid_cells
 
 
 def interleave(shares: Sequence[float], count: int) -> NDArray[np.int64]:
@@ -136,14 +136,8 @@ class MixedPatterns(BinaryPatterns):
     @cached_property
     def bits(self) -> NDArray[np.uint8]:  # type: ignore[override]
         """Lit pixels, (K, ceil(N / 8)) uint8, least significant bit first."""
-        bits = np.empty((self.count, (self.pixels + 7) // 8), np.uint8)
         cells = [grid_cells(self.shape, grid) for grid, _ in self.mix]
-        children = seed_sequence(self.seed, self.shape, self.density).spawn(self.count)
-        for k, (child, kind) in enumerate(zip(children, self.kinds, strict=True)):
-            grid = self.mix[kind][0]
-            draw = np.random.Generator(np.random.PCG64(child)).random(grid[0] * grid[1])
-            bits[k] = np.packbits((draw < self.density)[cells[kind]], bitorder="little")
-        return bits
+        return drawn_bits(self, self.density, self.seed, cells)
 
 
 def default_mix(shape: tuple[int, int], count: int) -> Mix:

@@ -87,7 +87,7 @@ def uses(facts: Facts) -> Section:
         words = (
             "For a camera of this size, use `lightmatrix separate SCENE.zarr -o FOLDER`, "
             "`lightmatrix compensate SCENE.zarr WANTED.png -o PATTERN.png` and "
-            "`lightmatrix triangulate SCENE.zarr --geometry RIG.json -o CLOUD.ply`."
+            "`lightmatrix triangulate SCENE.zarr --geometry GEOMETRY.json -o CLOUD.ply`."
         )
         return Section("uses", "Uses", lead, (Text(words),))
     shape = _triangulated(transport, facts.geometry)

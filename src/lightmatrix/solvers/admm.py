@@ -15,7 +15,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -25,6 +25,7 @@ from lightmatrix.errors import SolverError
 from lightmatrix.patterns.pattern_set import PatternSet
 from lightmatrix.ranges import check_at_least_one, check_positive
 from lightmatrix.solvers.fidelity import Fidelity
+from lightmatrix.solvers.loop import IterativeSolver
 from lightmatrix.solvers.problem import Problem
 
 
@@ -210,12 +211,10 @@ class ADMMState:
     penalty_x: float
 
 
-class _Splitting:
+class _Splitting(IterativeSolver):
     """What both solvers share: they end at z, the part of the split x = z that is sparse."""
 
     penalty_x: float | None
-    max_iterations: int
-    tolerance: float
 
     def __post_init__(self) -> None:
         check_positive(penalty_x=self.penalty_x, tolerance=self.tolerance)
@@ -258,7 +257,8 @@ class ADMM(_Splitting):
     max_iterations: int = ADMM_ITERATIONS
     tolerance: float = 5e-4
 
-    fidelity: ClassVar[Fidelity] = Fidelity.LINEAR
+    # No parameter: the system of ADMM is that of least squares.
+    fidelity = Fidelity.LINEAR
 
     def init(self, problem: Problem) -> ADMMState:
         mu = self.penalty_x or automatic_penalty_x(problem)

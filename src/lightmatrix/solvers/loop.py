@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass, field, fields, replace
-from typing import Any, Protocol, TypeVar, runtime_checkable
+from typing import Any, Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,51 +19,14 @@ Progress = Callable[[int, int], None]
 S = TypeVar("S")
 
 
-class IterativeSolver(Protocol):
-    """A solver that the loop can run. Its states are frozen dataclasses of arrays with M rows."""
-
-    @property
-    def fidelity(self) -> Fidelity | str:
-        """The data term that the solver minimises."""
-
-    @property
-    def max_iterations(self) -> int:
-        """Limit of iterations. A row that reaches it is returned as it is."""
-
-    @property
-    def tolerance(self) -> float:
-        """A row stops when both its residuals are at most this."""
-
-    def init(self, problem: Problem) -> Any:
-        """The state before the first step."""
-
-    def step(self, problem: Problem, state: Any) -> Any:
-        """The state after one iteration."""
-
-    def residuals(
-        self, problem: Problem, before: Any, after: Any
-    ) -> tuple[NDArray[Any], NDArray[Any]]:
-        """Relative primal and dual residual of each row, (M,) each."""
-
-    def solution(self, problem: Problem, state: Any) -> tuple[NDArray[Any], NDArray[Any]]:
-        """Coefficients (M, N), mostly exact zeros, and background (M,)."""
-
-    def row_bytes(self, patterns: int, pixels: int) -> int:
-        """Working memory of one row in bytes."""
-
-
-@runtime_checkable
-class DirectSolver(Protocol):
-    """A solver with a loop of its own."""
+class Solver(Protocol):
+    """Solves all rows of a problem; a frozen dataclass of parameters."""
 
     def solve(self, problem: Problem, progress: Progress | None = None) -> Result:
-        """Solve all rows."""
+        """Solve all rows; `progress` is called with (finished, all) rows."""
 
     def row_bytes(self, patterns: int, pixels: int) -> int:
         """Working memory of one row in bytes."""
-
-
-Solver = IterativeSolver | DirectSolver
 
 
 def solve(problem: Problem, solver: Solver, *, progress: Progress | None = None) -> Result:
@@ -97,38 +61,69 @@ def solve(problem: Problem, solver: Solver, *, progress: Progress | None = None)
     >>> int(result.coefficients.toarray().argmax())
     5
     """
-    if isinstance(solver, DirectSolver):
-        return solver.solve(problem, progress)
-    finished = _Finished(problem, solver)
-    active, part, state = np.arange(problem.rows), problem, solver.init(problem)
-    running = np.ones(problem.rows, bool)
-    finite = True
-    for iteration in range(1, solver.max_iterations + 1):
-        # In this order no third state stays in memory.
-        before = state
-        state = solver.step(part, before)
-        primal, dual = solver.residuals(part, before, state)
-        converged = running & (primal <= solver.tolerance) & (dual <= solver.tolerance)
-        broken = running & ~(np.isfinite(primal) & np.isfinite(dual))
-        finite &= not broken.any()
-        last = iteration == solver.max_iterations
-        stopping = running if last else converged | broken
-        if stopping.any():
-            index = np.flatnonzero(stopping)
-            stopped = state_of_rows(state, index)
-            finished.add(active[index], part.take(index), stopped, iteration, converged[index])
-            running = running & ~stopping
-            if progress is not None:
-                progress(finished.count, problem.rows)
-        if not running.any():
-            break
-        # Stopped rows stay in the batch until they make up this share of it: removing them copies
-        # the state. Chosen by hand.
-        if (~running).mean() > 0.2:
-            keep = np.flatnonzero(running)
-            active, part, state = active[keep], part.take(keep), state_of_rows(state, keep)
-            running = np.ones(len(keep), bool)
-    return finished.result(finite)
+    return solver.solve(problem, progress)
+
+
+class IterativeSolver(ABC):
+    """A solver of steps that all rows take together. States are frozen dataclasses of M rows."""
+
+    # The data term that is minimised.
+    fidelity: Fidelity | str
+    # Limit of iterations. A row that reaches it is returned as it is.
+    max_iterations: int
+    # A row stops when both its residuals are at most this.
+    tolerance: float
+
+    @abstractmethod
+    def init(self, problem: Problem) -> Any:
+        """The state before the first step."""
+
+    @abstractmethod
+    def step(self, problem: Problem, state: Any) -> Any:
+        """The state after one iteration."""
+
+    @abstractmethod
+    def residuals(
+        self, problem: Problem, before: Any, after: Any
+    ) -> tuple[NDArray[Any], NDArray[Any]]:
+        """Relative primal and dual residual of each row, (M,) each."""
+
+    @abstractmethod
+    def solution(self, problem: Problem, state: Any) -> tuple[NDArray[Any], NDArray[Any]]:
+        """Coefficients (M, N), mostly exact zeros, and background (M,)."""
+
+    def solve(self, problem: Problem, progress: Progress | None = None) -> Result:
+        """Solve all rows; `progress` is called with (finished, all) rows."""
+        finished = _Finished(problem, self)
+        active, part, state = np.arange(problem.rows), problem, self.init(problem)
+        running = np.ones(problem.rows, bool)
+        finite = True
+        for iteration in range(1, self.max_iterations + 1):
+            # In this order no third state stays in memory.
+            before = state
+            state = self.step(part, before)
+            primal, dual = self.residuals(part, before, state)
+            converged = running & (primal <= self.tolerance) & (dual <= self.tolerance)
+            broken = running & ~(np.isfinite(primal) & np.isfinite(dual))
+            finite &= not broken.any()
+            last = iteration == self.max_iterations
+            stopping = running if last else converged | broken
+            if stopping.any():
+                index = np.flatnonzero(stopping)
+                stopped = state_of_rows(state, index)
+                finished.add(active[index], part.take(index), stopped, iteration, converged[index])
+                running = running & ~stopping
+                if progress is not None:
+                    progress(finished.count, problem.rows)
+            if not running.any():
+                break
+            # Stopped rows stay in the batch until they make up this share of it: removing them
+            # copies the state. Chosen by hand.
+            if (~running).mean() > 0.2:
+                keep = np.flatnonzero(running)
+                active, part, state = active[keep], part.take(keep), state_of_rows(state, keep)
+                running = np.ones(len(keep), bool)
+        return finished.result(finite)
 
 
 def state_of_rows(state: S, rows: NDArray[np.integer]) -> S:

@@ -19,7 +19,7 @@ from lightmatrix.ranges import check_finite, check_type, real_array
 from lightmatrix.regions import Region
 from lightmatrix.reprs import html_table, labelled
 from lightmatrix.transport.operator import HOW_TO_GIVE, TransportOperator
-from lightmatrix.transport.sparse_rows import checked_matrix, checked_shape
+from lightmatrix.transport.sparse_rows import SparseRows, checked_matrix, checked_shape
 
 # The entries of the provenance that a summary repeats.
 _SUMMARY_KEYS = ("estimator", "solver", "regularization", "certificate", "pattern_digest", "scene")
@@ -95,14 +95,9 @@ class LightTransport(TransportOperator):
     provenance: Mapping[str, Any] = field(default_factory=dict)
 
     def __repr__(self) -> str:
-        camera, projector = (
-            " x ".join(map(str, shape)) for shape in (self.camera_shape, self.projector_shape)
-        )
         made = self.provenance.get("estimator") or self.provenance.get("scene")
         by = f", {made}" if made else ""
-        return (
-            f"LightTransport(camera {camera}, projector {projector}, {self.sparse.nnz} entries{by})"
-        )
+        return f"LightTransport({self.sizes}, {self.sparse.nnz} entries{by})"
 
     def _repr_html_(self) -> str:
         # The scene under a white pattern, of at most 256 pixels a side.
@@ -112,7 +107,9 @@ class LightTransport(TransportOperator):
         image = image if image.shape[2] == 3 else image.mean(axis=2)
         shown = np.clip(image / max(float(np.quantile(image, 0.99)), 1e-12), 0, 1) ** (1 / 2.2)
         picture = encode_image((255 * shown).astype(np.uint8), "png")
-        return html_table("Light transport matrix", labelled(self.summary()), picture)
+        return html_table(
+            "Light transport matrix", labelled(self.summary(), main_only=True), picture
+        )
 
     def __post_init__(self) -> None:
         # Compiled routines trust the indices, and a store is only opened if all of this is so.
@@ -189,14 +186,13 @@ class LightTransport(TransportOperator):
         background = np.zeros((sparse.shape[0], 1), np.float32)
         return cls(sparse, background, camera_shape, projector_shape, **more)
 
-    def multiplied(self, vectors: NDArray[Any]) -> NDArray[Any]:
-        """T p for vectors p, (N,) or (N, k)."""
-        return np.asarray(self.sparse @ vectors + self.background @ (self.pooling @ vectors))
+    def blocks(self) -> Iterator[tuple[int, SparseRows]]:
+        """All rows at once: (0, rows)."""
+        yield 0, SparseRows(self.sparse, self.background)
 
-    def multiplied_transposed(self, vectors: NDArray[Any]) -> NDArray[Any]:
-        """T' c for vectors c, (M,) or (M, k)."""
-        diffuse = self.pooling.T @ (self.background.T @ vectors)
-        return np.asarray(self.sparse.T @ vectors + diffuse)
+    def some_rows(self, start: int, stop: int) -> SparseRows:
+        """Some rows without their diagnostics."""
+        return SparseRows(csr_array(self.sparse[start:stop]), self.background[start:stop])
 
     def dual_image(self) -> NDArray[np.float32]:
         """The scene seen from the projector, lit evenly from the camera.
@@ -211,25 +207,10 @@ class LightTransport(TransportOperator):
             lights[channel, ..., channel] = 1
         return np.stack([self.dual(light) for light in lights], axis=-1)
 
-    def row(self, *camera_index: int) -> NDArray[np.float32]:
-        """One row of T as a projector image: how much each pixel lights one camera sample.
-
-        `camera_index` is the row, the column and, for a colour camera, the channel. Raises
-        InputError if the camera has no such sample.
-        """
-        index = self.row_number(camera_index)
-        values = self.dense_rows(np.array([index]))[0]
-        return values.reshape(self.projector_shape)
-
     def dense_rows(self, index: NDArray[np.integer]) -> NDArray[np.float32]:
         """Some rows of T, with background: (len(index), N) float32."""
         values = self.sparse[index].toarray() + self.background[index] @ self.pooling
         return np.asarray(values, np.float32)
-
-    def dense_columns(self, index: NDArray[np.integer]) -> NDArray[np.float32]:
-        """Some columns of T, with background: (M, len(index)) float32."""
-        pooled = self.pooling[:, index].toarray()
-        return np.asarray(self.sparse[:, index].toarray() + self.background @ pooled, np.float32)
 
     def crop(self, region: Region) -> LightTransport:
         """The light transport of a rectangle of camera pixels."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -16,6 +17,7 @@ from lightmatrix.errors import InputError
 from lightmatrix.files.numpy_files import as_float32
 from lightmatrix.patterns.pattern_set import grid_cells
 from lightmatrix.ranges import check_finite, check_seed, check_type, check_whole, real_array, whole
+from lightmatrix.transport.sparse_rows import SparseRows
 
 # How a matrix is given where something else was, in messages.
 HOW_TO_GIVE = (
@@ -133,18 +135,63 @@ class TransportOperator(Operator):
         """The shapes of the camera and of the projector."""
         return self.camera_shape, self.projector_shape
 
+    @property
+    def sizes(self) -> str:
+        """Both shapes in words."""
+        camera, projector = (" x ".join(map(str, shape)) for shape in self.image_shapes)
+        return f"camera {camera}, projector {projector}"
+
     @cached_property
     def pooling(self) -> csr_array:
         """The operator m: means over the cells of the background grid, (B, N)."""
         return cell_means(self.projector_shape, self.background_grid)
 
     @abstractmethod
-    def multiplied_transposed(self, vectors: NDArray[Any]) -> NDArray[Any]:
-        """The product of the transpose with (M,) or (M, k) vectors, (N,) or (N, k)."""
+    def blocks(self) -> Iterator[tuple[int, SparseRows]]:
+        """All rows in blocks of bounded size: (first row, rows)."""
 
     @abstractmethod
+    def some_rows(self, start: int, stop: int) -> SparseRows:
+        """Some rows, whose diagnostics may be missing."""
+
+    def multiplied(self, vectors: NDArray[Any]) -> NDArray[Any]:
+        """T p for (N, k) vectors p, block by block."""
+        pooled = self.pooling @ vectors
+        light = np.empty((self.shape[0], *vectors.shape[1:]), vectors.dtype)
+        for start, block in self.blocks():
+            part = block.coefficients @ vectors + block.background @ pooled
+            light[start : start + block.count] = part
+        return light
+
+    def multiplied_transposed(self, vectors: NDArray[Any]) -> NDArray[Any]:
+        """T' c for (M,) or (M, k) vectors c, block by block, added in double precision."""
+        image = np.zeros((self.shape[1], *vectors.shape[1:]))
+        diffuse = np.zeros((math.prod(self.background_grid), *vectors.shape[1:]))
+        for start, block in self.blocks():
+            part = vectors[start : start + block.count]
+            image += block.coefficients.T @ part
+            diffuse += block.background.T @ part
+        return np.asarray(image + self.pooling.T @ diffuse, vectors.dtype)
+
     def dense_columns(self, index: NDArray[np.integer]) -> NDArray[np.float32]:
         """Some columns of T, with background: (M, len(index)) float32."""
+        pooled = self.pooling[:, index].toarray()
+        columns = np.empty((self.shape[0], len(index)), np.float32)
+        for start, block in self.blocks():
+            values = block.coefficients[:, index].toarray() + block.background @ pooled
+            columns[start : start + block.count] = values
+        return columns
+
+    def row(self, *camera_index: int) -> NDArray[np.float32]:
+        """One row of T as a projector image: how much each pixel lights one camera sample.
+
+        `camera_index` is the row, the column and, for a colour camera, the channel. Raises
+        InputError if the camera has no such sample.
+        """
+        index = self.row_number(camera_index)
+        row = self.some_rows(index, index + 1)
+        values = row.coefficients.toarray() + row.background @ self.pooling
+        return np.asarray(values, np.float32).reshape(self.projector_shape)
 
     @property
     def T(self) -> Transposed:  # noqa: N802 - the name of a transpose in NumPy and SciPy

@@ -334,13 +334,7 @@ class StoredTransport(TransportOperator):
     _kept: dict[int, SparseRows] = field(default_factory=dict, repr=False)
 
     def __repr__(self) -> str:
-        camera, projector = (
-            " x ".join(map(str, shape)) for shape in (self.camera_shape, self.projector_shape)
-        )
-        return (
-            f"StoredTransport({self.place}, camera {camera}, projector {projector}, "
-            f"{self.entries} entries)"
-        )
+        return f"StoredTransport({self.place}, {self.sizes}, {self.entries} entries)"
 
     @classmethod
     def open(cls, path: str | Path, *, memory: int = 1 << 30, remedy: str = _RESTORE) -> Self:
@@ -430,7 +424,7 @@ class StoredTransport(TransportOperator):
             raise InputError(
                 f"rows {start} to {stop} of a matrix of {self.shape[0]}", hint="ask for its rows"
             )
-        return replace(self._rows(start, stop), diagnostics=self.diagnostics(start, stop))
+        return replace(self.some_rows(start, stop), diagnostics=self.diagnostics(start, stop))
 
     def sparse_rows(self, start: int, stop: int) -> csr_array:
         """Some rows without background and diagnostics, (stop - start, N) float32."""
@@ -444,7 +438,7 @@ class StoredTransport(TransportOperator):
                 (stop - start, self.shape[1]),
             )
 
-    def _rows(self, start: int, stop: int) -> SparseRows:
+    def some_rows(self, start: int, stop: int) -> SparseRows:
         """Rows without their diagnostics, which images do not need."""
         return SparseRows(self.sparse_rows(start, stop), self.background(start, stop))
 
@@ -514,41 +508,6 @@ class StoredTransport(TransportOperator):
                 self.provenance,
             )
 
-    def multiplied(self, vectors: NDArray[Any]) -> NDArray[Any]:
-        """T p for (N, k) vectors, read block by block."""
-        pooled = self.pooling @ vectors
-        light = np.empty((self.shape[0], vectors.shape[1]), vectors.dtype)
-        for start, block in self.blocks():
-            part = block.coefficients @ vectors + block.background @ pooled
-            light[start : start + block.count] = part
-        return light
-
-    def multiplied_transposed(self, vectors: NDArray[Any]) -> NDArray[Any]:
-        """T' c for (M,) or (M, k) vectors, read block by block and added in double precision."""
-        image = np.zeros((self.shape[1], *vectors.shape[1:]))
-        diffuse = np.zeros((math.prod(self.background_grid), *vectors.shape[1:]))
-        for start, block in self.blocks():
-            part = vectors[start : start + block.count]
-            image += block.coefficients.T @ part
-            diffuse += block.background.T @ part
-        return np.asarray(image + self.pooling.T @ diffuse, vectors.dtype)
-
-    def row(self, *camera_index: int) -> NDArray[np.float32]:
-        """How each projector pixel reaches one camera sample, as a projector image."""
-        index = self.row_number(camera_index)
-        row = self._rows(index, index + 1)
-        values = row.coefficients.toarray() + row.background @ self.pooling
-        return np.asarray(values, np.float32).reshape(self.projector_shape)
-
-    def dense_columns(self, index: NDArray[np.integer]) -> NDArray[np.float32]:
-        """Chosen columns of T, background included: (M, len(index)) float32."""
-        pooled = self.pooling[:, index].toarray()
-        columns = np.empty((self.shape[0], len(index)), np.float32)
-        for start, block in self.blocks():
-            values = block.coefficients[:, index].toarray() + block.background @ pooled
-            columns[start : start + block.count] = values
-        return columns
-
     @cached_property
     def _indptr(self) -> NDArray[np.int64]:
         with as_damage_error(self.place, self.remedy):
@@ -565,7 +524,7 @@ class StoredTransport(TransportOperator):
         kept = self._kept.get(start)
         if kept is not None:
             return kept
-        block = self._rows(start, stop)
+        block = self.some_rows(start, stop)
         # The first blocks stay: going through all blocks in order, replacing the oldest would
         # always remove the one that is needed next.
         if sum(map(_bytes, self._kept.values())) + _bytes(block) <= self.memory:

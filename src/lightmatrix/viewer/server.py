@@ -121,13 +121,10 @@ def _header(scope: dict[str, Any], name: bytes) -> list[str]:
 Receive = Callable[[], Awaitable[dict[str, Any]]]
 Send = Callable[[dict[str, Any]], Awaitable[None]]
 
-# Windows that may be open at once. More are turned away, so that a broken page cannot use up
-# sockets.
-MOST_SOCKETS = 16
 # Seconds between two looks at the store.
 _WATCH_SECONDS = 1.0
-# WebSocket's codes for "you broke the rules" and "come again later".
-_VIOLATION, _TRY_LATER = 1008, 1013
+# WebSocket's code for "you broke the rules".
+_VIOLATION = 1008
 _BINARY, _TEXT = "application/octet-stream", "text/plain; charset=utf-8"
 
 
@@ -136,7 +133,6 @@ class Answers:
 
     def __init__(self, scene: Scene, guard: Guard) -> None:
         self._scene, self._guard = scene, guard
-        self._sockets = 0
 
     async def __call__(self, scope: dict[str, Any], receive: Receive, send: Send) -> None:
         path = self._guard.inner_path(scope)
@@ -189,12 +185,6 @@ class Answers:
         if path != "socket":
             await send({"type": "websocket.close", "code": _VIOLATION})
             return
-        if self._sockets >= MOST_SOCKETS:
-            # The page learns the code only of a connection that was accepted.
-            await send({"type": "websocket.accept"})
-            await send({"type": "websocket.close", "code": _TRY_LATER})
-            return
-        self._sockets += 1
         watching = None
         try:
             await send({"type": "websocket.accept"})
@@ -204,7 +194,6 @@ class Answers:
             # The window was closed while it was being answered.
             return
         finally:
-            self._sockets -= 1
             if watching is not None:
                 watching.cancel()
 
@@ -318,6 +307,7 @@ def serve_viewer(
         # The socket listens already, so that whoever opens the page now is answered.
         if ready is not None:
             ready(guard.address)
+        http, ws = _protocols()
         config = uvicorn.Config(
             Answers(scene, guard),
             lifespan="off",
@@ -325,8 +315,9 @@ def serve_viewer(
             access_log=False,
             server_header=False,
             proxy_headers=False,
-            http="h11",
-            ws="websockets-sansio",
+            http=http,
+            ws=ws,
+            timeout_keep_alive=2,
             ws_max_size=scene.most_message,
             ws_per_message_deflate=False,
             # Seconds that open pages have to say goodbye after Ctrl-C.
@@ -336,6 +327,36 @@ def serve_viewer(
             uvicorn.Server(config).run(sockets=[listening])
     # Only Ctrl-C ends the server. The event loop may have swallowed its KeyboardInterrupt.
     raise KeyboardInterrupt
+
+
+def _protocols() -> tuple[type, type]:
+    """What uvicorn speaks with clients, so that none of them costs the server much."""
+    from uvicorn.protocols.http.h11_impl import H11Protocol
+    from uvicorn.protocols.websockets.websockets_sansio_impl import WebSocketsSansIOProtocol
+
+    class Http(H11Protocol):
+        """Closes connections that ask for nothing, as it does after each answer."""
+
+        def connection_made(self, transport: Any) -> None:
+            super().connection_made(transport)
+            self.timeout_keep_alive_task = self.loop.call_later(
+                self.timeout_keep_alive, self.timeout_keep_alive_handler
+            )
+
+    class WebSocket(WebSocketsSansIOProtocol):
+        """Reads nothing more from a client that does not read its answers, such as pongs."""
+
+        def data_received(self, data: bytes) -> None:
+            super().data_received(data)
+            if not self.writable.is_set() and not self.transport.is_closing():
+                self.transport.pause_reading()
+
+        def resume_writing(self) -> None:
+            super().resume_writing()
+            if not self.read_paused:
+                self.transport.resume_reading()
+
+    return Http, WebSocket
 
 
 def _bound(port: int) -> socket.socket:

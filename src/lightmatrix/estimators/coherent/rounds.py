@@ -37,7 +37,7 @@ from lightmatrix.estimators.coherent.row_errors import (
 )
 from lightmatrix.estimators.coherent.row_solver import RowSolver, coherent_row_bytes
 from lightmatrix.estimators.coherent.schedule import GROWTH, Round
-from lightmatrix.estimators.work import TILE_BYTES, ReadStep, SolveTile, cut_rows
+from lightmatrix.estimators.work import TILE_BYTES, ReadStep, SolveTile, Work, cut_rows
 from lightmatrix.resources.threads import computed_once, core_threads
 from lightmatrix.solvers.loop import Progress
 from lightmatrix.solvers.problem import Result
@@ -90,7 +90,7 @@ _MISSED, _SEEN = "missed", "seen"
 
 
 @dataclass(frozen=True)
-class Rounds:
+class Rounds(Work):
     """The work of a `CoherentEstimator`."""
 
     solver: RowSolver
@@ -100,8 +100,7 @@ class Rounds:
     _latest: dict[int, Neighbourhood] = field(default_factory=dict, init=False, repr=False)
 
     @property
-    def capture(self) -> Capture:
-        """The capture that T is estimated from."""
+    def capture(self) -> Capture:  # type: ignore[override]
         return self.solver.capture
 
     @property
@@ -115,7 +114,6 @@ class Rounds:
         return steps | {HELD_OUT: (names[-1],), ROWS: (names[-1], HELD_OUT)}
 
     def tiles(self, step: str, parts: int = 1) -> Iterator[Span]:
-        """The rows start..stop of the tiles of a step, in order."""
         row_bytes = coherent_row_bytes(self.capture.count, self.solver.candidates)
         most = max(1, (self.tile_rows or TILE_BYTES // row_bytes) // self.together)
         return cut_rows(self._grid(self._number(step)).count, most, parts)

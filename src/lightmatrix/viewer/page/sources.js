@@ -35,12 +35,10 @@ export class ServerSource {
     socket.onopen = () => { for (const message of this.#waiting.splice(0)) socket.send(message); };
     socket.onmessage = ({ data }) => { if (typeof data === "string") viewer.notice(JSON.parse(data).notice); else this.line.receive(data); };
     const left = viewer.matrix.remote ? "Painting needs it" : "What is on this page still works";
-    // WebSocket's codes for "come again later" and "you broke the rules".
-    const why = {
-      1013: `The server serves no more windows. ${left}; close another window and reload this one for the rest.`,
-      1008: `The server did not understand this page. ${left}; reload it for the rest.`,
-    };
-    socket.onclose = ({ code }) => viewer.notice(why[code] ?? `The server has ended. ${left}; start \`lightmatrix view\` again for the rest.`);
+    // 1008 is WebSocket's code for "you broke the rules".
+    socket.onclose = ({ code }) => viewer.notice(code === 1008
+      ? `The server did not understand this page. ${left}; reload it for the rest.`
+      : `The server has ended. ${left}; start \`lightmatrix view\` again for the rest.`);
   }
 }
 
