@@ -189,6 +189,8 @@ def check_code_order(lattice: CodeLattice, name: Name) -> list[Finding]:
     for order, describe in _orders(count):
         # Pixels that cannot be read may lie beside the projector's image: they tell nothing.
         gain = np.where(read, plain - lattice.costs(order, known), 0)
+        # Stray light differs a little from frame to frame, which many pixels show alike.
+        gain[np.abs(gain) < 0.05] = 0
         total = float(gain.sum())
         if total > best and total > _CERTAIN * float(np.sqrt((gain**2).sum())):
             best, best_order, found = total, order, describe(name)
