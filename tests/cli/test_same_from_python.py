@@ -236,7 +236,7 @@ def test_show(
     monkeypatch.chdir(tmp_path / "shown")
     camera = np.array([[10.0, 0, 5, 0], [0, 10, 5, 0], [0, 0, 1, 0]])
     projector = np.array([[10.0, 0, 4, 5], [0, 10, 4, 0], [0, 0, 1, 0]])
-    rig = lm.RigGeometry.from_matrices(camera, projector, (12, 11), (8, 8))
+    rig = lm.RigGeometry(camera, projector, (12, 11), (8, 8))
     rig.save("../rig.json")
     printed = _run(f"show {work}/scene.zarr {words}", capsys)
     assert printed == {"output": words.split()[-1], "view": view}
