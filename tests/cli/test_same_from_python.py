@@ -236,7 +236,7 @@ def test_show(
     monkeypatch.chdir(tmp_path / "shown")
     camera = np.array([[10.0, 0, 5, 0], [0, 10, 5, 0], [0, 0, 1, 0]])
     projector = np.array([[10.0, 0, 4, 5], [0, 10, 4, 0], [0, 0, 1, 0]])
-    rig = lm.RigGeometry.from_matrices(camera, projector, (12, 11), (8, 8))
+    rig = lm.RigGeometry(camera, projector, (12, 11), (8, 8))
     rig.save("../rig.json")
     printed = _run(f"show {work}/scene.zarr {words}", capsys)
     assert printed == {"output": words.split()[-1], "view": view}
@@ -542,8 +542,8 @@ def test_every_command_is_compared_with_its_function() -> None:
     # The folders of these names are not in the way of the functions take_capture and make_patterns;
     # the folder calibration is of responses too, so that its function is calibrate_rig.
     # One command for cameras and projectors, which are two functions; one for a page that is served
-    # and a page that is written.
-    named_otherwise = {"info", "patterns", "calibrate", "capture", "response", "view"}
+    # and a page that is written. A function called map would hide Python's.
+    named_otherwise = {"info", "patterns", "calibrate", "capture", "response", "view", "map"}
     assert commands == {name for name in dir(lm) if name in commands} | named_otherwise
 
 

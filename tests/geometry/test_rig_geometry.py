@@ -88,7 +88,7 @@ def test_matrices_of_any_scale_and_world_frame(seed: int, factor: float) -> None
     world = np.eye(4)
     world[:3, :3] = Rotation.random(rng=seed).as_matrix()
     world[:3, 3] = np.random.default_rng(seed).normal(0, 500, 3)
-    moved = lm.RigGeometry.from_matrices(
+    moved = lm.RigGeometry(
         factor * own.camera_matrix @ world,
         -factor * own.projector_matrix @ world,
         own.camera_shape,
@@ -223,7 +223,7 @@ def test_other_files_are_refused(tmp_path: Path, text: str, message: str) -> Non
 def test_impossible_rigs_are_refused() -> None:
     good, shape = np.eye(3, 4), (4, 4)
     other = np.hstack([np.eye(3), [[1], [0], [0]]])
-    geometry = lm.RigGeometry.from_matrices(good, other, shape, shape)
+    geometry = lm.RigGeometry(good, other, shape, shape)
     for camera, projector, size, message in (
         (good, 2 * good, shape, "same centre"),
         (np.diag([1, 1, 0, 1])[:3], other, shape, "singular"),
@@ -231,7 +231,7 @@ def test_impossible_rigs_are_refused() -> None:
         (good, other, (4, 0), "an image of the camera"),
     ):
         with pytest.raises(lm.InputError, match=message):
-            lm.RigGeometry.from_matrices(camera, projector, size, shape)
+            lm.RigGeometry(camera, projector, size, shape)
     turn = 2 * np.eye(3)
     with pytest.raises(lm.InputError, match="no rotation"):
         lm.RigGeometry.from_intrinsics(np.eye(3), np.eye(3), turn, [1, 0, 0], shape, shape)

@@ -104,7 +104,7 @@ def test_the_commands_of_a_page_work(
     quick(capture, output="scene.zarr")
     camera = np.array([[30.0, 0, 16, 0], [0, 30, 12, 0], [0, 0, 1, 0]])
     projector = np.array([[30.0, 0, 16, -9], [0, 30, 16, 0], [0, 0, 1, 0]])
-    lm.RigGeometry.from_matrices(camera, projector, (24, 32), (32, 32)).save("geometry.json")
+    lm.RigGeometry(camera, projector, (24, 32), (32, 32)).save("geometry.json")
     if name == "colour":
         _in_colour(capture)
         ProceduralScene((12, 12), (12, 12), seed=1).truth().save(Path("small.npz"))

@@ -118,7 +118,10 @@ def undistort(points: NDArray[np.float64], lens: NDArray[np.float64]) -> NDArray
             seen, (xx, xy, yy) = _seen(ideal, lens)
             dx, dy = (points - seen).T
             determinant = xx * yy - xy**2
-            ideal += np.column_stack([yy * dx - xy * dy, xx * dy - xy * dx]) / determinant[:, None]
+            step = np.column_stack([yy * dx - xy * dy, xx * dy - xy * dx]) / determinant[:, None]
+            ideal += step
+            if not (np.abs(step) > 1e-9).any():
+                break
         seen, (xx, xy, yy) = _seen(ideal, lens)
         # The lens leads back to within a thousandth of a pixel at a focal length of 10,000 pixels.
         # Where the determinant is negative, it has folded the image over.
@@ -384,10 +387,10 @@ class RigGeometry:
 
     Parameters
     ----------
-    camera_matrix : (3, 4) float64
+    camera_matrix : (3, 4) array-like
         Projection of the camera, K [R | t]: (X, Y, Z, 1) to w (col, row, 1) without distortion. It
         is scaled so that w is the distance along the camera's axis, and positive in front of it.
-    projector_matrix : (3, 4) float64
+    projector_matrix : (3, 4) array-like
         The same of the projector.
     camera_shape, projector_shape : (rows, cols)
         Size of their images in pixels.
@@ -412,7 +415,7 @@ class RigGeometry:
     >>> import lightmatrix as lm
     >>> camera = [[100, 0, 32, 0], [0, 100, 32, 0], [0, 0, 1, 0]]
     >>> projector = [[100, 0, 32, -50], [0, 100, 32, 0], [0, 0, 1, 0]]
-    >>> rig = lm.RigGeometry.from_matrices(camera, projector, (64, 64), (64, 64))
+    >>> rig = lm.RigGeometry(camera, projector, (64, 64), (64, 64))
     >>> rig.triangulate([[42, 32]], [[32, 32]]).round(6).tolist()
     [[0.5, 0.0, 5.0]]
     """
@@ -447,36 +450,6 @@ class RigGeometry:
             )
 
     @classmethod
-    def from_matrices(
-        cls,
-        camera: ArrayLike,
-        projector: ArrayLike,
-        camera_shape: Shape,
-        projector_shape: Shape,
-        *,
-        units: str | None = None,
-    ) -> Self:
-        """The geometry of a rig without distortion, from two projection matrices.
-
-        Parameters
-        ----------
-        camera, projector : (3, 4) array-like
-            Each leads from (X, Y, Z, 1) to (col, row, 1) up to a factor, with pixel centres at
-            whole numbers. Both share one world frame, which is kept.
-        camera_shape, projector_shape : (rows, cols)
-            Size of their images in pixels.
-        units : str, optional
-            Unit of length.
-
-        Returns
-        -------
-        RigGeometry
-            Errors are those of the class.
-        """
-        matrices = np.asarray(camera), np.asarray(projector)
-        return cls(*matrices, camera_shape, projector_shape, units=units)
-
-    @classmethod
     def from_intrinsics(
         cls,
         camera_intrinsics: ArrayLike,
@@ -499,14 +472,8 @@ class RigGeometry:
             K of camera and projector.
         rotation, translation : (3, 3) and (3,) array-like
             They lead from the camera's frame to the projector's: x_projector = R x_camera + t.
-        camera_shape, projector_shape : (rows, cols)
-            Size of their images in pixels.
-        camera_distortion, projector_distortion : (5,) array-like
-            Coefficients of their lenses; those that are left out are 0.
-        units : str, optional
-            Unit of `translation`.
-        rms : mapping, optional
-            Residuals of the calibration, in pixels.
+        camera_shape, projector_shape, camera_distortion, projector_distortion, units, rms
+            As in the class; coefficients of distortion that are left out are 0.
 
         Returns
         -------
