@@ -109,8 +109,9 @@ docs: $(VENV)/.docs-installed ## build the documentation in site/; warnings are 
 gallery: test-install ## run the examples, which draw docs/images/gallery
 	$(BIN)/python tools/gallery.py
 
-screenshots: test-install ## photograph the demo's report for docs/images; needs a Chromium
+screenshots: test-install ## photograph the demo's report and the viewer for docs/images; needs a Chromium
 	$(BIN)/python tools/report_screenshots.py
+	$(BIN)/python tools/viewer_screenshots.py
 
 # RUSTFLAGS is empty, so that the wheel runs on every processor of this system. The core chooses
 # faster instructions at run time.

@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from PIL import ExifTags, Image
+from scipy.ndimage import gaussian_filter
 
 import lightmatrix as lm
 from benchmarks import frame_checks
@@ -25,6 +26,7 @@ from lightmatrix.check.all_checks import (
 from lightmatrix.check.finding import KINDS, Finding, join_names
 from lightmatrix.check.survey import Survey
 from lightmatrix.cli import main
+from lightmatrix.files.images import decode_image, encode_image
 from lightmatrix.files.stacks import ImageStack
 from lightmatrix.patterns.bits import BernoulliPatterns
 from lightmatrix.patterns.hadamard import HadamardPatterns
@@ -135,6 +137,28 @@ def test_colour_is_left_alone() -> None:
     grey = photographs(PATTERNS)
     colour = np.rint(grey[..., None] * np.array([1, 0.8, 0.5])).astype(np.uint8)
     assert found(colour) == []
+
+
+def test_jpeg_of_light_that_holds_to_a_hundredth_is_no_flicker() -> None:
+    gain = 1 + 0.01 * np.random.default_rng(0).standard_normal(K)
+    files = [encode_image(frame, "jpeg", quality=92) for frame in photographs(PATTERNS, gain=gain)]
+    assert {kind for kind, _ in found(np.stack([decode_image(file) for file in files]))} <= {"jpeg"}
+
+
+def test_exact_mixtures_of_twelve_lights_are_left_alone() -> None:
+    """Photographs under each of a few lamps, which all camera pixels see, added up."""
+    generator, shape = np.random.default_rng(0), (24, 32)
+    slope = gaussian_filter(generator.normal(size=(2, *shape)), (0, 3, 3)).reshape(2, -1)
+    normals = np.vstack([slope / slope.std(), np.ones(slope.shape[1])])
+    angles = np.arange(12) * np.pi / 6
+    lamps = np.stack([np.cos(angles), np.sin(angles), np.full(12, 1.5)], axis=1)
+    lit = np.maximum(lamps @ (normals / np.linalg.norm(normals, axis=0)), 0)
+    lit += 0.005 * generator.standard_normal(lit.shape)
+    for count in (24, 48):
+        patterns = BernoulliPatterns((3, 4), count, seed=count)
+        mixed = patterns.rows(0, count) @ lit
+        frames = np.rint(230 * np.clip(mixed / mixed.max(), 0, 1)).astype(np.uint8)
+        assert found(frames.reshape(count, *shape), patterns) == []
 
 
 # ---- the bundled scenes

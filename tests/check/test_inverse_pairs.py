@@ -9,8 +9,9 @@ import pytest
 from numpy.typing import NDArray
 
 import lightmatrix as lm
+from lightmatrix.capture.samples import Samples
 from lightmatrix.check.frame_order import missing_places
-from lightmatrix.check.inverse_pairs import Pairs
+from lightmatrix.check.inverse_pairs import Pairs, PairSums
 from lightmatrix.check.survey import Survey
 from lightmatrix.patterns.bits import BernoulliPatterns
 from lightmatrix.patterns.pattern_set import ImagePatterns
@@ -122,3 +123,12 @@ def test_a_missing_frame_is_named_with_its_inverse_at_most(place: int) -> None:
     named = missing_places(replace(survey, patterns=PATTERNS))
     assert place in named
     assert set(named) <= {place, place ^ 1}
+
+
+def test_a_pair_of_which_one_always_clips_is_not_odd() -> None:
+    values = np.ones((3, 4), np.float32)
+    samples = Samples(
+        values, np.broadcast_to(np.arange(4) == 0, (3, 4)), np.full((3, 1), 2, np.float32)
+    )
+    sums = PairSums(((0, 1), (2, 3)), samples)
+    assert sums.odd == []

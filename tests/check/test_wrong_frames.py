@@ -190,3 +190,10 @@ def test_light_that_varies_in_all_frames_or_in_one() -> None:
     assert findings(change / 2) == findings(change, error=0.05) == []
     found = check_flicker(change, np.full(12, 0.001), np.arange(12), NAMES)
     assert "in frame 7 (+5 %)" in found[0].message
+
+
+def test_few_frames_predict_each_other_less_exactly() -> None:
+    change = np.where(np.arange(12) == 7, 0.05, 0.0)
+    for slack, found in ((1.0, 1), (1.33, 0)):
+        frames = np.arange(12)
+        assert len(check_flicker(change, np.full(12, 0.001), frames, NAMES, slack)) == found

@@ -384,7 +384,11 @@ def _check_by_prediction(
     both = wrong & wrong_frames(first.rows(first.predicted), LIKELY)
     findings += check_frames(prediction, both & ~displaced, names)
     right = np.flatnonzero(~wrong & ~displaced)
-    findings += check_flicker(*brightness_changes(prediction.frames(right)), right, names)
+    # Few frames predict each other less exactly: without flicker, 16 deviated by up to 1.8 % in
+    # all, and one of 24 by 5.2 %.
+    slack = max(1.0, 32 / max(len(right), 1))
+    changes = brightness_changes(prediction.frames(right))
+    findings += check_flicker(*changes, right, names, slack)
     if light:
         steady = not any(each.kind == "flicker" for each in findings)
         judge_light = check_grey_levels if survey.greys else check_linearity

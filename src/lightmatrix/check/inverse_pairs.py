@@ -87,7 +87,9 @@ class PairSums:
     def oddness(self, j: int, k: int) -> float:
         """How far two frames are from adding up to white, as a share of it."""
         relative = (self.sum_of(j, k) - self.usual) / np.maximum(self.usual, 1e-6)
-        return float(np.sqrt(np.nanmean(np.clip(relative, -1, 1) ** 2)))
+        # Where one of the two clips in all pixels, nothing is known.
+        known = np.clip(relative[~np.isnan(relative)], -1, 1)
+        return float(np.sqrt((known**2).sum() / max(len(known), 1)))
 
     @cached_property
     def limit(self) -> float:

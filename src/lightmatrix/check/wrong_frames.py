@@ -141,14 +141,18 @@ def check_flicker(
     error: NDArray[np.float64],
     frames: NDArray[np.int64],
     names: Sequence[str],
+    slack: float = 1.0,
 ) -> list[Finding]:
-    """Whether some of the `frames` (k,), or all, change by more than their `error` (k,)."""
+    """Whether some of the `frames` (k,), or all, change by more than their `error` (k,).
+
+    The least change that is named is in proportion to `slack`.
+    """
     if len(change) < 4:
         return []
     certain = np.abs(change) > _CERTAIN * error
     usual = robust_deviation(change)
     # A standard deviation of the light of up to 1.2 % does no harm.
-    if usual > 0.012 and certain.mean() > 0.3:
+    if usual > 0.012 * slack and certain.mean() > 0.3:
         worst = int(np.argmax(np.abs(change)))
         spread = float(np.sqrt(np.mean(np.clip(change, -4 * usual, 4 * usual) ** 2)))
         message = (
@@ -161,7 +165,7 @@ def check_flicker(
             "if the exposures differed, state them"
         )
         return [Finding("flicker", (), message, advice)]
-    odd = np.flatnonzero(certain & (np.abs(change) > max(0.04, 6 * usual)))
+    odd = np.flatnonzero(certain & (np.abs(change) > max(0.04 * slack, 6 * usual)))
     if not len(odd):
         return []
     words = [f"{names[frames[k]]} ({100 * change[k]:+.0f} %)" for k in odd]
