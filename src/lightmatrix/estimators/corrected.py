@@ -89,16 +89,16 @@ def corrected(
         # Moved pictures are known better by a better T, also where their numbers are right.
         if not (better or others) and now.correction and now.correction.added is not None:
             better = model
-        if better and model.names and others and better.values.keys() == model.values.keys():
-            break
+        # Whether terms are there that were not known.
+        more = better is not None and better.values.keys() != model.values.keys()
         left = 1.0
         if better is not None:
             without = better.corrected(capture, best)
             transport = estimate(without)
             left = _missed(transport) / max(_missed(best), 1e-12)
-            if left <= (_CLEARLY if number and others else _BETTER):
+            if left <= (_CLEARLY if number and more else _BETTER):
                 model, best, now = better, transport, without
-        if left > _CLEARLY and others:
+        if left > _BETTER and others:
             break
         others = left > _CLEARLY or (number == 0 and torn is not None)
     # A T that other faults have blurred looks as if the camera sharpened what it shows.
