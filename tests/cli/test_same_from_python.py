@@ -542,8 +542,8 @@ def test_every_command_is_compared_with_its_function() -> None:
     # The folders of these names are not in the way of the functions take_capture and make_patterns;
     # the folder calibration is of responses too, so that its function is calibrate_rig.
     # One command for cameras and projectors, which are two functions; one for a page that is served
-    # and a page that is written.
-    named_otherwise = {"info", "patterns", "calibrate", "capture", "response", "view"}
+    # and a page that is written. A function called map would hide Python's.
+    named_otherwise = {"info", "patterns", "calibrate", "capture", "response", "view", "map"}
     assert commands == {name for name in dir(lm) if name in commands} | named_otherwise
 
 

@@ -17,9 +17,8 @@ from lightmatrix.cli.terminal import (
     say,
     show_json,
 )
-from lightmatrix.defaults import RIG_FILE, USUAL_PATIENCE
+from lightmatrix.defaults import RIG_FILE, USUAL_PATIENCE, VIDEOS
 from lightmatrix.errors import InputError
-from lightmatrix.files.extras import VIDEOS
 
 
 class Fit(StrEnum):
