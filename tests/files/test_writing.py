@@ -381,7 +381,7 @@ def test_what_another_thread_still_writes_is_removed_too(tmp_path: Path) -> None
         place.mkdir(parents=True, exist_ok=True)
         (place / "zarr.json").touch()
 
-    with pytest.raises(KeyboardInterrupt), atomic_folder(tmp_path / "new", CAPTURE) as part:
+    with suppress(KeyboardInterrupt), atomic_folder(tmp_path / "new", CAPTURE) as part:
         thread = threading.Thread(target=write, args=(part / "data",))
         thread.start()
         raise KeyboardInterrupt
