@@ -41,8 +41,8 @@ $(VENV)/.docs-installed: $(VENV)/.installed
 
 install: $(VENV)/.installed ## build lightmatrix into .venv
 
-demo: install ## run the demo; then open report/report.html
-	$(BIN)/lightmatrix demo -o report --overwrite
+demo: install ## run the demo; then open demo/report.html
+	$(BIN)/lightmatrix demo -o demo --overwrite
 
 test-install: $(VENV)/.test-installed
 
@@ -109,8 +109,9 @@ docs: $(VENV)/.docs-installed ## build the documentation in site/; warnings are 
 gallery: test-install ## run the examples, which draw docs/images/gallery
 	$(BIN)/python tools/gallery.py
 
-screenshots: test-install ## photograph the demo's report for docs/images; needs a Chromium
+screenshots: test-install ## photograph the demo's report and the viewer for docs/images; needs a Chromium
 	$(BIN)/python tools/report_screenshots.py
+	$(BIN)/python tools/viewer_screenshots.py
 
 # RUSTFLAGS is empty, so that the wheel runs on every processor of this system. The core chooses
 # faster instructions at run time.
@@ -150,4 +151,4 @@ system-deps: ## install optional system packages: LLVM, a browser, screens, came
 	bash tools/system-deps.sh
 
 clean: ## remove everything that make made
-	rm -rf $(VENV) target dist report site bench-out experiments-out mutants-out src/lightmatrix/_core*.so
+	rm -rf $(VENV) target dist demo report site bench-out experiments-out mutants-out src/lightmatrix/_core*.so

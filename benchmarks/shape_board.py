@@ -118,7 +118,7 @@ def large_store(folder: Path) -> None:
     camera = np.array([[1000.0, 0, 511.5, 0], [0, 1000, 511.5, 0], [0, 0, 1, 0]])
     projector = camera.copy()
     projector[0, 3] = -20 * 4
-    lm.RigGeometry.from_matrices(camera, projector, shape, shape).save(folder / "rig.json")
+    lm.RigGeometry(camera, projector, shape, shape).save(folder / "rig.json")
 
 
 def large_map() -> None:

@@ -42,3 +42,5 @@ USUAL_SAMPLES = 16_384
 
 # The largest matrix that a page relights itself. Beyond it, a browser's tab needs gigabytes.
 PAGE_BYTES = 512 << 20
+# Endings of video files.
+VIDEOS = (".mp4", ".mov", ".m4v", ".mkv", ".webm", ".avi")

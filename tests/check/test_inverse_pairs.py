@@ -9,8 +9,9 @@ import pytest
 from numpy.typing import NDArray
 
 import lightmatrix as lm
+from lightmatrix.capture.samples import Samples
 from lightmatrix.check.frame_order import missing_places
-from lightmatrix.check.inverse_pairs import Pairs
+from lightmatrix.check.inverse_pairs import Pairs, PairSums
 from lightmatrix.check.survey import Survey
 from lightmatrix.patterns.bits import BernoulliPatterns
 from lightmatrix.patterns.pattern_set import ImagePatterns
@@ -94,10 +95,10 @@ def test_a_black_frame_and_one_that_shows_something_else_are_named() -> None:
 
 def test_light_that_changes_is_measured() -> None:
     gain = 1 + 0.05 * np.sin(1 + 1.3 * np.arange(K))
-    assert found(photographs(PATTERNS, exposure=0.5, gain=gain)) == [("flicker", ())]
+    assert found(photographs(PATTERNS, exposure=0.5, gain=gain)) == [("gain", ())]
     one = np.ones(K)
     one[4] = 1.1
-    assert found(photographs(PATTERNS, exposure=0.5, gain=one)) == [("flicker", (4,))]
+    assert found(photographs(PATTERNS, exposure=0.5, gain=one)) == [("gain", (4,))]
 
 
 @pytest.mark.parametrize("start", [8, 9])
@@ -122,3 +123,12 @@ def test_a_missing_frame_is_named_with_its_inverse_at_most(place: int) -> None:
     named = missing_places(replace(survey, patterns=PATTERNS))
     assert place in named
     assert set(named) <= {place, place ^ 1}
+
+
+def test_a_pair_of_which_one_always_clips_is_not_odd() -> None:
+    values = np.ones((3, 4), np.float32)
+    samples = Samples(
+        values, np.broadcast_to(np.arange(4) == 0, (3, 4)), np.full((3, 1), 2, np.float32)
+    )
+    sums = PairSums(((0, 1), (2, 3)), samples)
+    assert sums.odd == []

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -87,7 +88,7 @@ def test_matrices_of_any_scale_and_world_frame(seed: int, factor: float) -> None
     world = np.eye(4)
     world[:3, :3] = Rotation.random(rng=seed).as_matrix()
     world[:3, 3] = np.random.default_rng(seed).normal(0, 500, 3)
-    moved = lm.RigGeometry.from_matrices(
+    moved = lm.RigGeometry(
         factor * own.camera_matrix @ world,
         -factor * own.projector_matrix @ world,
         own.camera_shape,
@@ -222,7 +223,7 @@ def test_other_files_are_refused(tmp_path: Path, text: str, message: str) -> Non
 def test_impossible_rigs_are_refused() -> None:
     good, shape = np.eye(3, 4), (4, 4)
     other = np.hstack([np.eye(3), [[1], [0], [0]]])
-    geometry = lm.RigGeometry.from_matrices(good, other, shape, shape)
+    geometry = lm.RigGeometry(good, other, shape, shape)
     for camera, projector, size, message in (
         (good, 2 * good, shape, "same centre"),
         (np.diag([1, 1, 0, 1])[:3], other, shape, "singular"),
@@ -230,7 +231,7 @@ def test_impossible_rigs_are_refused() -> None:
         (good, other, (4, 0), "an image of the camera"),
     ):
         with pytest.raises(lm.InputError, match=message):
-            lm.RigGeometry.from_matrices(camera, projector, size, shape)
+            lm.RigGeometry(camera, projector, size, shape)
     turn = 2 * np.eye(3)
     with pytest.raises(lm.InputError, match="no rotation"):
         lm.RigGeometry.from_intrinsics(np.eye(3), np.eye(3), turn, [1, 0, 0], shape, shape)
@@ -240,3 +241,71 @@ def test_impossible_rigs_are_refused() -> None:
         geometry.scaled(camera=5)
     with pytest.raises(lm.InputError, match="crop"):
         geometry.cropped((2, 0), shape)
+
+
+@pytest.mark.parametrize(
+    ("camera", "words"),
+    [
+        (np.array([[900.0, 0, 0], [0, 900, 0], [320, 240, 1]]), "below its diagonal"),
+        (np.diag([8.0, 8, 1]), "focal lengths of 8 and 8"),
+        (np.diag([1.4, 1.4, 1]), "focal lengths of 1.4 and 1.4"),
+    ],
+    ids=["MATLAB", "millimetres", "normalised"],
+)
+def test_other_conventions_of_intrinsics_are_refused(camera: np.ndarray, words: str) -> None:
+    with pytest.raises(lm.InputError, match=words):
+        lm.RigGeometry.from_intrinsics(
+            camera, intrinsics(1100, (400, 500)), np.eye(3), [200, 0, 0], (480, 640), (600, 800)
+        )
+
+
+def test_a_geometry_of_other_images_needs_a_stated_bin() -> None:
+    whole = replace(rig(), camera_shape=(1024, 1280))
+    transport = lm.truth("metal").transport()
+    geometry = replace(whole, projector_shape=(64, 64))
+    with pytest.raises(lm.InputError, match="1024 x 1280 pixels, but these are of 64 x 64"):
+        lm.geometry_of(transport, geometry)
+    stated = {"capture_description": {"bin_camera": [16, 20]}}
+    assert lm.geometry_of(replace(transport, provenance=stated), geometry).camera_shape == (64, 64)
+
+
+def test_sizes_that_are_given_win_over_those_of_the_file(tmp_path: Path) -> None:
+    rig().save(tmp_path / "rig.json")
+    given = lm.RigGeometry.load(tmp_path / "rig.json", camera_shape=(240, 320))
+    assert given.camera_shape == (240, 320)
+    assert given.projector_shape == (600, 800)
+
+
+def test_files_of_slstudio_and_slmaster(tmp_path: Path) -> None:
+    cv2: Any = pytest.importorskip("cv2")
+    known = rig(3)
+    names = {
+        "slstudio.xml": ("Kc", "kc", "Kp", "kp", "Rp", "Tp"),
+        "slmaster.yml": ("M1", "D1", "M4", "D4", "Rlp", "Tlp"),
+    }
+    values = (
+        known.camera_intrinsics,
+        known.camera_distortion.reshape(5, 1),
+        known.projector_intrinsics,
+        known.projector_distortion.reshape(5, 1),
+        known.rotation,
+        known.translation.reshape(3, 1),
+    )
+    for file, keys in names.items():
+        storage = cv2.FileStorage(str(tmp_path / file), cv2.FILE_STORAGE_WRITE)
+        for key, value in zip(keys, values, strict=True):
+            storage.write(key, value)
+        if file == "slmaster.yml":
+            # Those of its second camera, and what else it keeps.
+            for key, value in (("M2", np.eye(3)), ("R", np.eye(3)), ("T", np.ones((3, 1)))):
+                storage.write(key, value)
+            storage.startWriteStruct("settings", cv2.FileNode_MAP)
+            storage.write("name", "left")
+            storage.endWriteStruct()
+        storage.release()
+        sizes = {"camera_shape": (480, 640), "projector_shape": (600, 800)}
+        read = lm.RigGeometry.load(tmp_path / file, **sizes)
+        np.testing.assert_allclose(read.camera_matrix, known.camera_matrix, rtol=1e-6, atol=1e-6)
+        np.testing.assert_allclose(read.camera_distortion, known.camera_distortion, atol=1e-9)
+        np.testing.assert_allclose(read.rotation, known.rotation, atol=1e-6)
+        np.testing.assert_allclose(read.translation, known.translation, atol=1e-4)

@@ -147,7 +147,7 @@ def test_names_in_a_notebook_are_text() -> None:
         transport.background,
         transport.camera_shape,
         transport.projector_shape,
-        provenance={"scene": "<script>"},
+        provenance={"estimator": "<script>"},
     )
     assert "<script>" not in odd._repr_html_()
     assert "&lt;script&gt;" in odd._repr_html_()

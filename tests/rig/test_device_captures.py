@@ -88,7 +88,7 @@ class ShownScene:
 
 def _captured(scene: ShownScene, camera: str, capsys: pytest.CaptureFixture[str]) -> lm.Capture:
     """The capture that one command makes, each frame that of its pattern."""
-    projector = f"folder:{scene.folder},size={PROJECTOR[1]}x{PROJECTOR[0]}"
+    projector = f"folder:{scene.folder},size={PROJECTOR[0]}x{PROJECTOR[1]}"
     with lm.open_rig(projector=projector, camera=camera) as rig:
         scene.known(rig).save("rig.json")
     words = f"capture --projector {projector} --camera {camera} -k {COUNT} -o capture "

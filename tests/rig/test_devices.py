@@ -51,7 +51,7 @@ def test_names_that_are_none() -> None:
 
 
 def test_a_rig_of_two_devices_is_opened_and_closed(tmp_path: Path) -> None:
-    shows, takes = f"folder:{tmp_path},size=8x6", f"watch:{tmp_path},exposure=1"
+    shows, takes = f"folder:{tmp_path},size=6x8", f"watch:{tmp_path},exposure=1"
     with open_rig(projector=shows, camera=takes) as rig:
         assert rig.projector.shape == (6, 8)
         assert rig.camera.exposure == 1
@@ -90,7 +90,7 @@ def test_what_is_there_is_listed(
     monkeypatch.setitem(sys.modules, "gi", None)
     assert main(["rig", "list"]) == 0
     output = capsys.readouterr().out
-    assert "window:1  DUMMY1, 800 x 600 at 85 Hz" in output
+    assert "window:1  DUMMY1, 600 x 800 at 85 Hz" in output
     assert "aravis cannot be used" in output.replace("Aravis", "aravis")
     assert "lightmatrix[aravis]" in output
     assert main(["rig", "list", "--json"]) == 0
@@ -114,7 +114,7 @@ def test_a_camera_that_gives_no_frames(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    devices = "--projector folder:show,size=8x6 --camera watch:.,exposure=0.01"
+    devices = "--projector folder:show,size=6x8 --camera watch:.,exposure=0.01"
     words = f"capture {devices} --patience 0.01 -o capture"
     assert main(words.split()) == 2
     errors = capsys.readouterr().err

@@ -28,7 +28,7 @@ class TestFolderProjector(ProjectorContract):
     @pytest.fixture
     def projector(self, tmp_path: Path) -> Iterator[Projector]:
         self._place = tmp_path / "to show"
-        projector = open_projector(f"folder:{self._place},size=64x48")
+        projector = open_projector(f"folder:{self._place},size=48x64")
         yield projector
         projector.close()
 
@@ -38,7 +38,7 @@ class TestFolderProjector(ProjectorContract):
 
 
 def test_a_viewer_never_sees_half_an_image(tmp_path: Path) -> None:
-    projector = open_projector(f"folder:{tmp_path},size=64x48")
+    projector = open_projector(f"folder:{tmp_path},size=48x64")
     stop = threading.Event()
     seen: list[int] = []
     wrong: list[BaseException] = []
@@ -77,7 +77,7 @@ def test_a_folder_without_a_size(
 def test_a_folder_that_cannot_be_written_to(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("in the way")
     with pytest.raises(OutputError, match="cannot be written"):
-        open_projector(f"folder:{tmp_path / 'file'},size=64x48")
+        open_projector(f"folder:{tmp_path / 'file'},size=48x64")
 
 
 class TestWatchedFolder(CameraContract):
@@ -187,7 +187,7 @@ def test_what_no_camera_takes(tmp_path: Path) -> None:
     write_image(tmp_path / "b.png", np.zeros(SHAPE, np.uint8))
     camera.get_image(2)
     write_image(tmp_path / "c.png", np.zeros(SHAPE[::-1], np.uint8))
-    with pytest.raises(DeviceError, match="is 48 x 64, the frames before were 64 x 48"):
+    with pytest.raises(DeviceError, match="is 64 x 48, the frames before were 48 x 64"):
         camera.get_image(2)
     (tmp_path / "notes.txt").write_text("no frame")
     (tmp_path / ".hidden.png").write_text("no frame")

@@ -14,6 +14,7 @@ import lightmatrix as lm
 from lightmatrix.cli import main
 from lightmatrix.errors import DeviceError
 from lightmatrix.rig.devices.base import Projector
+from lightmatrix.rig.rig import ProjectedPatterns
 
 RIG = "virtual:procedural,size=16,real=0"
 
@@ -61,7 +62,7 @@ def test_cells_colours_and_light() -> None:
     assert len(screen.images) == 1
     grey = np.sqrt(picture).repeat(2, axis=0).repeat(2, axis=1)
     assert np.abs(screen.images[0] / 255 - grey).max() < 0.003
-    with pytest.raises(lm.InputError, match="a picture of 8 x 10 pixels, for a projector of 8 x 6"):
+    with pytest.raises(lm.InputError, match="a picture of 10 x 8 pixels, for a projector of 6 x 8"):
         lm.project(screen, np.zeros((5, 4)), cell=2)
     with pytest.raises(lm.InputError, match="a photograph without a camera"):
         lm.project(screen, picture, photograph="seen.png")
@@ -119,3 +120,13 @@ def test_a_photograph_shows_what_the_camera_sees(
         == 0
     )
     np.testing.assert_array_equal(lm.read_image("f/shown.png"), np.rint(255 * picture))
+
+
+def test_portrait_patterns_on_a_landscape_projector_are_noted(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    words = f"patterns bernoulli -k 2 --size 8x6 -o {tmp_path}/p"
+    assert main(words.split()) == 0
+    assert "for a projector in portrait, 6 pixels wide" in capsys.readouterr().out
+    with pytest.warns(lm.LightMatrixWarning, match="8 rows by 6 columns, and the projector is"):
+        ProjectedPatterns(lm.read_patterns(tmp_path / "p"), (10, 16))

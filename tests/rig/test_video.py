@@ -18,7 +18,7 @@ from lightmatrix.rig.devices.window import open_window
 from .contract import CameraContract
 
 av = pytest.importorskip("av", reason="PyAV is missing: make test-install")
-OPTIONS = "format=x11grab,size=320x240,fps=100,exposure=0.01"
+OPTIONS = "format=x11grab,size=240x320,fps=100,exposure=0.01"
 
 
 class TestVideo(CameraContract):

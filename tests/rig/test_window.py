@@ -44,7 +44,7 @@ class TestWindow(ProjectorContract):
 def test_the_second_monitor_is_taken_where_there_is_one(two_screens: str) -> None:
     devices = find_windows()
     assert [device.address for device in devices] == ["window:0", "window:1"]
-    assert "DUMMY1, 800 x 600 at" in devices[1].description
+    assert "DUMMY1, 600 x 800 at" in devices[1].description
     for address in (Address("window"), Address("window", "DUMMY1")):
         window = open_window(address)
         assert (window.info()["monitor"], window.info()["name"]) == (1, "DUMMY1")

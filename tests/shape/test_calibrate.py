@@ -13,6 +13,7 @@ from scipy.spatial.transform import Rotation
 import lightmatrix as lm
 from lightmatrix.cli import main
 from lightmatrix.geometry.matches import fit_fundamental, fit_homography, moved, sampson
+from lightmatrix.shape import calibrate
 from lightmatrix.shape.calibrate import (
     BoardCorners,
     RigCalibration,
@@ -81,6 +82,44 @@ def test_corners_of_real_photographs_have_their_projector_pixels() -> None:
     assert inside.sum() == len(rows) * len(cols) >= 6
     lit = light_corners(seen[inside], lm.decode(capture), (len(cols), len(rows)))
     assert np.abs(lit.projector - known.projector[inside]).max() < 0.06
+
+
+def test_a_mirrored_real_board_is_found_by_its_homographies() -> None:
+    capture = lm.Capture.from_folders(DATA / "graycode_pattern", DATA / "capture_0")
+    matches = lm.decode(capture)
+    cols = matches.projector_shape[1] - 1  # type: ignore[index]
+    mirrored = (matches.place * [1, -1] + [0, cols]).astype(np.float32)
+    seen = real_corners()[0].camera - np.array([248.0, 592.0])
+    inside = ((seen > 20) & (seen < np.array([384, 280]) - 20)).all(axis=1)
+    grid = inside.reshape(7, 9)
+    board = int(grid.any(axis=0).sum()), int(grid.any(axis=1).sum())
+    assert light_corners(seen[inside], matches, board).mirrored == 0
+    turned = light_corners(seen[inside], replace(matches, place=mirrored), board)
+    assert turned.mirrored == 1
+
+
+def test_a_shifted_lens_above_the_camera_is_found() -> None:
+    """The axis of the projector passes far below its image."""
+    random = np.random.default_rng(0)
+    projector = np.array([[1920.0, 0, 639.5], [0, 1920, 1000], [0, 0, 1]])
+    rig = lm.RigGeometry.from_intrinsics(
+        np.array([[1400.0, 0, 640], [0, 1400, 512], [0, 0, 1]]),
+        projector,
+        Rotation.from_euler("x", 8, degrees=True).as_matrix(),
+        [0, 220.0, 15],
+        (1024, 1280),
+        (800, 1280),
+    )
+    board = board_points((9, 7), 40.0)
+    poses = []
+    for _ in range(5):
+        turn = Rotation.from_euler("xyz", random.uniform(-30, 30, 3), degrees=True).as_matrix()
+        points = (board - board.mean(axis=0)) @ turn.T + [*random.uniform(-60, 60, 2), 1400]
+        poses.append(BoardCorners(rig.project_camera(points), rig.project_projector(points)))
+    fit = fit_stereo(poses, board, (1024, 1280), (800, 1280))
+    found = fit.geometry.projector_intrinsics
+    np.testing.assert_allclose(found, projector, rtol=0.01, atol=2)
+    assert max(np.abs(each).max() for each in fit.projector_errors) < 0.05
 
 
 def test_homographies_survive_wrong_matches() -> None:
@@ -153,6 +192,53 @@ def test_poses_must_be_several_and_tilted(captures: list[SimulatedCapture]) -> N
     ):
         with pytest.raises(lm.InputError, match=message):
             lm.calibrate_rig(poses, board, square)
+
+
+def test_flipped_patterns_calibrate_as_mirrored(
+    captures: list[SimulatedCapture], usual: tuple[RigCalibration, Path]
+) -> None:
+    patterns = captures[0].patterns
+    mirrored = lm.ImagePatterns(patterns.images()[:, :, ::-1])
+    poses = [replace(each, patterns=mirrored) for each in captures]
+    with pytest.warns(lm.LightMatrixWarning, match="image mirrored"):
+        measured = lm.calibrate_rig(poses, BOARD, SQUARE, units="mm")
+    rig, plain = measured.geometry, usual[0].geometry
+    assert rig.projector_mirrored
+    assert rig.rms["stereo"] == pytest.approx(plain.rms["stereo"], abs=0.02)
+    assert rig.baseline == pytest.approx(plain.baseline, rel=0.01)
+    seen = np.array([[60.0, 50], [120, 90], [180, 130]])
+    points = plain.camera_rays(seen) * 900
+    lit = rig.project_projector(points)
+    there = plain.project_projector(points)
+    np.testing.assert_allclose(lit[:, 0], 191 - there[:, 0], atol=0.3)
+    np.testing.assert_allclose(rig.triangulate(seen, lit), points, rtol=0.01, atol=1)
+    # Binned, the columns that fill no block are cut off at the right.
+    small = rig.scaled(projector=5)
+    np.testing.assert_allclose(small.project_projector(points), (lit - 2) / 5, atol=1e-6)
+
+
+@pytest.mark.parametrize("exchanged", [False, True])
+def test_the_rms_has_absolute_limits(exchanged: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    poses, random = real_corners(), np.random.default_rng(0)
+    wrong = [
+        replace(
+            pose,
+            projector=poses[4 - k].projector
+            if exchanged
+            else pose.projector + random.normal(0, 1.2, pose.projector.shape),
+        )
+        for k, pose in enumerate(poses)
+    ]
+    names = [f"pose_{k}" for k in range(5)]
+    found = wrong, names, (CAMERA, PROJECTOR), dict[str, str]()
+    monkeypatch.setattr(calibrate, "_all_corners", lambda *_: found)
+    if exchanged:
+        with pytest.raises(lm.InputError, match="no geometry explains the corners"):
+            lm.calibrate_rig(names, (9, 7), SIDE)
+        return
+    with pytest.warns(lm.LightMatrixWarning, match="good calibrations reach 0.5"):
+        measured = lm.calibrate_rig(names, (9, 7), SIDE)
+    assert 1 < measured.geometry.rms["projector"] < 2.5
 
 
 def test_a_board_that_the_projector_does_not_light(captures: list[SimulatedCapture]) -> None:
@@ -272,10 +358,82 @@ def test_a_known_rig_is_found_whatever_its_lens_and_a_third_of_wrong_matches() -
     assert direction < 0.3
 
 
-def test_flat_scenes_are_refused() -> None:
+def true_depth(known: lm.Truth) -> np.ndarray:
+    assert known.depth is not None
+    return known.depth
+
+
+@pytest.mark.parametrize("name", ["corner", "l_objects", "metal", "gripper"])
+def test_an_axis_beside_the_middle_is_refused_unless_it_is_stated(name: str) -> None:
+    known = lm.truth(name)
+    assert known.geometry is not None
+    matches = lm.correspondence(known.transport())
+    camera = known.geometry.camera_intrinsics
+    with pytest.raises(lm.InputError, match="behind the camera or the projector") as refused:
+        lm.self_calibrate(matches, camera[0, 0])
+    assert "principal=COL,ROW" in (refused.value.hint or "")
+    axis = float(camera[0, 2]), float(camera[1, 2])
+    rig = lm.self_calibrate(matches, camera[0, 0], principal=axis, baseline=known.geometry.baseline)
+    shape = lm.triangulate(matches, rig)
+    assert np.nanmedian(np.abs(shape.depth / true_depth(known) - 1)) < 0.02
+    # The stated error of the focal length is the true one, to a factor of three.
+    assert abs(rig.projector_intrinsics[0, 0] - 128) < 3 * rig.rms["projector_focal_length"]
+    assert rig.rms["projector_focal_length"] < 2
+
+
+def test_a_mirrored_projector_gives_the_same_depth() -> None:
+    known = lm.truth("corner")
+    assert known.geometry is not None
+    plain = lm.correspondence(known.transport())
+    place = (plain.place * [1, -1] + [0, 63]).astype(np.float32)
+    pixel = np.where(plain.pixel >= 0, plain.pixel * [1, -1] + [0, 63], -1).astype(np.int32)
+    matches = replace(plain, place=place, pixel=pixel)
+    with pytest.warns(lm.LightMatrixWarning, match="image mirrored"):
+        rig = lm.self_calibrate(
+            matches, known.geometry.camera_intrinsics, baseline=known.geometry.baseline
+        )
+    assert rig.projector_mirrored
+    for source in (matches, replace(matches, place=place.copy())):
+        shape = lm.triangulate(source, rig)
+        assert shape.kept.mean() > 0.99
+        assert np.nanmedian(np.abs(shape.depth / true_depth(known) - 1)) < 0.003
+    # Columns alone are enough; their rows are where they cross the lines.
+    place[..., 0] = np.nan
+    alone = lm.triangulate(replace(matches, place=place), rig)
+    assert np.nanmedian(np.abs(alone.depth / true_depth(known) - 1)) < 0.01
+
+
+def test_a_shifted_projector_image_is_found_without_a_board() -> None:
+    exact = lm.RigGeometry.from_intrinsics(
+        np.array([[300.0, 0, 60], [0, 300, 45], [0, 0, 1]]),
+        np.array([[280.0, 0, 49.5], [0, 280, 79], [0, 0, 1]]),
+        Rotation.from_euler("yx", [15, -8], degrees=True).as_matrix(),
+        [-1.1, 0.3, 0.35],
+        (90, 120),
+        (80, 100),
+    )
+    col, row = np.meshgrid(np.arange(120), np.arange(90))
+    depth = 2.5 + 0.5 * np.sin(col / 9) + 0.4 * np.cos(row / 7)
+    rays = exact.camera_rays(np.column_stack([col.ravel(), row.ravel()]))
+    place = exact.project_projector(depth.reshape(-1, 1) * rays)
+    place += np.random.default_rng(1).normal(0, 0.05, place.shape)
+    grid = np.asarray(place[:, ::-1].reshape(90, 120, 2), np.float32)
+    matches = lm.Correspondence(
+        np.rint(grid).astype(np.int32),
+        grid,
+        np.ones((90, 120), np.float32),
+        projector_shape=(80, 100),
+    )
+    rig = lm.self_calibrate(matches, exact.camera_intrinsics)
+    assert rig.projector_intrinsics[1, 2] == pytest.approx(79, abs=0.5)
+    assert rig.projector_intrinsics[0, 0] == pytest.approx(280, rel=0.005)
+
+
+@pytest.mark.parametrize("noise", [0.05, 0.25, 0.5])
+def test_flat_scenes_are_refused(noise: float) -> None:
     col, row = np.meshgrid(np.arange(60.0), np.arange(50.0))
     place = np.stack([0.9 * row + 0.1 * col + 3, col - 0.05 * row + 2], axis=2)
-    place += np.random.default_rng(0).normal(0, 0.05, place.shape)
+    place += np.random.default_rng(0).normal(0, noise, place.shape)
     matches = lm.Correspondence(
         np.rint(place).astype(np.int32),
         place.astype(np.float32),
@@ -300,12 +458,16 @@ def test_the_command_without_a_board(tmp_path: Path, capsys: pytest.CaptureFixtu
     words = ["calibrate", str(tmp_path / "T.npz"), "-o", str(tmp_path / "rig.json")]
     assert main(words) == 2
     assert "neither a board nor the camera's focal length" in capsys.readouterr().err
-    assert main([*words, "--focal", "128", "--baseline", "360mm", "--json"]) == 0
+    assert main([*words, "--focal", "128"]) == 2
+    assert "principal" in capsys.readouterr().err
+    focal = ["--focal", "128", "--principal", "5.9,47.5"]
+    assert main([*words, *focal, "--baseline", "360mm", "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["rms_epipolar"] < 0.5
     rig = lm.RigGeometry.load(tmp_path / "rig.json")
     assert (round(rig.baseline, 6), rig.units) == (360, "mm")
     for more, message in (
         (["--focal", "0"], "a focal length of 0"),
+        (["--focal", "9", "--principal", "5"], "--principal 5"),
         (["--focal", "9", str(tmp_path)], "takes one scene"),
         (["--focal", "9", "--board", "9x7", "--square", "1"], "does not go with"),
     ):

@@ -40,7 +40,7 @@ def rig(rows: int = 12, cols: int = 16) -> lm.RigGeometry:
     camera = np.array([[20.0, 0, 7.5, 0], [0, 20, 5.5, 0], [0, 0, 1, 0]])
     projector = camera.copy()
     projector[0, 3] = -20
-    return lm.RigGeometry.from_matrices(camera, projector, (rows, cols), (rows, cols))
+    return lm.RigGeometry(camera, projector, (rows, cols), (rows, cols))
 
 
 @pytest.mark.parametrize("scene", ["corner", "l_objects"])

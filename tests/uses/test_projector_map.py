@@ -105,7 +105,7 @@ def test_mpcdi_keeps_to_its_specification(found: lm.ProjectorMap, tmp_path: Path
         names = archive.namelist()
     assert not any("/" in name for name in names)
     text = (tmp_path / "mpcdi.xml").read_text()
-    assert text.startswith("<?xml version='1.0' encoding='utf-8'?>")
+    assert text.startswith('<?xml version="1.0" encoding="utf-8"?>')
     root = ElementTree.fromstring(text)
     assert root.tag == "MPCDI"
     assert set(root.attrib) == {"profile", "geometry", "color", "date", "version"}
@@ -160,7 +160,7 @@ def test_a_pair_of_images_holds_columns_and_rows(found: lm.ProjectorMap, tmp_pat
 def test_light_leaks_reads_its_set(found: lm.ProjectorMap, tmp_path: Path) -> None:
     camera = np.array([[40.0, 0, 22, 0], [0, 40, 15, 0], [0, 0, 1, 0]])
     projector = np.array([[30.0, 0, 12, -9], [0, 30, 10, 0], [0, 0, 1, 0]])
-    geometry = lm.RigGeometry.from_matrices(camera, projector, CAMERA, PROJECTOR)
+    geometry = lm.RigGeometry(camera, projector, CAMERA, PROJECTOR)
     found.save(tmp_path / "scan", geometry=geometry)
     image = cv2.imread(str(tmp_path / "scan" / "proMap.png"), cv2.IMREAD_UNCHANGED)
     assert image is not None
@@ -171,7 +171,7 @@ def test_light_leaks_reads_its_set(found: lm.ProjectorMap, tmp_path: Path) -> No
     points = lm.read_image(tmp_path / "scan" / "xyzMap.exr")
     expected = geometry.triangulate(found.place[9, 9:10, ::-1], [[9, 9]])[0]
     np.testing.assert_allclose(points[9, 9], expected, rtol=1e-5)
-    other = lm.RigGeometry.from_matrices(camera, projector, (8, 8), PROJECTOR)
+    other = lm.RigGeometry(camera, projector, (8, 8), PROJECTOR)
     with pytest.raises(lm.InputError, match="geometry of a camera of 8 x 8"):
         found.save(tmp_path / "other", geometry=other)
 

@@ -13,10 +13,6 @@ import os
 import signal
 import sys
 
-# Bytes of address space below which NumPy and SciPy cannot be loaded: measured with `ulimit -v` on
-# two cores, where 300 MB are too little and 400 MB are enough.
-LEAST_ADDRESS_SPACE = 380 << 20
-
 # New objects after which Python looks for garbage. Loading libraries makes hundreds of thousands
 # that stay; with Python's own 700 this took 0.07 s. Commands make little garbage.
 NEW_OBJECTS = 10_000
@@ -50,11 +46,9 @@ def console() -> None:
         keep_freed_memory()
         gc.set_threshold(NEW_OBJECTS)
         os.environ.setdefault("OPENBLAS_THREAD_TIMEOUT", IDLE_CYCLES)
-        code = 3
-        if not _lacks_address_space():
-            _load()
-            stop_when_terminated()
-            code = main()
+        _load()
+        stop_when_terminated()
+        code = main()
     except KeyboardInterrupt:
         code = 130
     # Python would look for garbage once more, for 0.15 s, in memory that the system frees anyway.
@@ -102,22 +96,6 @@ def _load() -> None:
     importlib.import_module("lightmatrix.cli.app")
     if usual:
         signal.signal(signal.SIGINT, signal.default_int_handler)
-
-
-def _lacks_address_space() -> bool:
-    """Whether too little address space is allowed, where OpenBLAS would try for ever; says so."""
-    if sys.platform == "win32":
-        return False
-    import resource
-
-    limit, _ = resource.getrlimit(resource.RLIMIT_AS)
-    if limit == resource.RLIM_INFINITY or limit >= LEAST_ADDRESS_SPACE:
-        return False
-    sys.stderr.write(
-        f"error: not enough memory: {limit >> 20} MiB of address space are allowed, "
-        f"{LEAST_ADDRESS_SPACE >> 20} MiB are the least\n  raise the limit: ulimit -v unlimited\n"
-    )
-    return True
 
 
 def _open_standard_streams() -> None:

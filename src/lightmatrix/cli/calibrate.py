@@ -6,11 +6,13 @@ import re
 from pathlib import Path
 from typing import Annotated
 
+import numpy as np
 from typer import Argument, Option
 
 import lightmatrix as lm
 from lightmatrix.cli.claims import claim
 from lightmatrix.cli.options import Json, Overwrite, output_option, size
+from lightmatrix.cli.source import numbers
 from lightmatrix.cli.terminal import progress, say, show_json
 from lightmatrix.errors import InputError
 from lightmatrix.files.kinds import GEOMETRY
@@ -34,6 +36,14 @@ def calibrate(
     focal: Annotated[
         float | None, Option(help="Without a board: the camera's focal length in pixels.")
     ] = None,
+    principal: Annotated[
+        str | None,
+        Option(
+            metavar="COL,ROW",
+            help="Without a board: where the camera's axis passes its image.",
+            show_default="the middle",
+        ),
+    ] = None,
     baseline: Annotated[
         str, Option(metavar="200mm", help="Without a board: from the camera to the projector.")
     ] = "1",
@@ -49,7 +59,9 @@ def calibrate(
     Without a board, --focal finds the projector from one scene.
     """
     if board is None or square is None:
-        _without_board(poses, focal, baseline, output, overwrite=overwrite, as_json=as_json)
+        _without_board(
+            poses, focal, principal, baseline, output, overwrite=overwrite, as_json=as_json
+        )
         return
     if focal is not None:
         raise InputError("--focal does not go with --board", hint="leave one of them out")
@@ -81,6 +93,7 @@ def calibrate(
 def _without_board(
     poses: list[Path],
     focal: float | None,
+    principal: str | None,
     baseline: str,
     output: Path,
     *,
@@ -101,8 +114,21 @@ def _without_board(
         )
     length, units = _length("--baseline", baseline)
     claim(output, GEOMETRY, overwrite=overwrite)
+    axis = None
+    if principal is not None:
+        given = np.atleast_1d(numbers(principal, "--principal"))
+        if given.size != 2:
+            hint = "give column and row, such as 640,512"
+            raise InputError(f"--principal {principal}", hint=hint)
+        axis = float(given[0]), float(given[1])
     rig = lm.self_calibrate(
-        poses[0], focal, baseline=length, units=units, output=output, overwrite=overwrite
+        poses[0],
+        focal,
+        principal=axis,
+        baseline=length,
+        units=units,
+        output=output,
+        overwrite=overwrite,
     )
     projector = float(rig.projector_intrinsics[0, 0])
     if as_json:
@@ -111,7 +137,8 @@ def _without_board(
         return
     say(
         f"{output}: matches lie {rig.rms['epipolar']:.2f} pixels from their epipolar lines; the "
-        f"projector's focal length is {projector:.5g} pixels"
+        f"projector's focal length is {projector:.5g} +- "
+        f"{rig.rms['projector_focal_length']:.2g} pixels"
     )
     say(f"use it with: lightmatrix triangulate {poses[0]} --geometry {output} -o cloud.ply")
 

@@ -17,9 +17,8 @@ from lightmatrix.cli.terminal import (
     say,
     show_json,
 )
-from lightmatrix.defaults import RIG_FILE, USUAL_PATIENCE
+from lightmatrix.defaults import RIG_FILE, USUAL_PATIENCE, VIDEOS
 from lightmatrix.errors import InputError
-from lightmatrix.files.extras import VIDEOS
 
 
 class Fit(StrEnum):
@@ -43,11 +42,13 @@ def compensate(
         ),
     ] = None,
     brightness: Annotated[
-        str,
+        float | None,
         Option(
-            metavar="auto|0.7", help="Light of wanted white, as a share of that of a white pattern."
+            metavar="0.7",
+            help="Light of wanted white, as a share of that of a white pattern.",
+            show_default="as bright as possible",
         ),
-    ] = "auto",
+    ] = None,
     fit: Annotated[
         Fit,
         Option(help="A picture of another size covers the camera, is seen whole, or is stretched."),
@@ -67,13 +68,6 @@ def compensate(
             help="Display gamma of the picture.", show_default="2.2; 1 for files of floats: EXR"
         ),
     ] = None,
-    exposure: Annotated[
-        float,
-        Option(
-            rich_help_panel=options.RARE,
-            help="Exposure at which clipped camera pixels are counted; T is for exposure 1.",
-        ),
-    ] = 1.0,
     projector_response: Annotated[
         str | None,
         Option(
@@ -122,13 +116,12 @@ def compensate(
     It takes into account what light does on its way from surface to surface. Pixels that cannot be
     reached are counted. With a rig, photographs of the pattern correct it.
     """
-    share = _brightness(brightness)
     with_rig = rig is not None or projector is not None or camera is not None
     several = bool(green or blue or beside)
     video = wanted is not None and (wanted.is_dir() or wanted.suffix.lower() in VIDEOS)
     if cancel_global:
         other = several or video or with_rig or refine is not None or live or black or mask
-        if other or projector_mask or share is not None or gamma is not None:
+        if other or projector_mask or brightness is not None or gamma is not None:
             raise InputError(
                 "--cancel-global with options of other compensations",
                 hint="it takes SCENE.zarr and, if not white, a pattern",
@@ -162,7 +155,7 @@ def compensate(
     common: dict[str, Any] = written | {
         "mask": mask,
         "projector_mask": projector_mask,
-        "brightness": share,
+        "brightness": brightness,
         "gamma": gamma,
         "fit": fit.value,
     }
@@ -186,7 +179,7 @@ def compensate(
     else:
         matrices = [*(options.primaries(scene, green, blue) or (scene,)), *(beside or ())]
         assert wanted is not None
-        found = lm.compensate(matrices, wanted, ambient=black, exposure=exposure, **common)
+        found = lm.compensate(matrices, wanted, ambient=black, **common)
     summary = {"output": output, **found.as_dict()}
     if as_json:
         show_json(summary)
@@ -216,15 +209,6 @@ class _Live:
             say(f"photograph {self._count}: {decibels:.1f} dB" + "; Enter ends" * (not self._count))
         self._count += 1
         return not enter_was_pressed() and (self._most is None or self._count <= self._most)
-
-
-def _brightness(text: str) -> float | None:
-    if text == "auto":
-        return None
-    try:
-        return float(text)
-    except ValueError:
-        raise InputError(f"a brightness of {text!r}", hint="write auto, or a number") from None
 
 
 def _show(summary: dict[str, Any], *, cancelled: bool, live: bool) -> None:

@@ -112,3 +112,5 @@ def patterns(
     else:
         rows, cols = size(shape)
         say(f"{made.count} patterns ({kind}) of {rows} x {cols} pixels in {output}")
+        if rows > cols:
+            say(f"rows come first: they are for a projector in portrait, {cols} pixels wide")

@@ -23,8 +23,6 @@ from lightmatrix.files.reading import check_image_size
 
 # Endings of raw camera files.
 RAW = (".dng", ".cr2", ".cr3", ".nef", ".arw", ".raf", ".orf", ".rw2")
-# Endings of video files.
-VIDEOS = (".mp4", ".mov", ".m4v", ".mkv", ".webm", ".avi")
 _EXR_COLOURS, _EXR_ALPHA = ("R", "G", "B"), "A"
 
 

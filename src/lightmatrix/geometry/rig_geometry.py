@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Self
@@ -53,6 +54,28 @@ def numbers(values: ArrayLike, shape: tuple[int, ...], what: str) -> NDArray[np.
     return array
 
 
+def intrinsics_of(values: ArrayLike, shape: Shape, device: str) -> NDArray[np.float64]:
+    """K (3, 3) of a device with images of `shape`; other conventions of K are refused."""
+    matrix = numbers(values, (3, 3), f"{device}'s K")
+    if not np.allclose(matrix[[1, 2, 2], [0, 0, 1]], 0, atol=1e-6 * np.abs(matrix).max()):
+        raise InputError(
+            f"the {device}'s K has numbers below its diagonal",
+            hint="MATLAB stores it transposed: give [[fx, skew, cx], [0, fy, cy], [0, 0, 1]]",
+        )
+    focal = np.diag(matrix)[:2] / matrix[2, 2]
+    check_sides(f"an image of the {device}", shape)
+    rows, cols = shape
+    # Lenses see between 170 and 0.3 degrees.
+    if not ((focal > 0.04 * max(rows, cols)) & (focal < 200 * max(rows, cols))).all():
+        raise InputError(
+            f"the {device}'s K has focal lengths of {focal[0]:g} and {focal[1]:g}, for images of "
+            f"{rows} x {cols} pixels",
+            hint="give K in pixels: a focal length in millimetres divided by the size of a pixel; "
+            "a normalised one times the width of the image",
+        )
+    return matrix
+
+
 def distortion(values: ArrayLike, device: str) -> NDArray[np.float64]:
     """Five coefficients; OpenCV leaves out those at the end that are 0."""
     given = np.trim_zeros(np.ravel(np.asarray(values)), "b")
@@ -95,7 +118,10 @@ def undistort(points: NDArray[np.float64], lens: NDArray[np.float64]) -> NDArray
             seen, (xx, xy, yy) = _seen(ideal, lens)
             dx, dy = (points - seen).T
             determinant = xx * yy - xy**2
-            ideal += np.column_stack([yy * dx - xy * dy, xx * dy - xy * dx]) / determinant[:, None]
+            step = np.column_stack([yy * dx - xy * dy, xx * dy - xy * dx]) / determinant[:, None]
+            ideal += step
+            if not (np.abs(step) > 1e-9).any():
+                break
         seen, (xx, xy, yy) = _seen(ideal, lens)
         # The lens leads back to within a thousandth of a pixel at a focal length of 10,000 pixels.
         # Where the determinant is negative, it has folded the image over.
@@ -209,15 +235,17 @@ VERSION = 1
 _NAMES = {
     "camera_intrinsics": "cameraintrinsics camk camint cameramatrix1 cameramatrix k1 m1 kc kcam "
     "intrinsicscamera cameraintrinsic mtx1 ",
-    "projector_intrinsics": "projectorintrinsics projk projint cameramatrix2 projectormatrix k2 m2 "
-    "kp kproj intrinsicsprojector projectorintrinsic mtx2",
+    # SLMaster's second camera has M2, R and T, and its projector M4, Rlp and Tlp.
+    "projector_intrinsics": "projectorintrinsics projk projint m4 cameramatrix2 projectormatrix k2 "
+    "m2 kp kproj intrinsicsprojector projectorintrinsic mtx2",
+    # SLStudio has Kc and kc, which differ in their size only.
     "camera_distortion": "cameradistortion camkc camdist distcoeffs1 distcoeffs d1 dist1 distcam "
-    "cameradistcoeffs cameradistortioncoefficients",
-    "projector_distortion": "projectordistortion projkc projdist distcoeffs2 d2 dist2 distproj "
-    "projectordistcoeffs projectordistortioncoefficients",
+    "cameradistcoeffs cameradistortioncoefficients kc",
+    "projector_distortion": "projectordistortion projkc projdist d4 distcoeffs2 d2 dist2 distproj "
+    "projectordistcoeffs projectordistortioncoefficients kp",
     # One widely copied program misspells it.
-    "rotation": "rotation r rproj rotationmatrix roration",
-    "translation": "translation t tproj tvec",
+    "rotation": "rotation rlp rproj rp r rotationmatrix roration",
+    "translation": "translation tlp tproj tp t tvec",
     "camera_shape": "camerashape",
     "projector_shape": "projectorshape",
     "camera_size": "camerasize cameraresolution camsize camres imagesize imagesize1",
@@ -236,7 +264,9 @@ def read_geometry(
     if start.startswith("{") and "opencv-matrix" not in text:
         content = parse_json(text, str(file))
         if not isinstance(content, dict) or "format" in content:
-            return checked_fields(read_json(file, GEOMETRY_FORMAT, VERSION), str(file))
+            fields = checked_fields(read_json(file, GEOMETRY_FORMAT, VERSION), str(file))
+            given = {"camera_shape": camera_shape, "projector_shape": projector_shape}
+            return fields | {name: shape for name, shape in given.items() if shape is not None}
         values = {name: _array(value) for name, value in content.items()}
     elif start.startswith(("<?xml", "<opencv_storage", "%YAML", "---", "{")):
         values = _opencv_values(file, text)
@@ -250,7 +280,7 @@ def checked_fields(content: Any, file: str) -> dict[str, Any]:
     names = set(RigGeometry.__dataclass_fields__)
     given = content if isinstance(content, dict) else {}
     fields = {name: value for name, value in given.items() if name in names}
-    missing = sorted(names - {"units", "rms"} - set(fields))
+    missing = sorted(names - {"units", "rms", "projector_mirrored"} - set(fields))
     units, rms = fields.get("units"), fields.get("rms", {})
     named = isinstance(rms, dict) and all(type(value) in (int, float) for value in rms.values())
     if missing or not isinstance(units, str | None) or not named:
@@ -283,10 +313,12 @@ def _opencv_values(file: Path, text: str) -> dict[str, NDArray[Any] | None]:
             node = root.getNode(name)
             if node.isReal() or node.isInt():
                 values[name] = _array(node.real())
-            elif node.isSeq():
+            elif node.isSeq() and node.size() <= 64:
                 values[name] = _array([node.at(k).real() for k in range(node.size())])
             elif node.isMap():
-                values[name] = _array(node.mat())
+                # A map may be a group of anything.
+                with suppress(cv2.error, SystemError, TypeError):
+                    values[name] = _array(node.mat())
         storage.release()
     except (cv2.error, SystemError, UnicodeError, TypeError) as error:
         raise InputError(f"{file}: OpenCV cannot read it", hint="is the file damaged?") from error
@@ -300,10 +332,19 @@ def _arguments(
     projector_shape: Shape | None,
 ) -> dict[str, Any]:
     """Arguments of `from_intrinsics` from the values of a calibration program."""
-    plain = {_plain(name): value for name, value in values.items()}
+    plain: dict[str, list[str]] = {}
+    for name, value in values.items():
+        if value is not None:
+            plain.setdefault(_plain(name), []).append(name)
     found: dict[str, Any] = {}
     for name, others in _NAMES.items():
-        fitting = [plain[other] for other in others.split() if plain.get(other) is not None]
+        fitting: list[Any] = [
+            values[known] for other in others.split() for known in plain.get(other, ())
+        ]
+        # K has 3 x 3 numbers; a distortion that goes by the same name has not.
+        lens = name.endswith("distortion")
+        if name.endswith(("intrinsics", "distortion")):
+            fitting = [each for each in fitting if (each.shape == (3, 3)) != lens]
         if fitting:
             found[name] = fitting[0]
     missing = [name.replace("_", " ") for name in _NEEDED if name not in found]
@@ -330,7 +371,8 @@ def _arguments(
                 f"{file}: does not state the image size of the {device}",
                 hint=f"give {device}_shape, or write {device}_size: width, height into the file",
             )
-        found[f"{device}_shape"] = given if stated is None else tuple(map(int, stated.ravel()))
+        sides: Any = [] if stated is None else np.ravel(stated)
+        found[f"{device}_shape"] = given or tuple(map(int, sides))
     return found
 
 
@@ -345,10 +387,10 @@ class RigGeometry:
 
     Parameters
     ----------
-    camera_matrix : (3, 4) float64
+    camera_matrix : (3, 4) array-like
         Projection of the camera, K [R | t]: (X, Y, Z, 1) to w (col, row, 1) without distortion. It
         is scaled so that w is the distance along the camera's axis, and positive in front of it.
-    projector_matrix : (3, 4) float64
+    projector_matrix : (3, 4) array-like
         The same of the projector.
     camera_shape, projector_shape : (rows, cols)
         Size of their images in pixels.
@@ -358,6 +400,9 @@ class RigGeometry:
         Unit of length, such as "mm"; None if unknown.
     rms : mapping
         Root mean square of the residuals of a calibration, in pixels, by name.
+    projector_mirrored : bool
+        Whether the camera sees the projector's image mirrored, as behind a screen or in a mirror.
+        `projector_matrix` then belongs to columns that are counted from the right.
 
     Raises
     ------
@@ -370,7 +415,7 @@ class RigGeometry:
     >>> import lightmatrix as lm
     >>> camera = [[100, 0, 32, 0], [0, 100, 32, 0], [0, 0, 1, 0]]
     >>> projector = [[100, 0, 32, -50], [0, 100, 32, 0], [0, 0, 1, 0]]
-    >>> rig = lm.RigGeometry.from_matrices(camera, projector, (64, 64), (64, 64))
+    >>> rig = lm.RigGeometry(camera, projector, (64, 64), (64, 64))
     >>> rig.triangulate([[42, 32]], [[32, 32]]).round(6).tolist()
     [[0.5, 0.0, 5.0]]
     """
@@ -383,6 +428,7 @@ class RigGeometry:
     projector_distortion: NDArray[np.float64] = field(default_factory=lambda: np.zeros(5))
     units: str | None = None
     rms: Mapping[str, float] = field(default_factory=dict)
+    projector_mirrored: bool = False
 
     __repr__ = short_repr
 
@@ -402,36 +448,6 @@ class RigGeometry:
                 "camera and projector have the same centre, so depth cannot be measured",
                 hint="check that the two projection matrices differ and share one world frame",
             )
-
-    @classmethod
-    def from_matrices(
-        cls,
-        camera: ArrayLike,
-        projector: ArrayLike,
-        camera_shape: Shape,
-        projector_shape: Shape,
-        *,
-        units: str | None = None,
-    ) -> Self:
-        """The geometry of a rig without distortion, from two projection matrices.
-
-        Parameters
-        ----------
-        camera, projector : (3, 4) array-like
-            Each leads from (X, Y, Z, 1) to (col, row, 1) up to a factor, with pixel centres at
-            whole numbers. Both share one world frame, which is kept.
-        camera_shape, projector_shape : (rows, cols)
-            Size of their images in pixels.
-        units : str, optional
-            Unit of length.
-
-        Returns
-        -------
-        RigGeometry
-            Errors are those of the class.
-        """
-        matrices = np.asarray(camera), np.asarray(projector)
-        return cls(*matrices, camera_shape, projector_shape, units=units)
 
     @classmethod
     def from_intrinsics(
@@ -456,14 +472,8 @@ class RigGeometry:
             K of camera and projector.
         rotation, translation : (3, 3) and (3,) array-like
             They lead from the camera's frame to the projector's: x_projector = R x_camera + t.
-        camera_shape, projector_shape : (rows, cols)
-            Size of their images in pixels.
-        camera_distortion, projector_distortion : (5,) array-like
-            Coefficients of their lenses; those that are left out are 0.
-        units : str, optional
-            Unit of `translation`.
-        rms : mapping, optional
-            Residuals of the calibration, in pixels.
+        camera_shape, projector_shape, camera_distortion, projector_distortion, units, rms
+            As in the class; coefficients of distortion that are left out are 0.
 
         Returns
         -------
@@ -475,8 +485,8 @@ class RigGeometry:
         if not np.allclose(turn @ turn.T, np.eye(3), atol=1e-4) or np.linalg.det(turn) < 0:
             hint = "give R with R R' = 1 and det R = 1"
             raise InputError("the rotation is no rotation matrix", hint=hint)
-        camera = numbers(camera_intrinsics, (3, 3), "camera's K")
-        projector = numbers(projector_intrinsics, (3, 3), "projector's K")
+        camera = intrinsics_of(camera_intrinsics, camera_shape, "camera")
+        projector = intrinsics_of(projector_intrinsics, projector_shape, "projector")
         return cls(
             camera @ np.eye(3, 4),
             projector @ np.column_stack([turn, moved]),
@@ -543,7 +553,14 @@ class RigGeometry:
 
     def undistort_projector(self, points: ArrayLike) -> NDArray[np.float64]:
         """Where an ideal lens shows projector pixels (n, 2) as (col, row); NaN where it cannot."""
-        return through_lens(undistort, points, self.projector_intrinsics, self.projector_distortion)
+        seen = self._unmirrored(points_of(points, 2))
+        return through_lens(undistort, seen, self.projector_intrinsics, self.projector_distortion)
+
+    def _unmirrored(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Projector pixels (n, 2) counted from the side of `projector_matrix`, or back."""
+        if not self.projector_mirrored:
+            return points
+        return np.column_stack([self.projector_shape[1] - 1 - points[:, 0], points[:, 1]])
 
     def project_camera(self, points: ArrayLike) -> NDArray[np.float64]:
         """Where the camera sees points (n, 3) of the world: (n, 2) as (col, row), distorted."""
@@ -553,7 +570,8 @@ class RigGeometry:
     def project_projector(self, points: ArrayLike) -> NDArray[np.float64]:
         """The projector pixels (n, 2) as (col, row), distorted, that light points (n, 3)."""
         ideal = projected(self.projector_matrix, points)
-        return through_lens(distort, ideal, self.projector_intrinsics, self.projector_distortion)
+        lit = through_lens(distort, ideal, self.projector_intrinsics, self.projector_distortion)
+        return self._unmirrored(lit)
 
     def camera_rays(self, points: ArrayLike) -> NDArray[np.float64]:
         """Where camera pixels (n, 2) as (col, row) look: (n, 3), of depth 1 along the axis."""
@@ -638,7 +656,11 @@ class RigGeometry:
                     hint="use blocks of at least 1 pixel that fit into the image",
                 )
             changed[f"{device}_shape"] = small
-            changed[f"{device}_matrix"] = binned_matrix(getattr(self, f"{device}_matrix"), block)
+            # Counted from the right, the columns that are cut off come first.
+            cut = shape[1] - small[1] * block[1] if self.projector_mirrored else 0
+            corner = (0, cut if device == "projector" else 0)
+            matrix = binned_matrix(getattr(self, f"{device}_matrix"), block, corner)
+            changed[f"{device}_matrix"] = matrix
         return replace(self, **changed)
 
     def cropped(self, corner: Shape, shape: Shape) -> RigGeometry:

@@ -194,10 +194,8 @@ def evaluate_colour(
     estimates, truths : sequence of three, ColourTransport, str or Path
         The matrices of red, green and blue, each as `evaluate` takes it; or a folder of three
         stores. Truths may also be the simulated capture of patterns in colour, or its truth.
-    exposure : float
-        Exposure of the captures, which decides which rows clip under one projector pixel.
-    progress : callable, optional
-        Called with (done, total) paths while a scene is rendered.
+    exposure, progress
+        As in `evaluate`.
 
     Returns
     -------

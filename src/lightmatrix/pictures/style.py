@@ -68,9 +68,9 @@ def white_level(image: NDArray[Any]) -> float:
 
 
 def mark_clipped(image: NDArray[Any], clipped: NDArray[np.bool_]) -> NDArray[np.float64]:
-    """A grey display image in [0, 1] as RGB, with clipped pixels in red."""
-    marked = np.repeat(np.asarray(image, float)[..., None], 3, axis=-1)
-    marked[clipped] = CLIPPED_COLOUR
+    """A display image in [0, 1] as RGB, with pixels in red that are clipped in any channel."""
+    marked = np.array(image if image.ndim == 3 else np.repeat(image[..., None], 3, axis=2), float)
+    marked[clipped if clipped.ndim == 2 else clipped.any(axis=2)] = CLIPPED_COLOUR
     return marked
 
 

@@ -20,11 +20,11 @@ from lightmatrix.files.writing import atomic_file
 from lightmatrix.patterns.pattern_set import to_grey
 from lightmatrix.pictures.maps import Map, correspondence_maps, light_map
 from lightmatrix.pictures.style import (
-    CLIPPED_COLOUR,
     COLOURS,
     STYLE,
     display,
     fix_ticks,
+    mark_clipped,
     panel,
     white_level,
 )
@@ -92,12 +92,9 @@ def show_relit(
         hint = "use a number above 0, such as 1"
         check_number("an exposure", exposure, most=1e9, above=True, hint=hint)
         light = exposure * image
-        clipped = light >= 1
-        shown = display(light, 1.0)
+        shown, clipped = display(light, 1.0), light >= 1
         if clipped.any():
-            if shown.ndim == 2:
-                shown = np.repeat(shown[..., None], 3, axis=2)
-            shown[clipped if clipped.ndim == 2 else clipped.any(axis=2)] = CLIPPED_COLOUR
+            shown = mark_clipped(shown, clipped)
             title += f": {100 * clipped.mean():.1f} % clip (red)"
     with mpl.rc_context(STYLE):
         drawing = Picture(figsize=(6.4, 3.4), layout="constrained")

@@ -81,16 +81,10 @@ def expectations(frames: int) -> list[ExpectedErrors]:
     for estimator in sorted({row["estimator"] for row in rows}, reverse=True):
         measured = [row for row in rows if row["estimator"] == estimator]
         scenes = tuple(sorted({row["scene"] for row in measured}))
-        result.append(
-            ExpectedErrors(
-                estimator,
-                frames,
-                _error_range(measured, scenes, frames, "relative_error"),
-                _error_range(measured, scenes, frames, "relighting_error"),
-                scenes,
-                any(row["frames"] == frames for row in measured),
-            )
-        )
+        kinds = "relative_error", "relighting_error"
+        of_t, relit = (_error_range(measured, scenes, frames, kind) for kind in kinds)
+        known = any(row["frames"] == frames for row in measured)
+        result.append(ExpectedErrors(estimator, frames, of_t, relit, scenes, known))
     return result
 
 
@@ -121,7 +115,7 @@ def _error_range(
     values = []
     for scene in scenes:
         points = sorted((row["frames"], row[key]) for row in rows if row["scene"] == scene)
-        count, error = np.log([max(p[0], 1) for p in points]), np.log([p[1] for p in points])
+        count, error = np.log(points).T
         values.append(float(np.exp(np.interp(np.log(frames), count, error))))
     return min(values), max(values)
 
@@ -144,28 +138,19 @@ class Advice:
 
     Parameters
     ----------
-    source : str
-        The white frame, scene or truth.
-    simulated : bool
-        Whether the source is a scene or a truth, to be simulated, instead of a photograph.
+    source, simulated : str, bool
+        The white frame, scene or truth, and whether it is one of the latter, to be simulated.
     projector : (rows, cols)
         Pixels of the projector.
-    frames : int
-        Number of frames K.
-    patterns : {"mix", "bernoulli"}
-        Kind of patterns.
-    density : float
-        Share of lit pixels.
+    frames, patterns, density : int, {"mix", "bernoulli"}, float
+        Number K and kind of patterns, and their share of lit pixels.
     mix : sequence of ((rows, cols), share)
         Grids whose cells are lit as a whole, and their shares of the patterns.
-    exposures : tuple of AdvisedExposure
-        Exposures, from the longest to the shortest.
-    exposure_of_frames : (K,) float64
-        Exposure of each frame.
-    white_clipped_share : float
-        Share of the white frame's lit pixels that clipped.
-    rows_that_clip_singly : float
-        Share of the lit camera pixels that will clip under a single projector pixel.
+    exposures, exposure_of_frames : tuple of AdvisedExposure, (K,) float64
+        Exposures, from the longest to the shortest, and that of each frame.
+    white_clipped_share, rows_that_clip_singly : float
+        Share of the white frame's lit pixels that clipped, and of the lit camera pixels that will
+        clip under a single projector pixel.
     expected : tuple of ExpectedErrors
         Errors to expect with this and with other numbers of frames, of the better estimator; none
         of fewer frames than were measured.
@@ -219,20 +204,13 @@ class Advice:
 
     def as_dict(self) -> dict[str, Any]:
         """The content of `lightmatrix plan --json`."""
-        return {
-            "source": self.source,
-            "projector": list(self.projector),
-            "frames": self.frames,
-            "patterns": self.patterns,
-            "density": self.density,
-            "mix": [{"grid": list(grid), "share": share} for grid, share in self.mix],
-            "exposures": [asdict(exposure) for exposure in self.exposures],
+        content = asdict(self) | {
+            "mix": [{"grid": grid, "share": share} for grid, share in self.mix],
             "exposure_of_frames": self.exposure_of_frames.tolist(),
-            "white_clipped_share": self.white_clipped_share,
-            "rows_that_clip_singly": self.rows_that_clip_singly,
-            "expected": [asdict(errors) for errors in self.expected],
-            "commands": list(self.commands),
         }
+        del content["simulated"]
+        result: dict[str, Any] = json.loads(json.dumps(content))
+        return result
 
     def __repr__(self) -> str:
         return text_table("Advice", self._summary)

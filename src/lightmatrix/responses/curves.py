@@ -64,10 +64,8 @@ def exposures_of(frames: Frames, stated: float | NDArray[Any] | None) -> NDArray
         times = [exposure_time(path) for path in paths if isinstance(path, Path)]
         if not times or None in times:
             which = f"{paths[times.index(None)]}: " if times else ""
-            raise InputError(
-                f"{which}the exposures of the photographs are unknown",
-                hint="give the exposures, in any unit, in the order of the photographs",
-            )
+            hint = "give the exposures, in any unit, in the order of the photographs"
+            raise InputError(f"{which}the exposures of the photographs are unknown", hint=hint)
         return np.array(times, np.float64)
     exposures = np.atleast_1d(real_numbers("exposures", stated))
     if exposures.shape != (frames.count,):
@@ -319,10 +317,8 @@ def camera_response(
     clip : float, optional
         Raw level at which the camera clips, and where the curve ends. None: the end of the range
         of the files.
-    output : str or Path, optional
-        A .json file of the curve to write.
-    picture : str or Path, optional
-        A .png picture of the curve to write.
+    output, picture : str or Path, optional
+        A .json file of the curve and a .png picture of it to write.
     overwrite : bool
         Whether existing files may be replaced.
 
@@ -432,10 +428,8 @@ def projector_response(
     clip : float, optional
         Raw level at which the camera clips. None: the end of the range of the files, or of the
         camera's response.
-    output : str or Path, optional
-        A .json file of the curve to write.
-    picture : str or Path, optional
-        A .png picture of the curve to write.
+    output, picture : str or Path, optional
+        A .json file of the curve and a .png picture of it to write.
     overwrite : bool
         Whether existing files may be replaced.
 

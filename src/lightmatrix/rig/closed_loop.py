@@ -56,15 +56,6 @@ class RefinedCompensation:
     photographed_psnr : (steps + 1,) float64
         The error of each photograph in dB, at first by T alone, then corrected. It counts samples
         that can be reached, as the first prediction says.
-
-    Examples
-    --------
-    >>> import lightmatrix as lm
-    >>> with lm.open_rig("virtual:procedural,size=16,real=0") as rig:
-    ...     known, wanted = rig.truth.transport(), np.full((16, 16), 0.5)
-    ...     found = lm.refine_compensation(rig, known, wanted, steps=1, keep=None)
-    >>> found.photographed_psnr.shape, found.pattern.shape
-    ((2,), (16, 16))
     """
 
     compensation: Compensation

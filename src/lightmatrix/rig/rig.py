@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lightmatrix.defaults import PROCEDURAL, USUAL_PATIENCE
-from lightmatrix.errors import DeviceError, FrameTimeoutError, InputError
+from lightmatrix.errors import DeviceError, FrameTimeoutError, InputError, warn
 from lightmatrix.patterns.pattern_set import PatternSet, to_grey
 from lightmatrix.patterns.projector_curve import ProjectorResponse
 from lightmatrix.ranges import check_number
@@ -230,6 +230,11 @@ class ProjectedPatterns:
                 f"{self.screen[0]} x {self.screen[1]}",
                 hint=f"make patterns of {self.screen[0] // self.cell}x"
                 f"{self.screen[1] // self.cell} at most",
+            )
+        if rows > cols and self.screen[0] < self.screen[1]:
+            warn(
+                f"the patterns are portrait, {rows} rows by {cols} columns, and the projector is "
+                f"landscape, {self.screen[0]} by {self.screen[1]}: rows come first in all sizes"
             )
 
     @cached_property

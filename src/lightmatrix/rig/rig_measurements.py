@@ -354,14 +354,7 @@ class RigMeasurements:
 
     def as_dict(self) -> dict[str, Any]:
         """Everything, JSON-ready, as rig.json holds it."""
-        parts = {name: getattr(self, name) for name in PARTS}
-        return {
-            "format": RIG_FORMAT,
-            "version": VERSION,
-            "projector": dict(self.projector),
-            "camera": dict(self.camera),
-            **{name: None if part is None else asdict(part) for name, part in parts.items()},
-        }
+        return {"format": RIG_FORMAT, "version": VERSION, **asdict(self)}
 
     def save(self, path: str | Path) -> None:
         """Write rig.json; it may replace one of its kind.
@@ -390,11 +383,7 @@ class RigMeasurements:
                 name: None if content[name] is None else _part(kind, content[name])
                 for name, kind in _KINDS.items()
             }
-            return cls(
-                dict(content["projector"]),
-                dict(content["camera"]),
-                **parts,
-            )
+            return cls(dict(content["projector"]), dict(content["camera"]), **parts)
         except (AttributeError, KeyError, TypeError, ValueError) as error:
             raise InputError(
                 f"{file}: is damaged ({error})", hint="remove it; the rig is measured again"

@@ -10,8 +10,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from lightmatrix.defaults import VIDEOS
 from lightmatrix.errors import DeviceError, InputError
-from lightmatrix.files.extras import VIDEOS, video_frames, video_rate
+from lightmatrix.files.extras import video_frames, video_rate
 from lightmatrix.files.images import DISPLAY_GAMMA, given_image, read_light, write_image
 from lightmatrix.files.kinds import IMAGE
 from lightmatrix.files.stacks import list_images

@@ -30,7 +30,7 @@ from lightmatrix.files.extras import load_opencv
 from lightmatrix.files.kinds import GEOMETRY
 from lightmatrix.files.writing import check_output
 from lightmatrix.geometry.matches import fit_fundamental, fit_homography, moved, sampson
-from lightmatrix.geometry.rig_geometry import RigGeometry
+from lightmatrix.geometry.rig_geometry import RigGeometry, decomposed, normalised
 from lightmatrix.patterns.codes import find_codes
 from lightmatrix.patterns.stripes import stripes_of
 from lightmatrix.ranges import check_number
@@ -55,6 +55,8 @@ class BoardCorners:
     camera: NDArray[np.float64]
     # The projector pixels that light them; NaN where too few pixels around a corner see them.
     projector: NDArray[np.float64]
+    # The share of the lit corners around which the projector's image is mirrored.
+    mirrored: float = 0.0
 
     @property
     def lit(self) -> NDArray[np.bool_]:
@@ -109,6 +111,7 @@ def light_corners(
         with np.errstate(invalid="ignore", divide="ignore"):
             weight = np.where(known, 1 / (matches.uncertainty**2).sum(axis=2), 0)
     projector = np.full_like(corners, np.nan)
+    mirrored: list[bool] = []
     for number, corner in enumerate(corners):
         col, row = np.rint(corner).astype(int)
         rows = slice(max(row - reach, 0), row + reach + 1)
@@ -122,7 +125,10 @@ def light_corners(
             at[:, ::-1].astype(np.float64), target[:, ::-1], weight[rows, cols][use]
         )
         projector[number] = moved(matrix, corner[None])[0]
-    return BoardCorners(corners, projector)
+        # Mirrored images turn to the left where others turn to the right.
+        scale = (matrix @ np.append(corner, 1))[2]
+        mirrored.append(bool(np.linalg.det(matrix) / scale**3 < 0))
+    return BoardCorners(corners, projector, float(np.mean(mirrored)) if mirrored else 0.0)
 
 
 def pose_images(capture: Capture) -> tuple[NDArray[np.float64], Correspondence]:
@@ -217,16 +223,30 @@ def _fit(
     seen = [pose.camera[use].astype(np.float32) for pose, use in zip(poses, used, strict=True)]
     lit = [pose.projector[use].astype(np.float32) for pose, use in zip(poses, used, strict=True)]
     # Each device by itself, then both together.
-    first = [
-        cv2.calibrateCamera(objects, image, shape[::-1], None, None, flags=flags)[1:3]
-        for image, shape in ((seen, camera_shape), (lit, projector_shape))
+    _, *camera_start, turns, shifts = cv2.calibrateCamera(
+        objects, seen, camera_shape[::-1], None, None, flags=flags
+    )
+    # Projectors shift their image, and OpenCV starts from an axis through its middle. The corners
+    # in the camera's frame lead straight to another start; the better one counts.
+    placed = [
+        board @ cv2.Rodrigues(turn)[0].T + shift.ravel()
+        for board, turn, shift in zip(objects, turns, shifts, strict=True)
     ]
+    # It takes no axis outside of the image, so the image is put in the middle of a larger one.
+    wide = (7 * projector_shape[1], 7 * projector_shape[0])
+    border = np.array([3 * projector_shape[1], 3 * projector_shape[0]])
+    lit = [(each + border).astype(np.float32) for each in lit]
+    fits = [cv2.calibrateCamera(objects, lit, wide, None, None, flags=flags)]
+    start = projector_start(np.concatenate(placed), np.concatenate(lit))
+    if start is not None and (start[:2, 2] > 0).all() and (start[:2, 2] < wide).all():
+        guess = flags | cv2.CALIB_USE_INTRINSIC_GUESS
+        fits.append(cv2.calibrateCamera(objects, lit, wide, start, None, flags=guess))
     answer = cv2.stereoCalibrateExtended(
         objects,
         seen,
         lit,
-        *first[0],
-        *first[1],
+        *camera_start,
+        *min(fits, key=lambda fit: float(fit[0]))[1:3],
         camera_shape[::-1],
         None,
         None,
@@ -234,6 +254,7 @@ def _fit(
         criteria=(cv2.TERM_CRITERIA_COUNT + cv2.TERM_CRITERIA_EPS, 200, 1e-9),
     )
     camera, camera_lens, projector, projector_lens, turn, shift = answer[1:7]
+    projector[:2, 2] -= border
 
     def errors(
         rotation: Any, translation: Any, intrinsics: Any, lens: Any, places: NDArray[np.float64]
@@ -250,17 +271,37 @@ def _fit(
         camera_errors.append(errors(own, place, camera, camera_lens, pose.camera))
         both = turn @ own, turn @ place + shift
         projector_errors.append(errors(*both, projector, projector_lens, pose.projector))
-    geometry = RigGeometry.from_intrinsics(
-        camera,
-        projector,
-        turn,
-        shift,
-        camera_shape,
-        projector_shape,
-        camera_distortion=camera_lens,
-        projector_distortion=projector_lens,
-    )
+    # A wild fit is judged by its residuals.
+    matrices = camera @ np.eye(3, 4), projector @ np.column_stack([turn, shift])
+    geometry = RigGeometry(*matrices, camera_shape, projector_shape, camera_lens, projector_lens)
     return StereoFit(geometry, np.array(normals), camera_errors, projector_errors, used)
+
+
+def projector_start(
+    points: NDArray[np.floating], places: NDArray[np.floating]
+) -> NDArray[np.float64] | None:
+    """K of a device that shows points (n, 3) at places (n, 2), by its projection matrix.
+
+    The direct linear transformation (Hartley & Zisserman 2004, chapter 7), without skew; None if
+    its focal lengths make no sense.
+    """
+    middle, scale = points.mean(axis=0), points.std()
+    centre, size = places.mean(axis=0), places.std()
+    space = np.column_stack([(points - middle) / scale, np.ones(len(points))])
+    col, row = (places - centre).T / size
+    zero = np.zeros_like(space)
+    rows = np.concatenate(
+        [
+            np.hstack([space, zero, -col[:, None] * space]),
+            np.hstack([zero, space, -row[:, None] * space]),
+        ]
+    )
+    matrix = np.linalg.eigh(rows.T @ rows)[1][:, 0].reshape(3, 4)
+    intrinsics = decomposed(normalised(matrix, "projector"))[0]
+    back = np.array([[size, 0, centre[0]], [0, size, centre[1]], [0, 0, 1]])
+    result = back @ intrinsics
+    result[0, 1] = 0
+    return result if 0.2 < result[0, 0] / result[1, 1] < 5 else None
 
 
 @dataclass(frozen=True, eq=False)
@@ -424,6 +465,17 @@ def calibrate_rig(
     _check_count(len(poses), {})
     corners, names, shapes, left_out = _all_corners(poses, board, progress)
     points = board_points(board, square)
+    mirrored = bool(np.mean([pose.mirrored for pose in corners]) > 0.5)
+    shown = corners
+    if mirrored:
+        warn(
+            "the camera sees the projector's image mirrored (rear projection, a mirror, flipped "
+            "patterns): the geometry takes it into account"
+        )
+        corners = [
+            replace(pose, projector=pose.projector * (-1, 1) + (shapes[1][1] - 1, 0))
+            for pose in corners
+        ]
     fit = fit_stereo(corners, points, *shapes)
     badly = {
         name: f"only {use.sum()} of {len(use)} corners fit the other poses; did the board move?"
@@ -434,6 +486,7 @@ def calibrate_rig(
         left_out |= badly
         keep = [k for k, name in enumerate(names) if name not in badly]
         corners, names = [corners[k] for k in keep], [names[k] for k in keep]
+        shown = [shown[k] for k in keep]
         _check_count(len(names), left_out)
         fit = fit_stereo(corners, points, *shapes)
     turn = float(np.degrees(np.arccos(np.abs(fit.normals @ fit.normals.T).clip(0, 1).min())))
@@ -448,10 +501,28 @@ def calibrate_rig(
     lit = [error[use] for error, use in zip(fit.projector_errors, fit.used, strict=True)]
     rms = {"camera": _rms(np.concatenate(seen)), "projector": _rms(np.concatenate(lit))}
     rms["stereo"] = float(np.sqrt((rms["camera"] ** 2 + rms["projector"] ** 2) / 2))
-    geometry = replace(fit.geometry, units=units, rms=rms)
+    # Good calibrations reach 0.1 to 0.5 pixels.
+    worst = max(rms["camera"], rms["projector"])
+    causes = (
+        "are all poses in the order of their patterns? Is the board flat and of this many inner "
+        "corners, and did it lie still? Did the camera focus anew?"
+    )
+    if worst > 3:
+        raise InputError(
+            f"no geometry explains the corners: they are off by {rms['camera']:.2f} camera pixels "
+            f"and {rms['projector']:.2f} projector pixels (RMS)",
+            hint=causes,
+        )
+    if worst > 1:
+        warn(
+            f"the corners are off by {rms['camera']:.2f} camera pixels and "
+            f"{rms['projector']:.2f} projector pixels (RMS); good calibrations reach 0.5\n  "
+            f"{causes}"
+        )
+    geometry = replace(fit.geometry, units=units, rms=rms, projector_mirrored=mirrored)
     used_poses = tuple(
         BoardPose(name, corner.camera, corner.projector, use, _rms(a), _rms(b))
-        for name, corner, use, a, b in zip(names, corners, fit.used, seen, lit, strict=True)
+        for name, corner, use, a, b in zip(names, shown, fit.used, seen, lit, strict=True)
     )
     for name, reason in left_out.items():
         warn(f"{name} is left out: {reason}")
@@ -532,6 +603,7 @@ def self_calibrate(
     matches: Correspondence | LightTransport | str | Path,
     camera_intrinsics: ArrayLike | None,
     *,
+    principal: tuple[float, float] | None = None,
     projector_intrinsics: ArrayLike | None = None,
     camera_distortion: ArrayLike = (0, 0, 0, 0, 0),
     baseline: float = 1.0,
@@ -548,11 +620,14 @@ def self_calibrate(
         Of photographs that are neither binned nor cropped.
     camera_intrinsics : (3, 3) array-like or float
         K of the camera, from a calibration; or its focal length in pixels, from its data sheet: the
-        focal length divided by the size of a pixel. The axis then passes the middle of the image.
+        focal length divided by the size of a pixel. The axis then passes `principal`.
+    principal : (float, float), optional
+        Where the camera's axis passes its image, as (col, row); None: in the middle. Only with a
+        focal length.
     projector_intrinsics : (3, 3) array-like, optional
-        K of the projector. None: square pixels, its axis through the middle of its image, and the
-        focal length that fits best. Projectors on tables shift their image upwards, and then need
-        it.
+        K of the projector. None: square pixels, and the focal length and the row of the axis that
+        fit best, with its column in the middle. The row stays in the middle unless the matches
+        contradict it, as under projectors that shift their image upwards.
     camera_distortion : (5,) array-like
         Coefficients of the camera's lens.
     baseline : float
@@ -569,12 +644,18 @@ def self_calibrate(
     -------
     RigGeometry
         In the camera's frame; its `rms` holds "epipolar", the distances of matches that fit from
-        their epipolar lines, in pixels.
+        their epipolar lines, in pixels, and "projector_focal_length", its standard error.
+
+    Warns
+    -----
+    LightMatrixWarning
+        If the projector's image is mirrored, or the axes of the devices contradict the matches.
 
     Raises
     ------
     InputError
-        Without the camera's intrinsics, on too few matches, and on a flat scene.
+        Without the camera's intrinsics, on too few matches, on a flat scene, and if matches lie
+        behind a device.
     OutputError
         If the file exists or cannot be written.
 
@@ -618,16 +699,17 @@ def self_calibrate(
     at = at[np.random.default_rng(0).permutation(len(at))[:20_000]]
     seen = at[:, ::-1].astype(np.float64)
     lit = found.place[at[:, 0], at[:, 1]].astype(np.float64)[:, ::-1]
-    start = np.eye(3) if projector_intrinsics is None else np.asarray(projector_intrinsics, float)
     # Lends its checks and its lens to the points; where the projector stands is not known yet.
     rows, cols = found.valid.shape
     if np.ndim(camera_intrinsics) == 0:
         focal = float(np.asarray(camera_intrinsics))
         check_number("a focal length", focal, above=True, hint="give it in pixels, such as 1200")
         camera_intrinsics = _centred(focal, (rows, cols))
+        if principal is not None:
+            camera_intrinsics[:2, 2] = principal
     camera = RigGeometry.from_intrinsics(
         camera_intrinsics,
-        start,
+        _centred(max(projector_shape), projector_shape),
         np.eye(3),
         (1, 0, 0),
         (rows, cols),
@@ -640,9 +722,10 @@ def self_calibrate(
     fundamental = fit_fundamental(seen, lit)
     distance = np.abs(sampson(fundamental, seen, lit))
     # A scene is flat if a homography explains nearly all matches, but for noise: parallax is what
-    # shows shape.
+    # shows shape. Both images share the distance to a line, and the noise of a place has two
+    # dimensions: five standard deviations of it are 10 medians.
     plane = moved(fit_homography(seen, lit, np.ones(len(seen))), seen)
-    noise = max(0.5, 3 * float(np.median(distance)))
+    noise = max(0.5, 10 * float(np.median(distance)))
     share = float((np.linalg.norm(plane - lit, axis=1) > noise).mean())
     if share < 0.05:
         raise InputError(
@@ -651,22 +734,59 @@ def self_calibrate(
         )
     fits = distance < max(4.4 * float(np.median(distance)), 0.1)
     seen, lit = seen[fits], lit[fits]
-    known = None if projector_intrinsics is None else start
-    intrinsics, turn, shift = _pose(
-        fundamental, seen, lit, camera.camera_intrinsics, known, projector_shape
-    )
-    rig = RigGeometry.from_intrinsics(
-        camera.camera_intrinsics,
-        intrinsics,
-        turn,
-        shift * baseline,
-        (rows, cols),
-        projector_shape,
-        camera_distortion=camera_distortion,
-        units=units,
-    )
-    distance = sampson(rig.fundamental_matrix(), seen, lit)
-    rig = replace(rig, rms={"epipolar": float(np.sqrt((distance**2).mean()))})
+    free = float(np.sqrt((distance[fits] ** 2).mean()))
+
+    def fitted(mirrored: bool) -> tuple[RigGeometry, float]:
+        """The rig by matches that are mirrored or not, and the share of them behind a device."""
+        own = lit * (-1, 1) + (projector_shape[1] - 1, 0) if mirrored else lit
+        known = None if projector_intrinsics is None else np.asarray(projector_intrinsics, float)
+        matrix = fit_fundamental(seen, own) if mirrored else fundamental
+        pose, deviation = _pose(
+            matrix, seen, own, camera.camera_intrinsics, known, projector_shape, free
+        )
+        rig = RigGeometry.from_intrinsics(
+            camera.camera_intrinsics,
+            *pose[:2],
+            pose[2] * baseline,
+            (rows, cols),
+            projector_shape,
+            camera_distortion=camera_distortion,
+            units=units,
+        )
+        away = sampson(rig.fundamental_matrix(), seen, own)
+        rms = {"epipolar": float(np.sqrt((away**2).mean()))}
+        if known is None:
+            rms["projector_focal_length"] = deviation
+        # Here matches count as the camera shows them without its lens.
+        ideal = replace(rig, camera_distortion=np.zeros(5))
+        points = ideal.triangulate(seen, own)
+        ahead = points @ rig.projector_matrix[2, :3] + rig.projector_matrix[2, 3]
+        # Points at infinity have no parallax that exceeds the distances from the lines.
+        parallax = rig.projector_intrinsics[0, 0] * baseline / np.maximum(ahead, 1e-12)
+        ahead = (rig.depth(points) > 0) & (ahead > 0) & (parallax > 3 * rms["epipolar"])
+        behind = float(1 - ahead.mean())
+        return replace(rig, rms=rms, projector_mirrored=mirrored), behind
+
+    rig, behind = fitted(mirrored=False)
+    # Right geometries have no match behind a device, and wrong ones a quarter at least.
+    if behind > 0.1:
+        other, of_other = fitted(mirrored=True)
+        if of_other > 0.1:
+            raise InputError(
+                f"{100 * min(behind, of_other):.0f} % of the matches would lie behind the camera "
+                "or the projector, or at infinity",
+                hint="the axis of a device does not pass the middle of its image (give the "
+                "camera's principal=COL,ROW, or projector_intrinsics), or the focal length is "
+                "wrong",
+            )
+        warn("the camera sees the projector's image mirrored: the geometry takes it into account")
+        rig = other
+    if rig.rms["epipolar"] > 3 * free + 0.1:
+        warn(
+            f"the matches lie {rig.rms['epipolar']:.2f} pixels from their epipolar lines, and "
+            f"{free:.2f} if the axes of the devices are free\n  do they pass the middle of their "
+            "images? Give principal, projector_intrinsics, or calibrate with a board"
+        )
     if output is not None:
         rig.save(output, overwrite=overwrite)
     return rig
@@ -685,43 +805,65 @@ def _pose(
     camera: NDArray[np.float64],
     projector: NDArray[np.float64] | None,
     projector_shape: tuple[int, int],
-) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-    """K of the projector, R and t of length 1, that bring the matches nearest to their lines."""
-    candidates = (
-        # Angles of view from 8 to 90 degrees.
-        [_centred(f * max(projector_shape), projector_shape) for f in np.geomspace(0.5, 7, 60)]
-        if projector is None
-        else [projector]
-    )
-    # The two singular values of an essential matrix are equal.
-    values = [np.linalg.svd(each.T @ fundamental @ camera, compute_uv=False) for each in candidates]
-    start = candidates[int(np.argmin([(a - b) / a for a, b, _ in values]))]
-    turn, shift = _decomposed(start.T @ fundamental @ camera, camera, start, seen, lit)
+    free: float,
+) -> tuple[tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]], float]:
+    """K of the projector, R and t of length 1, that bring the matches nearest to their lines.
 
-    def parts(
-        numbers: NDArray[np.float64],
-    ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-        own = (
-            start if projector is not None else _centred(float(np.exp(numbers[6])), projector_shape)
-        )
-        moved_shift = shift + numbers[3:6]
-        return (
-            own,
-            Rotation.from_rotvec(numbers[:3]).as_matrix() @ turn,
-            moved_shift / np.linalg.norm(moved_shift),
-        )
+    `free` is how near those of the fundamental matrix come. The standard error of the projector's
+    focal length comes last.
+    """
+    # Angles of view from 8 to 90 degrees.
+    focals = [f * max(projector_shape) for f in np.geomspace(0.5, 7, 60)]
+    best: tuple[float, Any, float] | None = None
+    # The axis passes the middle of the image, or its lower or upper edge.
+    for row in [None] if projector is not None else [None, 1.0, 0.0]:
+        if best is not None and best[0] < 2 * free + 0.02:
+            break
+        candidates = [_centred(f, projector_shape) for f in focals]
+        for each in candidates:
+            each[1, 2] = each[1, 2] if row is None else row * (projector_shape[0] - 1)
+        if projector is not None:
+            candidates = [projector]
+        # The two singular values of an essential matrix are equal.
+        values = [
+            np.linalg.svd(each.T @ fundamental @ camera, compute_uv=False) for each in candidates
+        ]
+        start = candidates[int(np.argmin([(a - b) / a for a, b, _ in values]))]
+        turn, shift = _decomposed(start.T @ fundamental @ camera, camera, start, seen, lit)
 
-    def distances(numbers: NDArray[np.float64]) -> NDArray[np.float64]:
-        own, rotation, direction = parts(numbers)
-        x, y, z = direction
-        cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
-        matrix = np.linalg.inv(own).T @ cross @ rotation @ np.linalg.inv(camera)
-        return sampson(matrix, seen, lit)
+        def parts(
+            numbers: NDArray[np.float64],
+            start: NDArray[np.float64] = start,
+            turn: NDArray[np.float64] = turn,
+            shift: NDArray[np.float64] = shift,
+        ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+            own = start.copy()
+            if len(numbers) > 6:
+                own[[0, 1], [0, 1]] *= np.exp(numbers[6])
+            if len(numbers) > 7:
+                own[1, 2] += numbers[7] * projector_shape[0]
+            moved_shift = shift + numbers[3:6]
+            rotation = Rotation.from_rotvec(numbers[:3]).as_matrix() @ turn
+            return own, rotation, moved_shift / np.linalg.norm(moved_shift)
 
-    first = np.zeros(6) if projector is not None else np.append(np.zeros(6), np.log(start[0, 0]))
-    spread = max(float(np.median(np.abs(distances(first)))), 1e-3)
-    best = least_squares(distances, first, loss="soft_l1", f_scale=spread)
-    return parts(best.x)
+        def distances(numbers: NDArray[np.float64], parts: Any = parts) -> NDArray[np.float64]:
+            own, rotation, (x, y, z) = parts(numbers)
+            cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
+            matrix = np.linalg.inv(own).T @ cross @ rotation @ np.linalg.inv(camera)
+            return sampson(matrix, seen, lit)
+
+        first = np.zeros(6 if projector is not None else 7 if row is None else 8)
+        spread = max(float(np.median(np.abs(distances(first)))), 1e-3)
+        found = least_squares(distances, first, loss="soft_l1", f_scale=spread)
+        rms = float(np.sqrt((distances(found.x) ** 2).mean()))
+        # Errors of neighbours are alike: all matches tell as much as a hundred that are not.
+        inverse = np.linalg.pinv(found.jac.T @ found.jac / len(seen) * 100)
+        pose = parts(found.x)
+        error = 0.0 if len(first) < 7 else rms * float(np.sqrt(inverse[6, 6])) * pose[0][0, 0]
+        if best is None or rms < best[0]:
+            best = rms, pose, error
+    assert best is not None
+    return best[1], float(best[2])
 
 
 def _decomposed(
@@ -738,7 +880,8 @@ def _decomposed(
     turns, shifts = (left @ quarter @ right, left @ quarter.T @ right), (left[:, 2], -left[:, 2])
 
     def in_front(pose: tuple[NDArray[np.float64], NDArray[np.float64]]) -> int:
-        rig = RigGeometry.from_intrinsics(camera, projector, *pose, (1, 1), (1, 1))
+        matrices = camera @ np.eye(3, 4), projector @ np.column_stack(pose)
+        rig = RigGeometry(*matrices, (1, 1), (1, 1))
         points = rig.triangulate(seen, lit)
         ahead = points @ pose[0].T + pose[1]
         return int(((points[:, 2] > 0) & (ahead[:, 2] > 0)).sum())

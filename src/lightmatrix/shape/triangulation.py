@@ -246,6 +246,12 @@ def triangulate(
     else:
         found = _spots_of(source, rig, lines)
     shape = _shape(found, rig, camera, lines, strict)
+    if not shape.kept.any():
+        raise InputError(
+            f"no point is found; pixels by the test that they fail: {shape.summary()['pixels']}",
+            hint="OFF_LINE and BEHIND: is this the geometry of this rig, and of images that are "
+            "neither binned nor cropped? NO_LIGHT and WEAK: is the scene lit?",
+        )
     # The files take their places together, since one alone would stand in the way of the next run.
     with ExitStack() as files:
         for path, kind in outputs:
@@ -304,13 +310,22 @@ def geometry_of(
     for device, shape in shapes.items():
         whole = getattr(rig, f"{device}_shape")
         block = tuple(max(1, round(w / s)) for w, s in zip(whole, shape, strict=True))
+        # Oblong blocks are no accident if they are stated.
+        stated = (1, 1)
+        if isinstance(source, LightTransport):
+            capture = source.provenance.get("capture_description") or {}
+            stated = tuple(capture.get(f"bin_{device}", (1, 1)))
+        elif isinstance(source, Capture):
+            stated = getattr(source, f"bin_{device}")
         # Blocks at the border may be smaller.
-        if tuple(-(-w // b) for w, b in zip(whole, block, strict=True)) != tuple(shape):
+        fits = tuple(-(-w // b) for w, b in zip(whole, block, strict=True)) == tuple(shape)
+        if not fits or (block[0] != block[1] and block != stated):
             raise InputError(
                 f"the geometry is of {device} images of {whole[0]} x {whole[1]} pixels, but these "
                 f"are of {shape[0]} x {shape[1]}",
-                hint="give the geometry of these images: calibrate at their size, or cut it to "
-                "their crop (RigGeometry.cropped)",
+                hint="give the geometry of these images: calibrate at their size, scale it by the "
+                "blocks of their pixels (RigGeometry.scaled), or cut it to their crop "
+                "(RigGeometry.cropped)",
             )
         blocks[device] = block
     if set(blocks.values()) == {(1, 1)}:
@@ -331,7 +346,7 @@ def _spots_of(
     half_width = max(1.5, 2.4 * spot_deviation(transport, rows))
     spots = find_line_spots(rows, background, lines, pixels, shape, half_width)
     # A spot that the projector's border cuts off seems to lie farther inside than it does.
-    place = uncut_places(spots.place, lines, shape, half_width - 1)
+    place = uncut_places(spots.place, _counted(lines, geometry), shape, half_width - 1)
     channels = int(np.prod(transport.camera_shape[2:]))
     error = np.zeros(len(lines))
     if "estimated_error" in transport.diagnostics:
@@ -342,10 +357,19 @@ def _spots_of(
     return _Places(place, share, spots.light, error)
 
 
+def _counted(lines: NDArray[np.float64], geometry: RigGeometry) -> NDArray[np.float64]:
+    """Lines (P, 3) for columns as the projector counts them, which mirrors may reverse."""
+    if not geometry.projector_mirrored:
+        return lines
+    a, b, c = lines.T
+    return np.column_stack([-a, b, c + a * (geometry.projector_shape[1] - 1)])
+
+
 def _decoded_places(
     matches: Correspondence, geometry: RigGeometry, lines: NDArray[np.float64]
 ) -> _Places:
     """The places of a correspondence; with columns or rows only, where they cross the line."""
+    lines = _counted(lines, geometry)
     place = matches.place.reshape(-1, 2).astype(np.float64)
     known = np.isfinite(place)
     if not known.all(axis=1).any():
@@ -380,6 +404,7 @@ def _shape(
     depth = geometry.depth(points)
     # How far a projector pixel along the line moves the depth.
     along = np.column_stack([-lines[:, 1], lines[:, 0]])
+    along *= (-1, 1) if geometry.projector_mirrored else (1, 1)
     moved = geometry.depth(geometry.triangulate(camera, seen + 0.1 * along))
     slope = np.abs(moved - depth) / 0.1
     axis = geometry.projector_matrix[2]

@@ -62,7 +62,7 @@ def view_geometry(
 ) -> RigGeometry:
     """The geometry of a scene's camera and projector for images of these sizes."""
     rows, cols = camera_shape[:2]
-    return RigGeometry.from_matrices(
+    return RigGeometry(
         scene.camera.matrix((rows, cols)),
         scene.projector.matrix(projector_shape),
         (rows, cols),

@@ -107,7 +107,9 @@ class LightTransport(TransportOperator):
         image = image if image.shape[2] == 3 else image.mean(axis=2)
         shown = np.clip(image / max(float(np.quantile(image, 0.99)), 1e-12), 0, 1) ** (1 / 2.2)
         picture = encode_image((255 * shown).astype(np.uint8), "png")
-        return html_table("Light transport matrix", labelled(self.summary()), picture)
+        return html_table(
+            "Light transport matrix", labelled(self.summary(), main_only=True), picture
+        )
 
     def __post_init__(self) -> None:
         # Compiled routines trust the indices, and a store is only opened if all of this is so.

@@ -263,16 +263,7 @@ class BoundedFit:
 
 
 class Reach(IntEnum):
-    """What becomes of a camera sample, the values of `Compensation.reach`.
-
-    Examples
-    --------
-    >>> import lightmatrix as lm
-    >>> from lightmatrix.uses.compensation import Reach
-    >>> found = lm.compensate(lm.truth("metal").transport(), np.full((64, 64), 0.5))
-    >>> bool((found.reach == Reach.SHADOW).any())
-    True
-    """
+    """What becomes of a camera sample, the values of `Compensation.reach`."""
 
     REACHED = 0
     # The mask leaves it out.
@@ -305,20 +296,10 @@ class Compensation:
     reach : camera_shape uint8
         0 where the picture is reached; else why not (see `Reach`): 1 masked, 2 in shadow, 3 too
         dark there, 4 too bright there.
-    exposure : float
-        The exposure e for which `clipped` is told.
     encoding : tuple of ProjectorResponse or None
         What `encoded` and the written image encode each pattern by; None: as light.
     uncompensated_psnr : float, optional
         What `psnr` would be, at its best brightness, if the picture were shown as it is.
-
-    Examples
-    --------
-    >>> import lightmatrix as lm
-    >>> known = lm.truth("l_objects").transport()
-    >>> found = lm.compensate(known, np.full((64, 64), 0.5))
-    >>> found.pattern.shape, bool(found.reachable.mean() > 0.8)
-    ((64, 64), True)
     """
 
     patterns: tuple[NDArray[np.float32], ...]
@@ -327,7 +308,6 @@ class Compensation:
     scale: float
     brightness: float
     reach: NDArray[np.uint8]
-    exposure: float = 1.0
     encoding: tuple[ProjectorResponse | None, ...] = ()
     uncompensated_psnr: float | None = None
 
@@ -358,8 +338,8 @@ class Compensation:
 
     @property
     def clipped(self) -> NDArray[np.bool_]:
-        """Camera samples that would clip at the exposure."""
-        return self.exposure * self.predicted >= 1
+        """Camera samples that would clip at exposure 1."""
+        return self.predicted >= 1
 
     @property
     def psnr(self) -> float:
@@ -395,7 +375,6 @@ class Compensator:
     ambient: NDArray[np.float32]
     # (M,): samples that count.
     chosen: NDArray[np.bool_]
-    exposure: float = 1.0
     # Whether samples count less whose row of T has a large estimated error.
     weigh_errors: bool = True
 
@@ -457,27 +436,25 @@ class Compensator:
     def uncompensated(self, found: Compensation, wanted: NDArray[np.float32]) -> Compensation:
         """A compensation that also says how the wanted light (M,), shown as it is, would look.
 
-        Each projector pixel shows the mean of what the samples want that it lights, and the whole
-        is as bright as suits the target best.
+        The whole is as bright as suits the target best.
         """
-        lit = self.lit.astype(np.float32)
-        weight, asked = self.light.adjoint(lit), self.light.adjoint(lit * wanted)
-        plain = np.divide(asked, weight, out=np.zeros_like(asked), where=weight > 0)
-        seen, aim = self.light.forward(plain)[self.lit], (found.target.ravel() - self.ambient)
-        factor = max(float(seen @ aim[self.lit]) / max(float(seen @ seen), 1e-30), 0.0)
-        photograph = np.float32(factor) * self.light.forward(plain) + self.ambient
+        seen, aim = self.light.forward(self._means(self.lit * wanted)), found.target.ravel()
+        factor = seen[self.lit] @ (aim - self.ambient)[self.lit] / max(seen @ seen, 1e-30)
+        photograph = np.float32(max(factor, 0)) * seen + self.ambient
         psnr = found.psnr_of(photograph.reshape(found.target.shape))
         return replace(found, uncompensated_psnr=psnr)
 
     def start(self, target: NDArray[np.float32]) -> NDArray[np.float32]:
         """The pattern by gains of single pixels, (N,): what inverse methods without T do.
 
-        Each camera sample asks for target / white, and each projector pixel gets the mean of what
-        the samples ask that it lights.
+        Each camera sample asks for target / white.
         """
         asked = np.zeros_like(target)
         np.divide(target - self.ambient, self.light.white, out=asked, where=self.lit)
-        asked = np.clip(asked, 0, 1)
+        return self._means(np.clip(asked, 0, 1))
+
+    def _means(self, asked: NDArray[np.float32]) -> NDArray[np.float32]:
+        """For each projector pixel the mean of what the samples ask (M,) that it lights."""
         weight = self.light.adjoint(self.lit.astype(np.float32))
         light = self.light.adjoint(asked)
         return np.divide(light, weight, out=np.zeros_like(light), where=weight > 0)
@@ -529,7 +506,6 @@ class Compensator:
             scale,
             brightness,
             reach.reshape(shape),
-            self.exposure,
         )
 
 
@@ -539,18 +515,15 @@ def compensator(
     ambient: Picture | None = None,
     mask: Picture | None = None,
     projector_mask: Picture | None = None,
-    exposure: float = 1.0,
 ) -> Compensator:
     """What compensations of one scene share, from arguments of `compensate`."""
-    hint = "use a number above 0, such as 1"
-    check_number("an exposure", exposure, most=1e9, above=True, hint=hint)
     light = joint_light(transport)
     shape = light.camera_shape
     if projector_mask is not None:
         shapes = [matrix.projector_shape for matrix in light.matrices]
         usable = [mask_samples(projector_mask, shape, "projector") for shape in shapes]
         light = replace(light, usable=np.concatenate(usable).astype(np.float32))
-    return Compensator(light, ambient_samples(ambient, shape), mask_samples(mask, shape), exposure)
+    return Compensator(light, ambient_samples(ambient, shape), mask_samples(mask, shape))
 
 
 def compensate(
@@ -563,7 +536,6 @@ def compensate(
     brightness: float | None = None,
     gamma: float | None = None,
     fit: str | None = None,
-    exposure: float = 1.0,
     iterations: int = USUAL_ITERATIONS,
     projector_response: ProjectorResponse | str | Path | None = None,
     output: str | Path | None = None,
@@ -602,8 +574,6 @@ def compensate(
     fit : {"cover", "contain", "stretch"}, optional
         How a picture of another size is fitted to the camera: it covers all of it and is cut off,
         is seen whole with black beside it, or is stretched. None: it is refused.
-    exposure : float
-        The exposure for which `Compensation.clipped` is told.
     iterations : int
         Of the solver, at least 1.
     projector_response : ProjectorResponse, str or Path, optional
@@ -641,9 +611,7 @@ def compensate(
     check_whole("iterations", iterations, hint="use at least 1, such as 25")
     if output is not None:
         check_output(output, IMAGE, overwrite=overwrite)
-    shared = compensator(
-        transport, ambient=ambient, mask=mask, projector_mask=projector_mask, exposure=exposure
-    )
+    shared = compensator(transport, ambient=ambient, mask=mask, projector_mask=projector_mask)
     samples = wanted_samples(wanted, shared.light.camera_shape, gamma=gamma, fit=fit)
     found = shared.solve(samples, brightness, iterations=iterations)
     found = shared.uncompensated(found, samples)
@@ -676,13 +644,6 @@ class CompensatedVideo:
         Share of camera samples that come close to what they should be.
     encoding : ProjectorResponse, optional
         What the images that were written are encoded by; None: they are light.
-
-    Examples
-    --------
-    >>> import lightmatrix as lm
-    >>> frames = np.stack([np.full((64, 64), grey) for grey in (0.2, 0.4)])
-    >>> lm.compensate_video(lm.truth("metal").transport(), frames).patterns.shape
-    (2, 64, 64)
     """
 
     patterns: NDArray[np.float32]

@@ -8,7 +8,6 @@ from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
-from xml.etree import ElementTree
 
 import imagecodecs
 import numpy as np
@@ -31,9 +30,6 @@ from lightmatrix.transport.correspondence import (
 )
 from lightmatrix.transport.sparse_rows import footprint_sizes
 from lightmatrix.uses.loading import Transport, loaded
-
-# The gamma of pictures that media servers show, and of most projectors; MPCDI states it.
-_MEDIA_GAMMA = 2.2
 
 
 @dataclass(frozen=True, eq=False)
@@ -182,59 +178,50 @@ def _write_remap(found: ProjectorMap, part: Path, _: Path) -> None:
         np.savez_compressed(stream, **arrays)
 
 
+# MPCDI 2.0 (VESA 2015), profile "2d": a warp for each pixel, alpha, and beta. The gamma is that of
+# the pictures that media servers show, and of most projectors.
+_MPCDI = """<?xml version="1.0" encoding="utf-8"?>
+<MPCDI profile="2d" geometry="2" color="2" date="{date:%Y-%m-%d %H:%M:%S}" version="2.0">
+  <display>
+    <buffer id="lightmatrix" xResolution="{cols}" yResolution="{rows}">
+      <region id="projector" x="0" y="0" xSize="1" ySize="1"
+              xResolution="{cols}" yResolution="{rows}">
+        <color><decode type="gamma" gamma="2.2"/><encode type="gamma" gamma="2.2"/></color>
+      </region>
+    </buffer>
+  </display>
+  <files>
+    <fileset region="projector">
+      <geometryWarpFile>
+        <path>{warp}</path><interpolation>linear</interpolation>
+      </geometryWarpFile>
+      <alphaMap>
+        <bitDepth>8</bitDepth><componentDepth>1</componentDepth><gammaEmbedded>1.0</gammaEmbedded>
+        <path>alpha.png</path>
+      </alphaMap>
+      <betaMap>
+        <bitDepth>8</bitDepth><componentDepth>1</componentDepth><path>beta.png</path>
+      </betaMap>
+    </fileset>
+  </files>
+</MPCDI>
+"""
+
+
 def _write_mpcdi(found: ProjectorMap, part: Path, _: Path) -> None:
-    """MPCDI 2.0 (VESA 2015): the profile "2d" with a warp for each pixel, alpha and beta."""
     rows, cols = found.weight.shape
     # The third component is an error, which is not known, or 1 where the place is unknown.
     error = np.where(found.known, np.nan, 1)[..., None]
     warp = np.concatenate([found.uv, error], axis=-1).astype("<f4")
-    # PFM begins with the bottom row.
-    pfm = f"PF\n{cols} {rows}\n-1.0\n".encode() + warp[::-1].tobytes()
     alpha = np.where(found.known, 255, 0).astype(np.uint8)
-    size = {"xResolution": str(cols), "yResolution": str(rows)}
-    root = ElementTree.Element(
-        "MPCDI",
-        {
-            "profile": "2d",
-            "geometry": "2",
-            "color": "2",
-            "date": datetime.now(UTC).strftime("%Y-%m-%d %H:%M:%S"),
-            "version": "2.0",
-        },
-    )
-    _add(root, {"display": {("buffer", ("id", "lightmatrix"), *size.items()): {
-        ("region", ("id", "projector"), ("x", "0"), ("y", "0"), ("xSize", "1"), ("ySize", "1"),
-         *size.items()): {
-            "color": {
-                (step, ("type", "gamma"), ("gamma", f"{_MEDIA_GAMMA}")): ""
-                for step in ("decode", "encode")
-            },
-        },
-    }}, "files": {("fileset", ("region", "projector")): {
-        "geometryWarpFile": {"path": kinds.MPCDI_MARK, "interpolation": "linear"},
-        "alphaMap": {
-            "bitDepth": "8", "componentDepth": "1", "gammaEmbedded": "1.0", "path": "alpha.png",
-        },
-        "betaMap": {"bitDepth": "8", "componentDepth": "1", "path": "beta.png"},
-    }}})  # fmt: skip
-    ElementTree.indent(root)
     with zipfile.ZipFile(part, "w", zipfile.ZIP_DEFLATED) as archive:
-        # First, because it tells that the file is ours.
-        archive.writestr(kinds.MPCDI_MARK, pfm)
-        archive.writestr("mpcdi.xml", ElementTree.tostring(root, "utf-8", xml_declaration=True))
+        # First, because it tells that the file is ours. PFM begins with the bottom row.
+        header = f"PF\n{cols} {rows}\n-1.0\n".encode()
+        archive.writestr(kinds.MPCDI_MARK, header + warp[::-1].tobytes())
+        words = _MPCDI.format(date=datetime.now(UTC), rows=rows, cols=cols, warp=kinds.MPCDI_MARK)
+        archive.writestr("mpcdi.xml", words)
         for name, image in (("alpha.png", alpha), ("beta.png", np.zeros_like(alpha))):
             archive.writestr(name, imagecodecs.png_encode(image))
-
-
-def _add(parent: ElementTree.Element, content: Mapping[Any, Any]) -> None:
-    """Add elements by name, or (name, attribute, ...), that hold text or further elements."""
-    for head, inner in content.items():
-        name, *attributes = (head,) if isinstance(head, str) else head
-        element = ElementTree.SubElement(parent, name, dict(attributes))
-        if isinstance(inner, str):
-            element.text = inner
-        else:
-            _add(element, inner)
 
 
 _WRITERS: Mapping[str, Callable[[ProjectorMap, Path, Path], None]] = {

@@ -61,13 +61,6 @@ class EpipolarGeometry:
         Where along the line good rows lie, relative to the mean surface, in projector pixels.
     middle : (float, float)
         The camera pixel for which `direction` is told: the mean of good rows.
-
-    Examples
-    --------
-    >>> import lightmatrix as lm
-    >>> geometry = lm.separate(lm.truth("l_objects").transport()).geometry
-    >>> -35 < geometry.direction < -30, geometry.perspective, geometry.spread < 0.5
-    (True, False, True)
     """
 
     fundamental: NDArray[np.float64]
@@ -594,15 +587,6 @@ class Separation:
         Where direct light can come from.
     spot : float
         Standard deviation of a spot of direct light in projector pixels.
-
-    Examples
-    --------
-    >>> import lightmatrix as lm
-    >>> known = lm.truth("metal").transport()
-    >>> parts = lm.separate(known)
-    >>> both = parts.direct.sparse + parts.global_.sparse
-    >>> abs(both - known.sparse).max()
-    np.float32(0.0)
     """
 
     direct: LightTransport

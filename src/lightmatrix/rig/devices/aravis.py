@@ -92,13 +92,11 @@ class AravisCamera(GenICamCamera):
     def _exposure_range(self) -> tuple[float, float]:
         return self._range
 
-    def _read_exposure(self) -> float:
-        with self._talking("say its exposure"):
-            return float(self._camera.get_exposure_time()) * 1e-6
+    def _microseconds(self) -> float:
+        return float(self._camera.get_exposure_time())
 
-    def _write_exposure(self, seconds: float) -> None:
-        with self._talking("set its exposure"):
-            self._camera.set_exposure_time(seconds * 1e6)
+    def _expose_for(self, microseconds: float) -> None:
+        self._camera.set_exposure_time(microseconds)
 
     def _frame(self, buffer: Any) -> Frame:
         # The wall clock may be set meanwhile, so only its difference to now is used.

@@ -121,8 +121,8 @@ def load(extra: str, what: str, *modules: str) -> list[Any]:
 
 
 def size_in_words(shape: tuple[int, ...]) -> str:
-    """A shape with the width first, as monitors and cameras write it: "1024 x 768"."""
-    return f"{shape[1]} x {shape[0]}"
+    """The rows and columns of a shape: "768 x 1024"."""
+    return f"{shape[0]} x {shape[1]}"
 
 
 class Clock:

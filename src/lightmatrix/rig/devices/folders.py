@@ -59,15 +59,15 @@ class FolderProjector(Projector):
 
 
 def open_folder(address: Address) -> FolderProjector:
-    """Open "folder:DIR,size=1024x768", width first as monitors have it; makes a missing folder."""
+    """Open "folder:DIR,size=768x1024", rows by columns as everywhere; makes a missing folder."""
     address.check_options(("size",))
     size = re.fullmatch(r"([1-9][0-9]{0,4})x([1-9][0-9]{0,4})", address.options.get("size", ""))
     if not address.argument or size is None:
         raise InputError(
             f"{address}: a folder and its size are needed",
-            hint="give folder:DIR,size=WIDTHxHEIGHT, with the pixels of the projector",
+            hint="give folder:DIR,size=ROWSxCOLUMNS, with the pixels of the projector",
         )
-    return FolderProjector(address, Path(address.argument), (int(size[2]), int(size[1])))
+    return FolderProjector(address, Path(address.argument), (int(size[1]), int(size[2])))
 
 
 class WatchedFolder(Camera):

@@ -120,6 +120,9 @@ class GenICamCamera(Camera):
     _use_trigger: Callable[[str | None], None]
     # Trigger by software.
     _fire: Callable[[], None]
+    # The exposure in microseconds, read and written.
+    _microseconds: Callable[[], float]
+    _expose_for: Callable[[float], None]
     # These hints tell the user where the camera lists its features, and their values.
     _features_hint: str
     _values_hint: str
@@ -132,6 +135,14 @@ class GenICamCamera(Camera):
         if self._trigger == "software":
             with self._talking("be triggered"):
                 self._fire()
+
+    def _read_exposure(self) -> float:
+        with self._talking("say its exposure"):
+            return self._microseconds() * 1e-6
+
+    def _write_exposure(self, seconds: float) -> None:
+        with self._talking("set its exposure"):
+            self._expose_for(seconds * 1e6)
 
     def _configure(self) -> None:
         """Switch off what alters pictures, then set what the address asks for."""

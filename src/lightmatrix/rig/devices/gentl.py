@@ -86,13 +86,11 @@ class GenTLCamera(GenICamCamera):
     def _exposure_range(self) -> tuple[float, float]:
         return float(self._exposure_node.min) * 1e-6, float(self._exposure_node.max) * 1e-6
 
-    def _read_exposure(self) -> float:
-        with self._talking("say its exposure"):
-            return float(self._exposure_node.value) * 1e-6
+    def _microseconds(self) -> float:
+        return float(self._exposure_node.value)
 
-    def _write_exposure(self, seconds: float) -> None:
-        with self._talking("set its exposure"):
-            self._exposure_node.value = seconds * 1e6
+    def _expose_for(self, microseconds: float) -> None:
+        self._exposure_node.value = microseconds
 
     def _node(self, name: str) -> Any:
         return getattr(self._acquirer.remote_device.node_map, name, None)

@@ -51,7 +51,7 @@ PROJECTORS: dict[str, BackEnd[Projector]] = {
     for kind, each in {
         "window": ("full-screen window on a monitor", "window:MONITOR", open_window, find_windows),
         "folder": (
-            "file that another program shows", "folder:DIR,size=WIDTHxHEIGHT", open_folder, None,
+            "file that another program shows", "folder:DIR,size=ROWSxCOLUMNS", open_folder, None,
         ),
     }.items()
 }  # fmt: skip
@@ -89,7 +89,7 @@ def open_projector(address: str) -> Projector:
     Examples
     --------
     >>> import lightmatrix as lm
-    >>> projector = lm.open_projector("folder:shown,size=64x48")
+    >>> projector = lm.open_projector("folder:shown,size=48x64")
     >>> projector.shape
     (48, 64)
     >>> projector.close()

@@ -128,10 +128,10 @@ class VideoCamera(Camera):
 def open_video(address: Address) -> VideoCamera:
     """Open a video device by the system's name for it: "video:/dev/video0,exposure=0.01".
 
-    The exposure in seconds is the one that was set on the camera. Further options: size=1280x720;
-    fps=30; format, one of FFmpeg's (x11grab, dshow); pixels, which is all (three channels of a
-    colour camera, the default) or green. FFmpeg takes input_format, pixel_format, channel,
-    rtbufsize, grab_x, grab_y and draw_mouse.
+    The exposure in seconds is the one that was set on the camera. Further options: size=720x1280,
+    rows by columns; fps=30; format, one of FFmpeg's (x11grab, dshow); pixels, which is all (three
+    channels of a colour camera, the default) or green. FFmpeg takes input_format, pixel_format,
+    channel, rtbufsize, grab_x, grab_y and draw_mouse.
     """
     address.check_options((*_OPTIONS, *_FFMPEG_OPTIONS))
     exposure = address.stated_exposure
@@ -144,7 +144,8 @@ def open_video(address: Address) -> VideoCamera:
     kind = address.options.get("format") or _SYSTEMS.get(sys.platform, "v4l2")
     options = {name: address.options[name] for name in _FFMPEG_OPTIONS if name in address.options}
     if "size" in address.options:
-        options["video_size"] = address.options["size"]
+        # FFmpeg has the width first.
+        options["video_size"] = "x".join(reversed(address.options["size"].split("x")))
     if "fps" in address.options:
         options["framerate"] = f"{address.number('fps', 0.0):g}"
     if kind == "x11grab":

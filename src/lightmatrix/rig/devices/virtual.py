@@ -76,13 +76,12 @@ def parse_settings(text: str) -> VirtualSettings:
     values: dict[str, Any] = {}
     address.check_options(list(kinds))
     for name, value in address.options.items():
+        whole = kinds[name] == "int"
         try:
-            values[name] = int(value) if kinds[name] == "int" else float(value)
+            values[name] = int(value) if whole else float(value)
         except ValueError:
-            what = "whole number" if kinds[name] == "int" else "number"
-            raise InputError(
-                f"a virtual rig with {name}={value}", hint=f"give {name} a {what}, {name}=1"
-            ) from None
+            hint = f"give {name} a {'whole ' * whole}number, {name}=1"
+            raise InputError(f"a virtual rig with {name}={value}", hint=hint) from None
     return VirtualSettings(address.argument, **values)
 
 

@@ -68,7 +68,9 @@ class WindowProjector(Projector):
         self._context.viewport = (0, 0, width, height)
         self._program = self._context.program(_VERTEX, _FRAGMENT)
         self._triangle = self._context.vertex_array(self._program, [])
-        self._textures: dict[int, Any] = {}
+        # An alignment of 1 means that there is no gap between rows.
+        self._texture = self._context.texture(self._shape[::-1], 3, alignment=1)
+        self._texture.filter = (self._context.NEAREST, self._context.NEAREST)
         if gamma == "linear":
             # GLFW restores the ramp when it ends.
             glfw.set_gamma(monitor, 1.0)
@@ -95,17 +97,9 @@ class WindowProjector(Projector):
         if self._window is None:
             raise DeviceError("the projector window is closed", hint="open it again")
         check_image(image, self._shape)
-        channels = 1 if image.ndim == 2 else 3
-        texture = self._textures.get(channels)
-        if texture is None:
-            # An alignment of 1 means that there is no gap between rows.
-            texture = self._context.texture(self._shape[::-1], channels, alignment=1)
-            texture.filter = (self._context.NEAREST, self._context.NEAREST)
-            if channels == 1:
-                texture.swizzle = "RRR1"
-            self._textures[channels] = texture
-        texture.write(np.ascontiguousarray(image).data)
-        texture.use()
+        colours = image if image.ndim == 3 else np.repeat(image[..., None], 3, axis=2)
+        self._texture.write(np.ascontiguousarray(colours).data)
+        self._texture.use()
         self._triangle.render(vertices=3)
         self._glfw.swap_buffers(self._window)
         # Wait until the graphics card has done it, not only received it.

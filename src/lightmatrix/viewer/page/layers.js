@@ -22,10 +22,13 @@ export class Layers {
   async fetchBehind(pixels) {
     await this.fetch("dual");
     const { header, arrays: { values } } = this.get("dual"), channels = values.length / pixels;
-    this.behind = Uint8Array.from({ length: pixels }, (_, k) => {
-      const light = values.subarray(k * channels, (k + 1) * channels).reduce((sum, value) => sum + value, 0) / channels;
-      return 255 * Math.min(1, Math.max(0, light / header.white)) ** (1 / 2.2);
-    });
+    const behind = new Uint8Array(pixels);
+    for (let k = 0; k < pixels; k++) {
+      let light = 0;
+      for (let channel = 0; channel < channels; channel++) light += values[k * channels + channel];
+      behind[k] = 255 * Math.min(1, Math.max(0, light / channels / header.white)) ** (1 / 2.2);
+    }
+    this.behind = behind;
   }
 }
 
