@@ -35,13 +35,15 @@ class CodeLattice:
     """Camera pixels on a lattice over the image, in triples: a pixel, one below, one to the right.
 
     `samples` (K, 3 n) are those of the n pixels, then of their neighbours; `pairs` (2, p) lead from
-    one to another. Codes of stripes and their patterns stand beside them.
+    one to another, and the first `neighbours` of them to the next pixel. Codes of stripes and their
+    patterns stand beside them.
     """
 
     patterns: PatternSet
     codes: Codes
     samples: NDArray[np.float32]
     pairs: NDArray[np.int64]
+    neighbours: int
 
     @classmethod
     def of(cls, survey: Survey, most: int = 1500) -> CodeLattice | None:
@@ -71,17 +73,16 @@ class CodeLattice:
             return None
         # Neighbours of the lattice tell of the coarsest bits, and those in the image of the finest.
         own = np.arange(count)
-        near = [(own, own + count), (own, own + 2 * count)]
+        steps = (cols * channels, channels)
+        lit = [usable[first + step] for step in steps]
+        near = [(own[also], own[also] + k * count) for k, also in enumerate(lit, 1)]
         far = [(number[:, 1:], number[:, :-1]), (number[:, :, 1:], number[:, :, :-1])]
         far = [(a[(a >= 0) & (b >= 0)], b[(a >= 0) & (b >= 0)]) for a, b in far]
-        chosen = np.concatenate([first, first + cols * channels, first + channels])
+        chosen = np.concatenate([first, *(first + step for step in steps)])
         samples = np.ascontiguousarray(survey.samples(chosen).values.T)
-        return cls(survey.patterns, codes, samples, np.hstack([*near, *far]))
-
-    @property
-    def neighbours(self) -> int:
-        """Pairs of neighbours in the image, which come first."""
-        return 2 * (self.samples.shape[1] // 3)
+        return cls(
+            survey.patterns, codes, samples, np.hstack([*near, *far]), int(sum(map(np.sum, lit)))
+        )
 
     def lines(self, code: Code, frames: Order) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
         """The lines that each camera pixel may see, (1 or 2, m), and what is not explained, (m,).
@@ -169,6 +170,8 @@ class CodeLattice:
 
     def unrelated(self, frames: Order) -> bool:
         """Whether neighbours in the image see no nearer to each other than any two pixels."""
+        if self.neighbours < 40:
+            return False
         shuffled = np.random.default_rng(0).permutation(self.samples.shape[1] // 3)
         near = []
         for code in self.codes.codes:
