@@ -24,10 +24,10 @@ from experiments.harness import markdown, write_json
 from experiments.harness import options as options_of
 from lightmatrix.capture.capture import Capture
 from lightmatrix.capture.sensor import Sensor
-from lightmatrix.check.all_checks import check_capture
 from lightmatrix.check.finding import Finding
 from lightmatrix.check.frame_order import missing_places
 from lightmatrix.check.survey import Survey
+from lightmatrix.estimators.rig_findings import check
 from lightmatrix.files.images import decode_image, encode_image
 from lightmatrix.patterns.bits import BernoulliPatterns
 from lightmatrix.patterns.pattern_set import PatternSet
@@ -72,7 +72,7 @@ class Draw:
 
     def check(self, frames: Images) -> list[Finding]:
         """What is wrong with them."""
-        return check_capture(self.capture(frames))
+        return check(self.capture(frames))
 
 
 def draws(number: int, seed: int) -> Iterator[Draw]:
@@ -151,7 +151,7 @@ def coded(draw: Draw, generator: np.random.Generator) -> tuple[list[Finding], bo
     # Whoever measures the black level of such a camera measures it coded.
     camera = replace(draw, sensor=replace(draw.sensor, black_level=black))
     findings = (replace(camera, room=0 * draw.room) if draw.room.any() else camera).check(levels)
-    return findings, any(f.kind == "response" for f in findings)
+    return findings, any(f.kind == "camera-curve" for f in findings)
 
 
 def compressed(draw: Draw, generator: np.random.Generator) -> tuple[list[Finding], bool]:
@@ -178,7 +178,7 @@ def flickering(draw: Draw, generator: np.random.Generator) -> tuple[list[Finding
     """The light goes up and down by 5 % in the beat of camera and lamp."""
     beat = generator.uniform(0.3, 3) * np.arange(draw.patterns.count) + generator.uniform(0, 6)
     findings = draw.check(draw.frames(1 + FLICKER * np.sin(beat)))
-    return findings, any(f.kind == "flicker" for f in findings)
+    return findings, any(f.kind in ("gain", "exposure") for f in findings)
 
 
 FAULTS: dict[str, Callable[[Draw, np.random.Generator], tuple[list[Finding], bool]]] = {

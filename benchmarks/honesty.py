@@ -39,6 +39,7 @@ from lightmatrix.check.finding import NOTES
 from lightmatrix.judgement.judgement import verdicts
 from lightmatrix.judgement.metrics import relative_error
 from lightmatrix.pictures.style import COLOURS, figure, fix_ticks, save
+from lightmatrix.rig_model.terms import TERMS
 from lightmatrix.simulation import library
 
 INTACT = "intact"
@@ -234,7 +235,7 @@ def _good(outcome: Outcome) -> bool:
 
 def _accused(outcome: Outcome) -> bool:
     """Whether an intact capture is refused, or found to be out of order or moved or bent."""
-    kinds = {"order", "unrelated", "motion", "response", "frame", "flicker"}
+    kinds = {"order", "unrelated", "motion", "frame", *TERMS}
     return outcome.level == "refused" or bool(kinds & set(outcome.findings))
 
 

@@ -12,7 +12,12 @@ import numpy as np
 from experiments.harness import Experiment, Measured, Row, all_rows
 from lightmatrix.capture.camera_curve import Response
 from lightmatrix.capture.capture import Capture
-from lightmatrix.check.curves import FoundResponse, exponent, largest_difference, with_response
+from lightmatrix.capture.found_response import (
+    FoundResponse,
+    exponent,
+    largest_difference,
+    with_response,
+)
 from lightmatrix.errors import InputError
 from lightmatrix.estimators.estimate import estimate
 from lightmatrix.estimators.unknown_response import find_projector_response, find_response

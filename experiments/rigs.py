@@ -19,8 +19,8 @@ from experiments.other_cameras import depth_blur, mapped, seen, varying_defocus
 from experiments.responses import S_CURVE, camera_of, photographed
 from lightmatrix.capture.camera_curve import Response
 from lightmatrix.capture.capture import Capture
+from lightmatrix.capture.found_response import with_response
 from lightmatrix.capture.frames import ArrayStack
-from lightmatrix.check.curves import with_response
 from lightmatrix.errors import InputError
 from lightmatrix.estimators.colour import estimate_colour
 from lightmatrix.estimators.estimate import estimate

@@ -51,10 +51,22 @@ public name. Each is loaded when it is first used.
 from __future__ import annotations
 
 import difflib
+import sys
+import types
 from typing import Any
 
 import lazy_loader
 
+
+class _Package(types.ModuleType):
+    """Keeps `lm.check` a function when Python imports the folder `check`."""
+
+    def __setattr__(self, name: str, value: Any) -> None:
+        if name != "check" or not isinstance(value, types.ModuleType):
+            super().__setattr__(name, value)
+
+
+sys.modules[__name__].__class__ = _Package
 _loaded, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
 
 

@@ -71,7 +71,7 @@ from .shape.calibrate import (
 from .geometry.rig_geometry import RigGeometry as RigGeometry
 
 # What is wrong with a capture.
-from .check.all_checks import check as check
+from .estimators.rig_findings import check as check
 
 # Responses, measured from photographs.
 from .patterns.projector_curve import ProjectorResponse as ProjectorResponse

@@ -19,7 +19,6 @@ import lightmatrix as lm
 from benchmarks import frame_checks
 from lightmatrix.check.all_checks import (
     _with_orientation,
-    check_capture,
     check_distinguishable,
     check_interchanged,
 )
@@ -52,7 +51,7 @@ Found = list[tuple[str, tuple[int, ...]]]
 def found(
     frames: Frames, patterns: lm.PatternSet = PATTERNS, decoder: lm.Decoder = DECODER
 ) -> Found:
-    findings = check_capture(lm.Capture.from_arrays(patterns, frames, decoder))
+    findings = lm.check(lm.Capture.from_arrays(patterns, frames, decoder))
     assert {each.kind for each in findings} <= set(KINDS)
     assert all(each.message and each.advice for each in findings)
     return [(each.kind, each.frames) for each in findings]
@@ -94,7 +93,7 @@ def coded(frames: Frames) -> Frames:
         (blackened, [("frame", (5,))]),
         (replaced, [("frame", (5,))]),
         (shifted, [("motion", tuple(range(16, K)))]),
-        (coded, [("response", ())]),
+        (coded, [("camera-curve", ())]),
         (lambda frames: swapped(blackened(frames)), [("order", (3, 9)), ("frame", (5,))]),
     ],
     ids=["intact", "swapped", "black", "replaced", "shifted", "coded", "swapped and black"],
@@ -112,9 +111,11 @@ def test_a_lost_frame_displaces_the_rest() -> None:
 
 def test_light_that_changes() -> None:
     beat = 1 + 0.05 * np.sin(1 + 1.3 * np.arange(K))
-    assert found(photographs(PATTERNS, gain=beat)) == [("flicker", ())]
+    assert found(photographs(PATTERNS, gain=beat)) == [("gain", ())]
     one = np.where(np.arange(K) == 7, 1.1, 1.0)
-    assert found(photographs(PATTERNS, gain=one)) == [("flicker", (7,))]
+    capture = lm.Capture.from_arrays(PATTERNS, photographs(PATTERNS, gain=one), DECODER)
+    (finding,) = lm.check(capture)
+    assert "in frame 7 (+" in finding.message
 
 
 def test_a_bright_black_frame() -> None:
@@ -386,8 +387,8 @@ def test_estimate_says_what_check_finds(
     words = ["estimate", str(folder), "-o", str(tmp_path / "x.zarr"), "--no-coherent", "--json"]
     assert main([*words, "--iterations", "2"]) == 0
     shown = capsys.readouterr()
-    assert "response: " in shown.err
-    assert [each["kind"] for each in json.loads(shown.out)["findings"]] == ["response"]
+    assert "camera-curve: " in shown.err
+    assert [each["kind"] for each in json.loads(shown.out)["findings"]] == ["camera-curve"]
 
 
 def test_photographs_that_viewers_turn_are_told_so(tmp_path: Path) -> None:
@@ -397,7 +398,7 @@ def test_photographs_that_viewers_turn_are_told_so(tmp_path: Path) -> None:
         exif[ExifTags.Base.Orientation] = 3 if k >= 2 else 1
         Image.fromarray(np.zeros((6, 6), np.uint8)).save(tmp_path / f"{k}.png", exif=exif)
     capture = lm.Capture.from_folders(lm.BernoulliPatterns((4, 4), 4), tmp_path)
-    moved, flicker = (Finding(kind, (2, 3), "", "take it again") for kind in ("motion", "flicker"))
+    moved, flicker = (Finding(kind, (2, 3), "", "take it again") for kind in ("motion", "gain"))
     told = _with_orientation(capture, moved).advice
     assert "again; the EXIF orientation of 2 photographs, from 2.png on, differs" in told
     assert _with_orientation(capture, flicker) == flicker

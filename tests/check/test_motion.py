@@ -7,7 +7,6 @@ import pytest
 from numpy.typing import NDArray
 
 import lightmatrix as lm
-from lightmatrix.check import motion
 from lightmatrix.check.motion import check_motion, find_shift
 from lightmatrix.check.survey import Survey, high_variance_rows
 from lightmatrix.patterns.bits import BernoulliPatterns
@@ -73,16 +72,6 @@ def test_a_frame_that_is_odd_by_itself_is_no_motion() -> None:
     frames = photographs(PATTERNS)
     frames[11] = np.roll(frames[11], 2, axis=1)
     assert found(frames, doubted=(11,)) == []
-
-
-def test_scenes_without_outlines(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(motion, "find_shift", lambda *_: None)
-    frames = photographs(PATTERNS)
-    frames[12:] = np.roll(frames[12:], -1, axis=2)
-    monkeypatch.setattr(motion, "MARGIN", 1)
-    ((start, message),) = found(frames)
-    assert abs(start - 12) <= 1
-    assert message.endswith("(1 left)")
 
 
 # ---- images

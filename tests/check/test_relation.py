@@ -184,4 +184,4 @@ def test_a_curve_under_two_exposures_is_no_other_series() -> None:
         noise=0.003,
         faults={"camera-curve": 2.2},
     )
-    assert "unrelated" not in [each.kind for each in lm.check(capture)]
+    assert "unrelated" not in [each.kind for each in check_capture(capture)]

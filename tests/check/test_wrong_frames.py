@@ -11,8 +11,6 @@ from numpy.typing import NDArray
 import lightmatrix as lm
 from lightmatrix.check.prediction import FramePrediction
 from lightmatrix.check.wrong_frames import (
-    brightness_changes,
-    check_flicker,
     check_frames,
     wrong_frames,
 )
@@ -139,61 +137,3 @@ def test_samples_that_only_their_own_frame_shows_are_not_compared() -> None:
     frames[np.arange(256), np.arange(256)] = np.random.default_rng(0).integers(60, 250, 256)
     capture = lm.Capture.from_arrays(patterns, frames.reshape(256, 16, 16), lm.Sensor())
     assert [each.kind for each in lm.check(capture)] == ["linearity"]
-
-
-def findings(
-    change: NDArray[np.float64] | list[float], error: float = 0.001
-) -> list[tuple[str, tuple[int, ...]]]:
-    change = np.asarray(change)
-    frames = np.arange(len(change))
-    found = check_flicker(change, np.full(len(change), error), frames, NAMES)
-    return [(each.kind, each.frames) for each in found]
-
-
-def test_the_change_of_a_frame_and_its_error_are_measured() -> None:
-    example = prediction(rows=60, frames=12, noise=0.01)
-    gain = np.ones(12)
-    gain[3] = 1.03
-    bright = prediction(rows=60, frames=12, noise=0.01, gain=gain)
-    change, error = brightness_changes(bright)
-    assert change[3] == pytest.approx(0.03, abs=4 * error[3])
-    assert np.abs(np.delete(change, 3)).max() < 0.02
-    # The error is the spread over many draws of the noise.
-    draws = np.array(
-        [
-            brightness_changes(prediction(rows=60, frames=12, noise=0.01, seed=seed))[0]
-            for seed in range(60)
-        ]
-    )
-    assert np.median(brightness_changes(example)[1]) == pytest.approx(draws.std(), rel=0.25)
-
-
-def test_rows_that_miss_the_same_light_are_one_witness() -> None:
-    example = prediction(rows=64, frames=12, noise=0.01)
-    part = np.arange(64) // 4
-    shared = np.random.default_rng(3).normal(0, 0.05, (16, 12))[part]
-    missed = replace(example, observed=example.observed + shared, part=part)
-    change, error = brightness_changes(missed)
-    assert (np.abs(change) < 4 * error).all()
-    alone = brightness_changes(replace(missed, part=np.arange(64)))[1]
-    assert np.median(error) > 1.5 * np.median(alone)
-
-
-def test_light_that_varies_in_all_frames_or_in_one() -> None:
-    beat = np.where(np.arange(12) % 2, 1.0, -1.0)
-    assert findings(0.03 * beat) == [("flicker", ())]
-    assert findings(0.003 * beat) == []
-    assert findings(0.03 * beat, error=0.03) == []
-    change = np.zeros(12)
-    change[7] = 0.05
-    assert findings(change) == findings(-change) == [("flicker", (7,))]
-    assert findings(change / 2) == findings(change, error=0.05) == []
-    found = check_flicker(change, np.full(12, 0.001), np.arange(12), NAMES)
-    assert "in frame 7 (+5 %)" in found[0].message
-
-
-def test_few_frames_predict_each_other_less_exactly() -> None:
-    change = np.where(np.arange(12) == 7, 0.05, 0.0)
-    for slack, found in ((1.0, 1), (1.33, 0)):
-        frames = np.arange(12)
-        assert len(check_flicker(change, np.full(12, 0.001), frames, NAMES, slack)) == found

@@ -22,9 +22,9 @@ LIGHT = photographs(PATTERNS, noise=0.001)
 FAULTY = {
     "order": LIGHT[np.r_[:3, 9, 4:9, 3, 10:32]],
     "frame": np.where(np.arange(32)[:, None, None] == 9, 0, LIGHT).astype(np.uint8),
-    "response": np.rint(255 * (LIGHT / 255) ** (1 / 2.2)).astype(np.uint8),
+    "camera-curve": np.rint(255 * (LIGHT / 255) ** (1 / 2.2)).astype(np.uint8),
     "motion": np.concatenate([LIGHT[:16], np.roll(LIGHT[16:], 2, axis=2)]),
-    "flicker": photographs(PATTERNS, gain=BEAT, noise=0.001),
+    "gain": photographs(PATTERNS, gain=BEAT, noise=0.001),
 }
 
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import lightmatrix as lm
-from lightmatrix.check.curves import FoundResponse
+from lightmatrix.capture.found_response import FoundResponse
 from lightmatrix.cli import main
 from lightmatrix.patterns.folder import write_patterns
 from tests.helpers.surface import PROJECTOR, photographs
@@ -63,7 +63,7 @@ def test_a_curve_that_was_found_does_not_spoil_the_verdict() -> None:
     taken = capture(1.0, 2.2)
     kinds = [each.kind for each in lm.check(taken)]
     found = lm.estimate(taken, projector_response="auto", coherent=False, iterations=20)
-    assert kinds == ["projector"]
+    assert kinds == ["projector-curve"]
     assert found.provenance["findings"] == []
 
 

@@ -51,10 +51,10 @@ def test_the_verdict_follows_the_estimated_errors(transport: lm.LightTransport) 
 def test_what_no_error_estimate_shows_makes_the_verdict_doubtful() -> None:
     good = Verdict("good", 0.01)
     assert good.sentence == "Estimated error of T: 1 %."
-    assert good.with_findings(["flicker", "stripes"]) is good
-    spoiled = good.with_findings(["response", "flicker", "order"])
+    assert good.with_findings(["gain", "stripes"]) is good
+    spoiled = good.with_findings(["camera-curve", "gain", "order"])
     assert spoiled.level == "doubtful"
-    assert spoiled.sentence.endswith("(order, response).")
+    assert spoiled.sentence.endswith("(camera-curve, order).")
     assert spoiled.error is None
 
 

@@ -1,23 +1,21 @@
 """What is wrong with a capture, from the capture alone: one subject a file, in this order.
 
 ==================  ==============================================================================
-``all_checks``      The entry, `lm.check`: which files cannot be read?  Runs the following checks.
+``all_checks``      The entry: which files cannot be read?  Runs the following checks.
                     Are patterns and photographs exchanged?  Can the patterns reveal T?
 ``levels``          Is there too much light, or too little?  Are black and white frames so?
                     Did the photographs go through lossy compression?
 ``frame_order``     Does each frame show its own pattern?  Is a photograph missing?
 ``code_order``      The same of stripes, by how far apart neighbouring camera pixels see.
 ``relation``        Do the photographs follow the patterns at all, or what else explains them?
-``motion``          Did something move?
-``wrong_frames``    Which frames show something else, and what?  Had all the same light?
-``linearity``       Are photographs linear in light, and random grey patterns proportional to it?
+``motion``          Did something move by pixels?
+``wrong_frames``    Which frames show something else, and what?
 ``inverse_pairs``   The same questions where patterns come with their inverses (Gray code).
 ``refusals``        Can any estimate come from the capture?  Asked by `lm.estimate`.
 ==================  ==============================================================================
 
 The checks share three foundations: ``survey`` reads the samples that they look at; ``pursuit``
 predicts frames for the judgement of their order; ``prediction`` predicts them more exactly, for
-everything else. ``finding`` is what they return. ``bends`` finds by how much
-the curve of a camera or projector is off, for ``linearity`` and the estimators of unknown curves;
-``curves`` says how it may differ, and what was found of it.
+everything else. ``finding`` is what they return. What the rig did in the course of the capture
+(light, curves, shake) takes an estimate of T: see `rig_model/`.
 """

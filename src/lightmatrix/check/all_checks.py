@@ -1,6 +1,7 @@
-"""`lm.check`: all checks of a capture, in memory or on disk, also of one that cannot be opened.
+"""All checks of photographs as such, in memory or on disk, also of some that cannot be opened.
 
-Each check knows what those before it found.
+Each check knows what those before it found. `lm.check` (`estimators/rig_findings.py`) adds what the
+rig did in the course of the capture.
 """
 
 from __future__ import annotations
@@ -19,7 +20,7 @@ from lightmatrix.capture.settings import ReadSettings
 from lightmatrix.check.code_order import CodeLattice, check_code_order
 from lightmatrix.check.finding import Finding
 from lightmatrix.check.frame_order import check_counts, check_order
-from lightmatrix.check.inverse_pairs import Pairs, check_pairs, pair_gains
+from lightmatrix.check.inverse_pairs import Pairs, check_gains, check_pairs, pair_gains
 from lightmatrix.check.levels import (
     check_clip_level,
     check_jpeg,
@@ -27,7 +28,6 @@ from lightmatrix.check.levels import (
     check_plain_frames,
     check_two_levels,
 )
-from lightmatrix.check.linearity import check_grey_levels, check_linearity, show_pictures
 from lightmatrix.check.motion import check_motion
 from lightmatrix.check.prediction import predict
 from lightmatrix.check.relation import check_relation, check_unseen
@@ -35,15 +35,12 @@ from lightmatrix.check.survey import Survey, high_variance_rows
 from lightmatrix.check.wrong_frames import (
     LIKELY,
     SUSPECT,
-    brightness_changes,
-    check_flicker,
     check_frames,
     wrong_frames,
 )
 from lightmatrix.errors import InputError
 from lightmatrix.files.extras import orientation
 from lightmatrix.files.stacks import ImageStack
-from lightmatrix.patterns.colour import ColourPatterns
 from lightmatrix.patterns.pattern_set import ImagePatterns, PatternSet
 from lightmatrix.patterns.stripes import is_separable
 from lightmatrix.resources.threads import one_blas_thread, side_by_side
@@ -54,57 +51,16 @@ _FEWEST_FRAMES, _FEWEST_ROWS = 12, 20
 _MOST_ODD = 0.25
 
 
-def check(
-    capture: Capture | str | Path | None = None,
-    *,
-    patterns: str | Path | PatternSet | None = None,
-    images: str | Path | None = None,
-    settings: ReadSettings | None = None,
-    crop: Crop | None = None,
-) -> list[Finding]:
-    """Find what is wrong with a capture, as `lightmatrix check` does.
-
-    It looks at number and sizes of the files, frames that are swapped, lost, late, black or odd,
-    the response, lossy compression, motion, flicker, too much or too little light, and patterns
-    that cannot reveal all of T.
-
-    Parameters
-    ----------
-    capture : Capture, str or Path, optional
-        A capture, looked at as it was taken whatever is binned; or a capture folder, packed or
-        not. None: two plain folders.
-    patterns : str, Path or PatternSet, optional
-    images : str or Path, optional
-        The two folders, or stacks; see `Capture.from_folders`.
-    settings : ReadSettings, optional
-        How the images of the two folders are read. None: as those of a linear camera.
-    crop : ((int, int), (int, int)), optional
-        Corner and shape of the rectangle of the photographs that is looked at. None: all of them.
-
-    Returns
-    -------
-    list of Finding
-        Empty if nothing seems wrong. Fewer than 12 frames, and scenes without direct light, reveal
-        little about order, motion and flicker.
-
-    Raises
-    ------
-    InputError
-        On folders that are none, and descriptions that contradict themselves.
-
-    Examples
-    --------
-    >>> import lightmatrix as lm
-    >>> capture = lm.simulate("metal", lm.BernoulliPatterns((64, 64), 32), exposure=0.2)
-    >>> lm.check(capture)
-    []
-    >>> frames = np.stack([capture.frame(k) for k in (0, 2, 1, *range(3, 32))])
-    >>> mixed = lm.Capture.from_arrays(capture.patterns, frames, capture.sensor)
-    >>> [finding.message for finding in lm.check(mixed)]
-    ['frame 1 and frame 2 look swapped']
-    """
+def check_source(
+    capture: Capture | str | Path | None,
+    patterns: str | Path | PatternSet | None,
+    images: str | Path | None,
+    settings: ReadSettings | None,
+    crop: Crop | None,
+) -> tuple[list[Finding], Capture | None]:
+    """What `lm.check` finds in photographs as such, and the capture, if all of it can be read."""
     if isinstance(capture, Capture):
-        return _check_read(capture, crop)
+        return _check_read(capture, crop), capture
     if capture is not None:
         parts = read_capture(capture, counted=False)
     elif patterns is not None and images is not None:
@@ -115,13 +71,14 @@ def check(
         )
     try:
         if parts.patterns.count != parts.frames.count:
-            return _check_uncounted(parts)
+            return _check_uncounted(parts), None
         parts.decoder.check_count(parts.frames.count)
-        return _check_read(Capture(**vars(parts)), crop)
+        read = Capture(**vars(parts))
+        return _check_read(read, crop), read
     except InputError:
         unread = _unread(parts)
         if unread:
-            return unread
+            return unread, None
         raise
 
 
@@ -239,12 +196,10 @@ def _check_surveyed(survey: Survey, capture: Capture) -> list[Finding]:
     disorder, findings, unrelated = side_by_side(
         [of_order, of_light, lambda: check_relation(survey)]
     )
-    # JPEG rounds dark and bright samples by different steps, which looks like a gamma.
-    light = not any(each.kind == "jpeg" for each in findings)
     of_frames = (
-        _check_by_prediction(survey, rows, names, light, disorder, unrelated)
+        _check_by_prediction(survey, rows, names, disorder, unrelated)
         if pairs is None
-        else _check_by_pairs(survey, rows, names, light, pairs, unrelated)
+        else _check_by_pairs(survey, rows, names, pairs, unrelated)
     )
     # One black or spoilt frame, and motion, make neighbours see as distant places as a swap does.
     kinds = ("order", "motion", *(["frame"] if pairs else []))
@@ -260,10 +215,7 @@ def _survey(capture: Capture) -> Survey:
     patterns = capture.patterns
     # Stripes are decoded in seconds, and checking them shall take no longer.
     share = 0.25 if is_separable(patterns) else 1
-    survey = Survey.take(patterns, capture.frames, capture.decoder, capture.mask, share)
-    grey = patterns.as_bits() is None and not isinstance(patterns, ColourPatterns)
-    greys = grey and capture.bin_projector == (1, 1) and not show_pictures(patterns)
-    return replace(survey, greys=greys)
+    return Survey.take(patterns, capture.frames, capture.decoder, capture.mask, share)
 
 
 def check_distinguishable(patterns: PatternSet) -> list[Finding]:
@@ -312,14 +264,13 @@ def check_interchanged(survey: Survey) -> list[Finding]:
 
 
 # In the two functions below, `disorder` and `unrelated` are what the checks of the order and of the
-# relation found; `light` tells whether the linearity of the light is judged.
+# relation found.
 
 
 def _check_by_pairs(
     survey: Survey,
     rows: NDArray[np.int64],
     names: Sequence[str],
-    light: bool,
     pairs: Pairs,
     unrelated: list[Finding],
 ) -> list[Finding]:
@@ -331,18 +282,13 @@ def _check_by_pairs(
     findings += of_pairs
     if any(each.kind == "motion" for each in of_pairs):
         return findings
-    # Sums of pairs that are not linear in light look like changes of the light.
-    bent = check_linearity(corrected, doubted, steady=False) if light else []
-    if bent:
-        return findings + bent
-    return findings + check_flicker(*pair_gains(corrected, rows, pairs, doubted), names)
+    return findings + check_gains(*pair_gains(corrected, rows, pairs, doubted), names)
 
 
 def _check_by_prediction(
     survey: Survey,
     rows: NDArray[np.int64],
     names: Sequence[str],
-    light: bool,
     disorder: list[Finding],
     unrelated: list[Finding],
 ) -> list[Finding]:
@@ -383,14 +329,4 @@ def _check_by_prediction(
     # Without a frame, its rows may be explained by other places; then it seems wrong only now.
     both = wrong & wrong_frames(first.rows(first.predicted), LIKELY)
     findings += check_frames(prediction, both & ~displaced, names)
-    right = np.flatnonzero(~wrong & ~displaced)
-    # Few frames predict each other less exactly: without flicker, 16 deviated by up to 1.8 % in
-    # all, and one of 24 by 5.2 %.
-    slack = max(1.0, 32 / max(len(right), 1))
-    changes = brightness_changes(prediction.frames(right))
-    findings += check_flicker(*changes, right, names, slack)
-    if light:
-        steady = not any(each.kind == "flicker" for each in findings)
-        judge_light = check_grey_levels if survey.greys else check_linearity
-        findings += judge_light(survey, suspects | wrong, steady=steady)
     return findings

@@ -20,20 +20,27 @@ KINDS = {
     "order": "photographs that show the pattern of another one",
     "unrelated": "photographs that do not follow the patterns at all",
     "frame": "a photograph that does not show its pattern",
-    "flicker": "light that changes from frame to frame",
-    "motion": "a scene, camera or projector that moved",
-    "response": "photographs that are not linear in light",
+    "motion": "a scene, camera or projector that moved by pixels",
     "linearity": "photographs that cannot tell whether they are linear in light",
-    "projector": "patterns whose grey values are not proportional to light",
     "jpeg": "photographs that went through lossy compression",
     "unseen": "camera pixels that never see the projector",
+    # What the rig did in the course of the capture, by the names of its model.
+    "gain": "light that changes from frame to frame",
+    "exposure": "light that changes once",
+    "ambient": "light of the room that changes",
+    "shift": "a scene, camera or projector that moves by less than a pixel or two",
+    "rows": "light that varies along the rows of the camera",
+    "previous": "photographs that show some of the picture before",
+    "camera-curve": "photographs that are not linear in light",
+    "projector-curve": "patterns whose grey values are not proportional to light",
+    "crosstalk": "projector pixels that lose light beside dark ones",
+    "sharpening": "a projector that sharpens its picture",
+    "camera-sharpening": "a camera that sharpens its photographs",
+    "dynamic-contrast": "a projector whose light follows its picture",
 }
 
 # Kinds that say what a healthy capture cannot reveal; `check` exits with 0 if it has no other.
 NOTES = ("stripes",)
-
-# Kinds of which the regression of `fit_rig` knows more, once T is estimated.
-OF_THE_RIG = ("flicker", "motion", "response", "projector")
 
 # What to do about photographs out of order.
 WRONG_ORDER = (
@@ -64,8 +71,8 @@ class Finding:
     --------
     >>> import lightmatrix as lm
     >>> from lightmatrix.check.finding import Finding
-    >>> Finding("flicker", (), "the light varies by 5 %", "use a steady lamp").kind
-    'flicker'
+    >>> Finding("gain", (), "the light varied by 5 %", "use a steady lamp").kind
+    'gain'
     """
 
     kind: str

@@ -18,10 +18,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lightmatrix.capture.samples import Samples
-from lightmatrix.check.finding import Finding, order_findings
+from lightmatrix.check.finding import Finding, join_names, order_findings
 from lightmatrix.check.motion import find_shift, motion_finding
 from lightmatrix.check.prediction import find_places
-from lightmatrix.check.survey import MARGIN, Survey, bright_mean, random_sums
+from lightmatrix.check.survey import (
+    MARGIN,
+    Survey,
+    bright_mean,
+    random_sums,
+    robust_deviation,
+)
 from lightmatrix.check.wrong_frames import black_frames
 from lightmatrix.patterns.pattern_set import PatternSet
 
@@ -180,6 +186,38 @@ def pair_gains(
     frames = [(j, k) for pair in pairs.pairs for j, k in (pair, pair[::-1]) if not doubted[j]]
     gains = np.array([sums.gain(j, k) for j, k in frames]).reshape(-1, 2)
     return gains[:, 0], gains[:, 1], np.array([j for j, _ in frames], np.int64)
+
+
+def check_gains(
+    change: NDArray[np.float64],
+    error: NDArray[np.float64],
+    frames: NDArray[np.int64],
+    names: Sequence[str],
+) -> list[Finding]:
+    """Whether the light of some of the `frames` (k,), or of all, changes by more than its error."""
+    if len(change) < 4:
+        return []
+    certain, usual = np.abs(change) > 5 * error, robust_deviation(change)
+    advice = (
+        "expose for whole periods of the mains and of the projector (1/50 or 1/60 s and "
+        "multiples), turn automatic exposure and dynamic contrast off, and let lamps warm up; "
+        "if the exposures differed, or the camera has a gamma, state them"
+    )
+    # A standard deviation of the light of up to 1.2 % does no harm.
+    if usual > 0.012 and certain.mean() > 0.3:
+        spread = 100 * float(np.sqrt(np.mean(np.clip(change, -4 * usual, 4 * usual) ** 2)))
+        # Sums of pairs that are not linear in light look like changes of the light.
+        message = (
+            f"the light varies from frame to frame by {spread:.1f} % (standard deviation), or the "
+            "photographs are not linear in light"
+        )
+        return [Finding("gain", (), message, advice)]
+    odd = np.flatnonzero(certain & (np.abs(change) > max(0.04, 6 * usual)))
+    if not len(odd):
+        return []
+    words = [f"{names[frames[k]]} ({100 * change[k]:+.0f} %)" for k in odd]
+    message = f"the light is not that of the other frames in {join_names(words)}"
+    return [Finding("gain", tuple(map(int, frames[odd])), message, advice)]
 
 
 def _find_swap(

@@ -45,7 +45,7 @@ def check_motion(
     if float(np.median(follower.miss())) < np.log(0.03):
         return []
     known = survey.statistics
-    shift = find_shift(survey, known.first, known.last) or follower.likeliest_shift()
+    shift = find_shift(survey, known.first, known.last)
     start = None if shift is None else follower.first_shifted(shift)
     if shift is None or start is None:
         return []
@@ -87,27 +87,6 @@ class _Follower:
         missed = predict(self.survey.patterns, samples, doubted=self.doubted).miss
         # Samples without noise may be predicted exactly.
         return np.asarray(np.log(np.maximum(missed, 1e-9)))
-
-    def likeliest_shift(self) -> Shift | None:
-        """The shift that predicts best if it happened after one, two or three quarters.
-
-        It serves scenes without outlines, such as a white wall; None where it would take too long.
-        """
-        reach = range(-MARGIN, MARGIN + 1)
-        shifts = [shift for shift in itertools.product(reach, reach) if shift != (0, 0)]
-        starts = [self.survey.count * part // 4 for part in (2, 1, 3)]
-        rows = self.rows[:: max(1, len(self.rows) // 30)]
-        work = 4 * min(30, len(self.rows)) * self.survey.count
-        # This many multiplications take about ten seconds.
-        if work * self.survey.patterns.pixels * len(shifts) * len(starts) > 1e11:
-            return None
-        few = _Follower(self.survey, rows, self.doubted)
-        misses = {
-            (shift, start): float(np.mean(few.miss(shift, start)))
-            for start in starts
-            for shift in shifts
-        }
-        return min(misses, key=misses.__getitem__)[0]
 
     def first_shifted(self, shift: Shift) -> int | None:
         """The first shifted frame; None if rows followed by the shift are predicted no better."""

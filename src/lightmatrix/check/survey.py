@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lightmatrix.capture.camera_curve import Response
 from lightmatrix.capture.decoder import Decoder
 from lightmatrix.capture.frames import CutFrames, Frames, levels_at
 from lightmatrix.capture.samples import Samples
@@ -62,8 +61,6 @@ class Survey:
     grid: tuple[int, int, int, int]
     # Which samples count, (S,): not masked, and not clipped without light.
     valid: NDArray[np.bool_]
-    # Whether the patterns are random grey values, as a projector is sent, not means of blocks.
-    greys: bool = False
 
     @classmethod
     def take(
@@ -113,9 +110,9 @@ class Survey:
         """The survey of some frames, in this order; the patterns stay."""
         return replace(self, decoder=self.decoder.select(frames), raw=self.raw[:, frames])
 
-    def samples(self, rows: NDArray[np.integer], response: Response | None = None) -> Samples:
-        """Linear samples of some rows of the survey, (m, K), by another response if need be."""
-        decoder = self.decoder if response is None else replace(self.decoder, response=response)
+    def samples(self, rows: NDArray[np.integer]) -> Samples:
+        """Linear samples of some rows of the survey, (m, K)."""
+        decoder = self.decoder
         if decoder.black_frame is not None:
             decoder = replace(decoder, black_frame=np.asarray(decoder.black_frame)[rows])
         return decoder.decode(self.raw[rows])

@@ -1,7 +1,6 @@
-"""Which frames show something else than their pattern, and whether all have the same light.
+"""Which frames show something else than their pattern.
 
 A frame is judged by what its high-variance rows should show, predicted from their other frames.
-Light that differs in a frame makes all of its samples brighter or darker by one share.
 """
 
 from __future__ import annotations
@@ -108,70 +107,3 @@ def black_frames(frames: Iterable[int], names: Sequence[str]) -> Finding:
     message = f"{join_names([names[int(k)] for k in frames])}: black, although the pattern is not"
     advice = "take the photograph again; the projector may have been blank or the shutter shut"
     return Finding("frame", tuple(map(int, frames)), message, advice)
-
-
-def brightness_changes(
-    prediction: FramePrediction,
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """How much brighter each frame is than predicted, and the standard error; shares, (K,) each."""
-    noise, expected = prediction.noise, prediction.expected
-    lit = expected > 0.3 * expected.max(axis=1, keepdims=True)
-    weight = (prediction.trusted & lit) / noise**2
-    deviations = (prediction.observed - expected) / noise
-    left = np.clip(deviations, -6, 6) * noise
-    power = np.maximum((weight * expected**2).sum(axis=0), 1e-12)
-    change = (weight * left * expected).sum(axis=0) / power
-    rest = weight * expected * (left - change * expected)
-    # Rows of one part of the projector miss the same light, which would look like many witnesses.
-    error = np.sqrt((sums_by_group(rest, prediction.part) ** 2).sum(axis=0)) / power
-    enough = (weight > 0).sum(axis=0) >= _FEWEST_ROWS
-    # Predictions of blurred light miss much that is alike in many rows, and looks like a change of
-    # the light. A frame then counts only if a change explains half of what its rows miss, and none
-    # does if all changes together explain less than 30 %. Chosen on captures with and without
-    # drifting light (`benchmarks/synthetic_captures.py`).
-    if float(np.median(prediction.miss)) > 0.04:
-        missed, explained = (weight * left**2).sum(axis=0), change**2 * power
-        enough &= explained > 0.5 * missed
-        enough &= explained[enough].sum() > 0.3 * missed.sum()
-    return np.where(enough, change, 0), np.where(enough, error, np.inf)
-
-
-def check_flicker(
-    change: NDArray[np.float64],
-    error: NDArray[np.float64],
-    frames: NDArray[np.int64],
-    names: Sequence[str],
-    slack: float = 1.0,
-) -> list[Finding]:
-    """Whether some of the `frames` (k,), or all, change by more than their `error` (k,).
-
-    The least change that is named is in proportion to `slack`.
-    """
-    if len(change) < 4:
-        return []
-    certain = np.abs(change) > _CERTAIN * error
-    usual = robust_deviation(change)
-    # A standard deviation of the light of up to 1.2 % does no harm.
-    if usual > 0.012 * slack and certain.mean() > 0.3:
-        worst = int(np.argmax(np.abs(change)))
-        spread = float(np.sqrt(np.mean(np.clip(change, -4 * usual, 4 * usual) ** 2)))
-        message = (
-            f"the light varies from frame to frame by {100 * spread:.1f} % (standard deviation; "
-            f"most in {names[frames[worst]]}, {100 * change[worst]:+.0f} %)"
-        )
-        advice = (
-            "expose for whole periods of the mains and of the projector (1/50 or 1/60 s and "
-            "multiples), turn automatic exposure and dynamic contrast off, and let lamps warm up; "
-            "if the exposures differed, state them"
-        )
-        return [Finding("flicker", (), message, advice)]
-    odd = np.flatnonzero(certain & (np.abs(change) > max(0.04 * slack, 6 * usual)))
-    if not len(odd):
-        return []
-    words = [f"{names[frames[k]]} ({100 * change[k]:+.0f} %)" for k in odd]
-    message = f"the light is not that of the other frames in {join_names(words)}"
-    advice = (
-        "take these frames again, with automatic exposure off; if their exposure differed, state "
-        "it in capture.json"
-    )
-    return [Finding("flicker", tuple(map(int, frames[odd])), message, advice)]

@@ -143,8 +143,7 @@ def plan(
         return
     if output is not None:
         say(f"Put your photographs into {output / 'images'}, in the order of the patterns.")
-        if len(advice.exposures) > 1:
-            say(f"The exposure of each frame is in {output / 'capture.json'}.")
+        say(f"The exposure of each frame is in {output / 'capture.json'}.")
         return
     if " capture/ " in advice.commands[-1]:
         say(

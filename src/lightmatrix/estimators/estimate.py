@@ -24,14 +24,15 @@ from typing import Any
 
 from lightmatrix.capture.camera_curve import AUTOMATIC, Response
 from lightmatrix.capture.capture import Capture, open_capture
-from lightmatrix.check.curves import FOUND_RESPONSE, with_projector, with_response
-from lightmatrix.check.finding import FINDINGS, OF_THE_RIG, Finding
+from lightmatrix.capture.found_response import FOUND_RESPONSE, with_projector, with_response
+from lightmatrix.check.finding import FINDINGS, Finding
 from lightmatrix.check.refusals import refuse_unordered, refuse_unusable, warn_of
 from lightmatrix.errors import InputError, warn
 from lightmatrix.estimators.choice import choose_estimator
 from lightmatrix.estimators.corrected import corrected, terms_to_correct
 from lightmatrix.estimators.plain import PlainEstimator
 from lightmatrix.estimators.resource_estimate import estimate_resources
+from lightmatrix.estimators.rig_findings import rig_findings
 from lightmatrix.estimators.settings import EstimateSettings
 from lightmatrix.estimators.unknown_response import find_responses
 from lightmatrix.estimators.workers import dask_pool
@@ -40,8 +41,10 @@ from lightmatrix.files.writing import check_output
 from lightmatrix.patterns.colour import ColourPatterns
 from lightmatrix.patterns.projector_curve import ProjectorResponse
 from lightmatrix.progress_bar import progress_bar
+from lightmatrix.rig_model.model import RigModel
+from lightmatrix.rig_model.terms import TERMS
 from lightmatrix.solvers.loop import Progress
-from lightmatrix.transport.matrix import LightTransport
+from lightmatrix.transport.matrix import LightTransport, prediction_error
 
 
 def estimate(
@@ -210,18 +213,13 @@ def estimate(
         remarks: dict[str, Any] = {}
         camera_unknown = capture.decoder.response.name == AUTOMATIC
         if camera_unknown or capture.projector_unknown:
-            # A curve that is found is no fault of the capture.
-            found_later = ["response"] * camera_unknown + ["projector"] * capture.projector_unknown
-            findings = [each for each in findings if each.kind not in found_later]
             with _bar("looking for the response", progress is True):
                 found = find_responses(capture, settings)
             warn(f"response: {found}")
             capture = found.applied_to(capture)
             remarks = {FOUND_RESPONSE: found.provenance()}
         estimator = choose_estimator(capture, settings, resources)
-        # What the regression may explain is told once it is done.
-        later = [each for each in findings if correct == "auto" and each.kind in OF_THE_RIG]
-        warn_of(each for each in findings if each not in later)
+        warn_of(findings)
         if resources.coherent and isinstance(estimator, PlainEstimator):
             warn(
                 "estimating row by row, which predicts photographs held out better than "
@@ -237,9 +235,7 @@ def estimate(
                 remarks={FINDINGS: [each.as_dict() for each in findings], **remarks},
                 progress=report,
                 pool=pool,
-                review=partial(_without_faults, capture, again, allowed, later)
-                if allowed
-                else None,
+                review=partial(_without_faults, capture, again, allowed, findings, check),
             )
 
 
@@ -248,20 +244,26 @@ def _without_faults(
     again: Callable[[Capture], LightTransport],
     allowed: Sequence[str],
     findings: Sequence[Finding],
+    check: bool,
     first: LightTransport,
 ) -> LightTransport | None:
-    """T without what the rig did, which is told; None if it did nothing wrong.
+    """T without what the rig did, which is told; None if nothing is known of it.
 
-    What was corrected replaces the `findings` of the same causes.
+    What is not `allowed` to be corrected, or cannot be, is found all the same if asked to `check`.
     """
     model, transport = corrected(capture, first, again, allowed)
-    if not model.names:
-        warn_of(findings)
-        return None
     for sentence in model.sentences:
         warn(f"rig: {sentence}: corrected")
-    explained = [each.as_dict() for each in findings]
-    kept = [each for each in first.provenance[FINDINGS] if each not in explained]
+    left = [name for name in TERMS if name not in allowed]
+    if prediction_error(first) is None:
+        left = list(TERMS)
+    elif left and RigModel().refined(capture, capture, transport, left) is None:
+        left = []
+    found = rig_findings(capture, findings, left) if check and left else []
+    if not (model.names or found):
+        return None
+    warn_of(found)
+    kept = [*transport.provenance[FINDINGS], *(each.as_dict() for each in found)]
     return replace(transport, provenance={**transport.provenance, FINDINGS: kept})
 
 

@@ -10,8 +10,7 @@ import numpy as np
 
 from lightmatrix.capture.camera_curve import AUTOMATIC, Response
 from lightmatrix.capture.capture import Capture, open_capture
-from lightmatrix.check.bends import bends_from_transport, gammas_from_greys
-from lightmatrix.check.curves import (
+from lightmatrix.capture.found_response import (
     FoundResponse,
     GammaBend,
     SmoothBends,
@@ -21,30 +20,25 @@ from lightmatrix.check.curves import (
     with_projector,
     with_response,
 )
-from lightmatrix.check.linearity import (
-    both_from_windows,
-    gamma_from_windows,
-    power_from_windows,
-    show_pictures,
-)
-from lightmatrix.check.survey import Survey
 from lightmatrix.errors import InputError, warn
+from lightmatrix.estimators.bends import Bends, bends_from_transport, gammas_from_greys
 from lightmatrix.estimators.camera_window import window_of_levels
 from lightmatrix.estimators.choice import choose_estimator
 from lightmatrix.estimators.settings import EstimateSettings
 from lightmatrix.files.images import JPEG
 from lightmatrix.patterns.colour import ColourPatterns
+from lightmatrix.patterns.pattern_set import PatternSet
 from lightmatrix.patterns.projector_curve import ProjectorResponse
 from lightmatrix.transport.matrix import LightTransport, prediction_error
 
-# The search ends after four estimates, or when the curve changes by less than 1 % of full light.
-# Each step removes nearly all of a difference, so that what is left is much smaller.
-_MOST_ESTIMATES, _SMALL = 4, 0.01
-# A search in fewer than 32 frames is repeated from the best of a scan if its T misses photographs
-# held out by more than 6 %. The new response is taken if it misses at most half of that. On
-# simulated captures of 16 frames a T under the right curve missed at most 4 %, and 14 to 19 % where
-# a search had ended at a wrong gamma. From 32 frames on no search was seen to end at one.
-_FEW_FRAMES, _MISSED, _CLEARLY = 32, 0.06, 0.5
+# The search ends after eight estimates, or when the curve changes by less than 1 % of full light.
+# A small difference is removed by one step, a gamma of 3 takes about six.
+_MOST_ESTIMATES, _SMALL = 8, 0.01
+# A search is repeated from the best of a scan if its T misses photographs held out by more than
+# 6 %. The new response is taken if it misses at most half of that. On simulated captures of 16
+# frames a T under the right curve missed at most 4 %, and 14 to 19 % where a search had ended at a
+# wrong gamma.
+_MISSED, _CLEARLY = 0.06, 0.5
 # The powers of the scan, in steps at which an error of half a step can be told from a whole one.
 _SCAN_STEP = 1.25
 _SCANNED = tuple(_SCAN_STEP**k for k in range(-1, 6))
@@ -67,8 +61,8 @@ def find_response(
     """Find the camera's response in the photographs of a capture, as `estimate` can do by itself.
 
     Light adds up: under the right curve, what a camera pixel shows under all patterns is explained
-    by the light of single projector pixels. A start is found without an estimate of T; then T is
-    estimated, the curve is corrected by what T leaves unexplained, and so on while that changes it.
+    by the light of single projector pixels. T is estimated, the curve is corrected by what T leaves
+    unexplained, and so on while that changes it.
 
     Parameters
     ----------
@@ -107,14 +101,13 @@ def find_response(
             "only a gamma is looked for, and it may be off by some per cent"
         )
     stated = whole.decoder.response
-    survey = Survey.take(whole.patterns, whole.frames, whole.decoder, whole.mask)
-    start = power_from_windows(survey, np.zeros(whole.count, bool))
-    if start is None:
+    # Fewer frames determine no curve.
+    if whole.count < 12:
         raise _undetermined()
     search = _Search(window_of_levels(whole), settings, curves=not compressed)
-    found = search.settled(raised(stated, start.power))
-    # Windows of projector pixels explain anything with few frames, and so does a wrong T.
-    if whole.count < _FEW_FRAMES and (found is None or found[1] > _MISSED):
+    found = search.settled(stated)
+    # A search may end at a wrong curve, under which T explains few frames as well.
+    if found is None or found[1] > _MISSED:
         other = search.settled(raised(stated, search.scanned(stated)))
         if other is not None and (found is None or other[1] < _CLEARLY * found[1]):
             found = other
@@ -203,6 +196,20 @@ def refined_response(
     return Refined(curve if curved else gamma, uncertainty, curved)
 
 
+def show_pictures(patterns: PatternSet) -> bool:
+    """Whether neighbouring pixels of grey patterns are alike, as those of photographs are."""
+    if patterns.as_bits() is not None or patterns.shape[1] < 2:
+        return False
+    rows, cols = patterns.shape
+    drawn = np.random.default_rng(0).integers(0, rows * (cols - 1), 500)
+    left = drawn // (cols - 1) * cols + drawn % (cols - 1)
+    one, other = (patterns.columns(pixels).astype(np.float64) for pixels in (left, left + 1))
+    one, other = one - one.mean(axis=0), other - other.mean(axis=0)
+    both = np.sqrt((one**2).sum() * (other**2).sum())
+    # Neighbours in random grey patterns do not correlate, those in photographs by more than 0.9.
+    return float((one * other).sum() / max(both, 1e-12)) > 0.5
+
+
 def refuse_pictures(capture: Capture) -> None:
     """Refuse grey patterns whose neighbouring pixels are alike, such as photographs."""
     if capture.bin_projector == (1, 1) and show_pictures(capture.patterns):
@@ -228,8 +235,8 @@ def find_projector_response(
 ) -> FoundResponse:
     """Find the projector's gamma in photographs of random grey patterns.
 
-    A start is found without an estimate of T; then T is estimated, the gamma is corrected by what T
-    leaves unexplained, and so on while that changes it.
+    T is estimated, the gamma is corrected by what T leaves unexplained, and so on while that
+    changes it.
 
     Parameters
     ----------
@@ -271,39 +278,20 @@ def find_projector_response(
     if whole.count < 12:
         raise _undetermined("projector's gamma")
     camera = camera or whole.decoder.response.name == AUTOMATIC
-    stated = start = whole.decoder.response
-    survey = Survey.take(whole.patterns, whole.frames, whole.decoder, whole.mask)
-    learned = np.zeros(whole.count, bool)
-    if camera:
-        start, gamma = both_from_windows(survey, learned)
-    else:
-        found = gamma_from_windows(survey, learned)
-        gamma = 1.0 if found is None else found.power
+    stated = whole.decoder.response
+    read = with_response(whole, Response()) if stated.name == AUTOMATIC else whole
     # The search estimates T of a window of at most 45 x 45 camera pixels, about the 2,000 rows that
     # a step uses. Windows of 64 x 64 gave the same gammas to 0.4 %, for 1.7 times the time.
-    part, estimates = window_of_levels(with_response(whole, start), 45), 0
-    while True:
-        read = with_projector(part, ProjectorResponse.of_gamma(gamma))
-        transport = choose_estimator(read, settings).estimate(read)
-        estimates += 1
-        better = gammas_from_greys(part, transport, gamma, camera=camera)
-        if better is None:
-            raise _undetermined("projector's gamma")
-        known, before = part.decoder.response, gamma
-        part, gamma, last = better
-        change = abs(gamma / before - 1)
-        if camera:
-            change = max(change, abs(exponent(part.decoder.response) / exponent(known) - 1))
-        # When an estimate changes neither gamma by 1.5 %, the next change would be a tenth of it.
-        if change < 0.015:
-            break
-        # One to three estimates were needed on simulated captures.
-        if estimates == 6:
-            raise _undetermined("projector's gamma")
+    part = window_of_levels(read, 45)
+    # Most searches end at the right gammas from wherever they begin.
+    searches = (_searched_gammas(part, start, camera, settings) for start in (1.0, 2.2))
+    found = next((each for each in searches if each is not None), None)
+    if found is None:
+        raise _undetermined("projector's gamma")
+    response, gamma, last, estimates = found
     # A gamma whose standard error is above 2.5 % is not determined.
     if last.errors.max() > 0.025:
         raise _undetermined("projector's gamma")
-    response = part.decoder.response
     # The uncertainty is twice the standard error, and at least 0.5 %, as that of the camera's
     # gamma.
     uncertainty = [max(2 * float(error), 0.005) for error in last.errors]
@@ -316,6 +304,31 @@ def find_projector_response(
         ProjectorResponse.of_gamma(gamma),
         uncertainty[-1] * gamma,
     )
+
+
+def _searched_gammas(
+    part: Capture, gamma: float, camera: bool, settings: EstimateSettings
+) -> tuple[Response, float, Bends, int] | None:
+    """The camera's response, the projector's gamma, the last step, and how many estimates it took.
+
+    None if the search from this gamma does not settle.
+    """
+    # One to four estimates were needed on simulated captures.
+    for number in range(6):
+        read = with_projector(part, ProjectorResponse.of_gamma(gamma))
+        transport = choose_estimator(read, settings).estimate(read)
+        better = gammas_from_greys(part, transport, gamma, camera=camera)
+        if better is None:
+            return None
+        known, before = part.decoder.response, gamma
+        part, gamma, last = better
+        change = abs(gamma / before - 1)
+        if camera:
+            change = max(change, abs(exponent(part.decoder.response) / exponent(known) - 1))
+        # When an estimate changes neither gamma by 1.5 %, the next change would be a tenth of it.
+        if change < 0.015:
+            return part.decoder.response, gamma, last, number + 1
+    return None
 
 
 def find_responses(capture: Capture, settings: EstimateSettings) -> FoundResponse:

@@ -14,7 +14,7 @@ from markupsafe import Markup, escape
 
 from lightmatrix._version import __version__
 from lightmatrix.capture.capture import Capture
-from lightmatrix.check.curves import as_estimated
+from lightmatrix.capture.found_response import as_estimated
 from lightmatrix.check.finding import Finding
 from lightmatrix.estimators.settings import EstimateSettings
 from lightmatrix.files.kinds import REPORT

@@ -12,6 +12,7 @@ class Ambient(Term):
     """All samples of frame k have a_k more light."""
 
     name = "ambient"
+    advice = "shut out other light, and switch off what lights up by itself"
     per_frame = True
 
     def regressors(self, seen: Prediction) -> Array:

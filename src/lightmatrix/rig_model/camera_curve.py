@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from lightmatrix.check.curves import raised, with_response
+from lightmatrix.capture.found_response import raised, with_response
 from lightmatrix.rig_model.prediction import Prediction
 from lightmatrix.rig_model.term import Array, Draft, Term
 
@@ -13,6 +13,10 @@ class CameraCurve(Term):
     """Light is the stated light to the power 1 + c."""
 
     name = "camera-curve"
+    advice = (
+        'take raw files, or turn gamma, contrast and tone curves off; or use response="auto", '
+        "which finds the curve, or measure it"
+    )
 
     def regressors(self, seen: Prediction) -> Array:
         decoder = seen.capture.decoder

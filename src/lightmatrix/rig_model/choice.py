@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -45,13 +45,14 @@ LIMITS = Limits()
 
 
 def choose_terms(
-    seen: Prediction, terms: Sequence[Term], known: Sequence[str] = (), largest: float = 0.0
+    seen: Prediction, terms: Sequence[Term], known: Mapping[str, Array], largest: float = 0.0
 ) -> tuple[dict[str, Array], dict[str, Array], float]:
     """The numbers of the terms that are there, and their standard errors, by name.
 
-    Third comes the largest share by which one of them changes the photographs. Terms that are not
-    `known` yet must change them by more than a tenth of the `largest` that was taken out before.
-    Rows count by the inverse of what they miss anyway, so that glossy rows invent no curve.
+    Third comes the largest share by which one of them changes the photographs. Those of `known`
+    terms are steps from their values. Other terms must change the photographs by more than a tenth
+    of the `largest` that was taken out before. Rows count by the inverse of what they miss anyway,
+    so that glossy rows invent no curve.
     """
     enough = seen.free >= 3
     found: dict[str, Array] = {}
@@ -71,7 +72,7 @@ def choose_terms(
         missed = (left**2).sum(axis=1) / np.maximum(seen.free, 1)
         weight = np.where(enough, 1 / (missed + np.median(missed[enough])), 0)
         regression = Regression(seen, regressors, per_frame, weight)
-        found, errors = _forward(regression, asked, least)
+        found, errors = _forward(regression, asked, least, known)
         if not found:
             break
         effects = [regression.effect(name, numbers) for name, numbers in found.items()]
@@ -81,7 +82,10 @@ def choose_terms(
 
 
 def _forward(
-    regression: Regression, terms: dict[str, Term], smallest: dict[str, float]
+    regression: Regression,
+    terms: dict[str, Term],
+    smallest: dict[str, float],
+    known: Mapping[str, Array],
 ) -> tuple[dict[str, Array], dict[str, Array]]:
     """The terms that are there, chosen by what they explain beyond chance."""
     free = float(regression.seen.free[regression.weight > 0].sum())
@@ -99,7 +103,10 @@ def _forward(
             by_chance = regression.numbers[name] / free * (regression.total - together)
             score = more - LIMITS.chance * by_chance
             least, most = terms[name].between
-            if not terms[name].per_frame and not least <= numbers[name].sum() <= most:
+            after = numbers[name]
+            if name in known:
+                after = terms[name].added(known[name], after)
+            if not terms[name].per_frame and not least <= after.sum() <= most:
                 continue
             if score <= 0 or more < max(LIMITS.explained * rest, LIMITS.beside * first):
                 continue
@@ -118,7 +125,7 @@ def _forward(
             # Pictures that move are blurred in T, which looks as if the camera sharpened them.
             if "shift" in found and "camera-sharpening" in found:
                 others = {name: each for name, each in terms.items() if name != "camera-sharpening"}
-                return _forward(regression, others, smallest)
+                return _forward(regression, others, smallest, known)
             return found, errors
         _, name, found, errors, explained = candidate
         chosen.append(name)

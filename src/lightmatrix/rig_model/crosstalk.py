@@ -20,6 +20,7 @@ class Crosstalk(Term):
     """A pixel loses a share of its light for each dark neighbour: p (1 - sum_j a_j (1 - n_j))."""
 
     name = "crosstalk"
+    advice = "use patterns of larger pixels"
     # On grey patterns, T itself errs by about half of this.
     least = 0.01
     between = (0, 1)

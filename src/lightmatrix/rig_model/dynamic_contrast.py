@@ -12,6 +12,7 @@ class DynamicContrast(Term):
     """The light is 1 + a times the pattern's mean, less that of the first pattern."""
 
     name = "dynamic-contrast"
+    advice = "switch dynamic contrast, eco mode and iris off"
     between = (-1, 1)
 
     def _means(self, means: Array) -> Array:

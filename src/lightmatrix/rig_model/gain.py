@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from lightmatrix.check.finding import join_names
 from lightmatrix.rig_model.prediction import Prediction
 from lightmatrix.rig_model.term import Array, Draft, Term, deviation
 
@@ -12,6 +13,11 @@ class Gain(Term):
     """Frame k has (1 + g_k) times the light."""
 
     name = "gain"
+    advice = (
+        "fix exposure, gain and white balance, expose for whole periods of the mains and of "
+        "the projector (1/50 or 1/60 s and multiples), and let lamps warm up; or state the "
+        "exposures"
+    )
     per_frame = True
 
     def regressors(self, seen: Prediction) -> Array:
@@ -32,6 +38,11 @@ class Gain(Term):
     def sentence(self, values: Array) -> str:
         k = _step(values[0])
         if k is None:
+            usual = values[0] - np.median(values[0])
+            odd = np.flatnonzero(np.abs(usual) > max(0.02, 6 * np.median(np.abs(usual))))
+            if 0 < len(odd) <= 3:
+                words = [f"frame {j} ({100 * usual[j]:+.0f} %)" for j in odd]
+                return f"the light is not that of the other frames in {join_names(words)}"
             return f"the light varied by {100 * deviation(values):.1f} % from frame to frame"
         change = (1 + values[0, k:].mean()) / (1 + values[0, :k].mean()) - 1
         return f"the exposure changed by {100 * change:+.1f} % before frame {k}"

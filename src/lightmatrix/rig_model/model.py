@@ -103,7 +103,7 @@ class RigModel:
         # Threads of these small products would only wait for each other.
         with one_blas_thread():
             seen = Prediction.of(capture, sent, transport)
-            steps, errors, largest = choose_terms(seen, terms, tuple(self.values), self.largest)
+            steps, errors, largest = choose_terms(seen, terms, self.values, self.largest)
         if not steps:
             return None
         values = dict(self.values)

@@ -13,7 +13,7 @@ from scipy.ndimage import spline_filter1d
 
 from lightmatrix.capture.capture import Capture
 from lightmatrix.capture.samples import Samples
-from lightmatrix.check.bends import strongest_pixels
+from lightmatrix.estimators.bends import strongest_pixels
 from lightmatrix.patterns.pattern_set import PatternSet
 from lightmatrix.transport.matrix import LightTransport
 

@@ -10,6 +10,7 @@ class Previous(Term):
     """Each photograph holds a share a of the pattern before its own."""
 
     name = "previous"
+    advice = "wait longer after each change of pattern (`lightmatrix rig settle` measures how long)"
     between = (0, 1)
 
     def regressors(self, seen: Prediction) -> Array:

@@ -12,6 +12,10 @@ class ProjectorCurve(Term):
     """The projector's light is the grey value to the power 1 + c."""
 
     name = "projector-curve"
+    advice = (
+        'use black and white patterns; or projector_response="auto", which finds the curve, '
+        "or measure it"
+    )
 
     def regressors(self, seen: Prediction) -> Array | None:
         if seen.sent.patterns.as_bits() is not None:

@@ -17,6 +17,10 @@ class Rows(Term):
     """The light of frame k varies over the camera's rows, as a sum of cosines."""
 
     name = "rows"
+    advice = (
+        "expose for whole periods of the mains and of the projector (1/50 or 1/60 s and "
+        "multiples), or use a global shutter"
+    )
     per_frame = True
     # The phase differs from frame to frame, so the mean of all frames is nearer to an even light
     # than the first frame.

@@ -31,6 +31,9 @@ class Sharpening(Term):
     """
 
     name = "sharpening"
+    advice = (
+        "set the projector's sharpness to 0, use its native resolution, or black and white patterns"
+    )
     between = (0, np.inf)
 
     def regressors(self, seen: Prediction) -> Array | None:
@@ -54,6 +57,7 @@ class CameraSharpening(Term):
     """The camera adds what a pixel differs from those around it, and ends at black."""
 
     name = "camera-sharpening"
+    advice = "take raw files, or set the camera's sharpness to 0"
     between = (0, np.inf)
     # T itself errs by this much of what neighbours differ in.
     least = 0.03

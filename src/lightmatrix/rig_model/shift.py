@@ -12,6 +12,7 @@ class Shift(Term):
     """The image of frame k lies d_k camera pixels (down, right) from where it was."""
 
     name = "shift"
+    advice = "use a stiff stand, and let everything warm up"
     per_frame = True
     # T is that of the mean place, which is known best.
     of_first_frame = False

@@ -54,6 +54,8 @@ class Term(ABC):
     least: ClassVar[float] = 0.004
     # The name that the user reads, where several terms describe one thing.
     label: ClassVar[str] = ""
+    # What to change on the rig.
+    advice: ClassVar[str]
     # The sum of the numbers of a term that all frames share lies in this range.
     between: ClassVar[tuple[float, float]] = (-np.inf, np.inf)
 

@@ -18,6 +18,7 @@ class Torn(Term):
 
     name = "torn"
     label = "previous"
+    advice = "wait longer after each change of pattern (`lightmatrix rig settle` measures how long)"
 
     def regressors(self, seen: Prediction) -> None:
         """None: it is found before T is estimated, which is wrong where the picture is torn."""

@@ -21,6 +21,7 @@ class Zoom(Term):
 
     name = "zoom"
     label = "shift"
+    advice = "switch autofocus and stabilization off, and tape the rings of the lens"
     per_frame = True
     of_first_frame = False
 

@@ -14,7 +14,7 @@ from scipy.sparse import csr_array
 
 from lightmatrix.errors import InputError
 from lightmatrix.ranges import as_float, check_number
-from lightmatrix.simulation.thinning import joined, sparse_rows
+from lightmatrix.simulation.thinning import joined, thinned_in_steps
 from lightmatrix.simulation.truth import Truth
 
 
@@ -61,7 +61,10 @@ def defocus(truth: Truth, sigma: float) -> Truth:
     direct, parts = truth.direct, []
     for start in range(0, truth.matrix.shape[0], step):
         part = slice(start, start + step)
-        parts.append(sparse_rows(blurred(truth.matrix[part]), blurred(direct[part]), 0.9995))
+        whole = csr_array(blurred(truth.matrix[part]))
+        row = np.repeat(np.arange(whole.shape[0]), np.diff(whole.indptr))
+        straight = blurred(direct[part])[row, whole.indices]
+        parts.append(thinned_in_steps(whole, straight, 0.9995))
     matrix, direct_data = joined(parts)
     return replace(truth, matrix=matrix, direct_data=direct_data)
 

@@ -55,16 +55,6 @@ def thinned_in_steps(
     )
 
 
-def sparse_rows(
-    whole: NDArray[np.float32], direct: NDArray[np.float32], keep: float
-) -> tuple[csr_array, NDArray[np.float32]]:
-    """Thinned sparse rows of dense ones (m, N), and the direct part of each entry."""
-    row, col = np.nonzero(whole)
-    indptr = np.concatenate([[0], np.cumsum(np.bincount(row, minlength=len(whole)))])
-    matrix = csr_array((whole[row, col], col.astype(np.int32), indptr), shape=whole.shape)
-    return thinned_in_steps(matrix, direct[row, col], keep)
-
-
 def thinned(
     matrix: csr_array, direct: NDArray[np.float32], keep: float
 ) -> tuple[csr_array, NDArray[np.float32]]:

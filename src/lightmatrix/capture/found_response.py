@@ -141,7 +141,7 @@ class FoundResponse:
     Examples
     --------
     >>> import lightmatrix as lm
-    >>> from lightmatrix.check.curves import FoundResponse
+    >>> from lightmatrix.capture.found_response import FoundResponse
     >>> found = FoundResponse(lm.Response.parse("gamma:2.2"), 2.2, 0.01, 0.36, 1)
     >>> print(found)
     gamma 2.20 +- 0.01

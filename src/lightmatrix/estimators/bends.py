@@ -33,8 +33,15 @@ from numpy.typing import NDArray
 from lightmatrix.capture.camera_curve import Response
 from lightmatrix.capture.capture import Capture
 from lightmatrix.capture.decoder import Decoder
+from lightmatrix.capture.found_response import (
+    GAMMAS,
+    Bend,
+    GammaBend,
+    bent_light,
+    raised,
+    with_response,
+)
 from lightmatrix.capture.samples import Samples
-from lightmatrix.check.curves import GAMMAS, Bend, GammaBend, bent_light, raised, with_response
 from lightmatrix.check.survey import sums_by_group
 from lightmatrix.patterns.pattern_set import PatternSet
 from lightmatrix.patterns.projector_curve import ProjectorResponse
