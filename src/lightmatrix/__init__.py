@@ -59,10 +59,10 @@ import lazy_loader
 
 
 class _Package(types.ModuleType):
-    """Keeps `lm.check` a function when Python imports the folder `check`."""
+    """Keeps `lm.check` and `lm.report` functions when Python imports the folders of these names."""
 
     def __setattr__(self, name: str, value: Any) -> None:
-        if name != "check" or not isinstance(value, types.ModuleType):
+        if name not in ("check", "report") or not isinstance(value, types.ModuleType):
             super().__setattr__(name, value)
 
 

@@ -103,7 +103,7 @@ def _poses() -> list[Case]:
     again = copy("capture", "again")
     several = CALIBRATE.format("capture lit again")
     only_camera = CALIBRATE.format("one two three").replace("9x7", "4x3")
-    unlit = "the projector lights only 0 of its 12 corners"
+    unlit = "no camera pixel sees the projector"
     values = {
         "9x7": ("size|board", ("1x7", "0x7", "nine")),
         "24mm": ("square", ("0mm", "wide", "-3", "nan", "1e999mm", "1.2.3mm")),

@@ -36,7 +36,7 @@ CASES = [
     Case("a page of no store", "view nowhere.zarr --export p.html", "nowhere.zarr"),
     Case("somebody else's page", f"{PAGE} p.html --overwrite", "p.html", text("p.html")),
     Case("a page on a port", f"{PAGE} p.html --port 8000", "--port"),
-    Case("a page of a capture", f"{PAGE} p.html --capture capture", "--capture"),
+    Case("a page of no capture", f"{PAGE} p.html --capture nowhere", "nowhere"),
 ]
 
 

@@ -10,6 +10,7 @@ import signal
 import subprocess
 import sys
 import threading
+import time
 from collections.abc import Iterator
 from contextlib import suppress
 from pathlib import Path
@@ -372,3 +373,17 @@ def test_overwrite_spares_photographs(tmp_path: Path, monkeypatch: pytest.Monkey
         main(["patterns", "bernoulli", "-k", "2", "--size", "8x8", "-o", "cap", "--overwrite"]) == 2
     )
     assert snapshot(tmp_path) == before
+
+
+def test_what_another_thread_still_writes_is_removed_too(tmp_path: Path) -> None:
+    def write(place: Path) -> None:
+        time.sleep(0.03)
+        place.mkdir(parents=True, exist_ok=True)
+        (place / "zarr.json").touch()
+
+    with suppress(KeyboardInterrupt), atomic_folder(tmp_path / "new", CAPTURE) as part:
+        thread = threading.Thread(target=write, args=(part / "data",))
+        thread.start()
+        raise KeyboardInterrupt
+    thread.join()
+    assert not list(tmp_path.iterdir())

@@ -106,6 +106,9 @@ def test_a_reflection_off_the_line_is_passed_over() -> None:
     weak = replace(transport, sparse=csr_array(transport.sparse * 1))
     weak.sparse.data[weak.sparse.data == 3] = 12
     assert lm.triangulate(weak, geometry).test[5, 10] == ShapeTest.WEAK
+    # Without a point there is no file.
+    with pytest.raises(lm.InputError, match="no point is found"):
+        lm.triangulate(weak, geometry, output="none.ply")
 
 
 def test_the_brightest_three_by_three_pixels_are_the_spot() -> None:

@@ -174,10 +174,8 @@ class Capture:
         settings : ReadSettings, optional
             How the frames are read: levels, exposures, black frame, response, mask. None: like
             those of a linear camera.
-        crop : ((int, int), (int, int)), optional
-            Corner and shape of a rectangle of the photographs, see `crop`. None: all of them.
-        bin_projector, bin_camera : int or (int, int)
-            See `bin`.
+        crop, bin_projector, bin_camera
+            As for `open`.
 
         Raises
         ------

@@ -223,29 +223,19 @@ def _number(value: Any) -> float | None:
 
 
 def _above_0(value: Any) -> float | None:
-    number = _number(value)
-    return number if number is not None and number > 0 else None
+    return number if (number := _number(value)) is not None and number > 0 else None
 
 
-def _level(value: Any) -> float | None:
-    number = _number(value)
-    return number if number is not None and number >= 0 else None
-
-
-def _several(one: Callable[[Any], float | None]) -> Callable[[Any], Levels | None]:
-    """One number, or a list of them."""
-
-    def read(value: Any) -> Levels | None:
-        if not isinstance(value, list):
-            return one(value)
-        numbers = [one(item) for item in value]
-        return None if None in numbers or not numbers else np.array(numbers, np.float64)
-
-    return read
+def _several(value: Any) -> Levels | None:
+    """One number of 0 or more, or a list of them; `ReadSettings` checks them further."""
+    numbers = [_number(item) for item in (value if isinstance(value, list) else [value])]
+    if not numbers or any(number is None or number < 0 for number in numbers):
+        return None
+    return np.array(numbers, np.float64) if isinstance(value, list) else numbers[0]
 
 
 def _clip(value: Any) -> Levels | str | None:
-    return AUTOMATIC if value == AUTOMATIC else _several(_above_0)(value)
+    return AUTOMATIC if value == AUTOMATIC else _several(value)
 
 
 def _shape(value: Any) -> tuple[int, ...] | None:
@@ -271,9 +261,9 @@ KEYS: dict[str, _Kind] = {
     "patterns": (_of(list), "the digest of each pattern that was projected"),
     "mask": _IMAGE,
     "black": (_of(dict), "an object with the black frame's file"),
-    "exposure": (_several(_above_0), "a number above 0, or one for each frame"),
+    "exposure": (_several, "a number above 0, or one for each frame"),
     "clip": (_clip, "a level above 0, one for each frame, or auto"),
-    "black_level": (_several(_level), "a level of 0 or more, or one for each frame"),
+    "black_level": (_several, "a level of 0 or more, or one for each frame"),
     "full_scale": (_above_0, f"a level above 0, at most {MOST_LEVEL:g}"),
     "response": (_text, RESPONSES),
     "projector_response": (_text, "the name of a projector's curve, or auto"),

@@ -100,7 +100,7 @@ _reporting = functools.partial(Option, rich_help_panel="Check and report")
     cluster=_resource(
         metavar="ADDRESS",
         help="Let the workers of a Dask scheduler solve rows, such as tcp://10.0.0.1:8786. All "
-        "must see capture and output under the same paths. --memory is per worker.",
+        "must see the capture under the same path. --memory is per worker.",
     ),
     check=_reporting(
         help="Check the frames first, and refuse images that do not follow the patterns and "

@@ -55,7 +55,7 @@ _PHOTOMETRIC, _REFUSED = (1, 2, 32803, 34892), {0: "white as 0", 3: "a palette"}
 _BITS = (1, 8, 10, 12, 14, 16, 32, 64)
 _ONE_IMAGE = "save one image a file, or give this file in place of the folder, as a stack"
 # A number in the header of a PGM file, after white space and comments.
-_NUMBER = re.compile(rb"(?:\s+|#[^\n\r]*[\n\r])+(\d{1,9})")
+_NUMBER = rb"(?:\s|#[^\n\r]*[\n\r])+(\d{1,9})"
 
 
 def read_image(path: str | Path, *, mosaic: bool = False) -> NDArray[Any]:
@@ -412,20 +412,14 @@ def _read_pgm(file: Path) -> NDArray[Any]:
     data = _content(file)
     if not data.startswith(b"P5"):
         raise ValueError("not a binary PGM file")
-    numbers, place = [], 2
-    for _ in range(3):
-        # The next number must end within 64 KiB, comments included.
-        match = _NUMBER.match(data, place, place + (1 << 16))
-        if match is None:
-            raise ValueError("a header without width, height and largest level")
-        numbers.append(int(match[1]))
-        place = match.end()
-    cols, rows, top = numbers
+    # Three numbers must end within 64 KiB, comments included.
+    header = re.match(b"P5" + 3 * _NUMBER, data[: 1 << 16])
+    if header is None:
+        raise ValueError("a header without width, height and largest level")
+    (cols, rows, top), place = map(int, header.groups()), header.end()
     check_image_size(file, (rows, cols))
-    if not 1 <= top <= 65535:
-        raise ValueError(f"a largest level of {top}")
-    if top < 255:
-        raise ValueError(f"its white is {top}, not 255")
+    if not 255 <= top <= 65535:
+        raise ValueError(f"its white is {top}, not 255 or more, up to 65535")
     kind = np.dtype(np.uint8 if top < 256 else ">u2")
     # One white space stands between the header and the levels.
     content = data[place + 1 :]

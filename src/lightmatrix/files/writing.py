@@ -16,6 +16,7 @@ import errno
 import os
 import shutil
 import sys
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -234,6 +235,10 @@ def _temporary(shown: str | Path, target: Path) -> Iterator[Path]:
         place.mkdir()
         try:
             yield place
+        except KeyboardInterrupt:
+            # A thread of Zarr may still write a file, for which it would make the folder again.
+            time.sleep(0.1)
+            raise
         finally:
             with suppress(OSError):
                 _remove_temporary(target)

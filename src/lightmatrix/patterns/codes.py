@@ -254,8 +254,12 @@ def correlate(
     return line, share
 
 
-def read_code(codes: Codes, code: Code, values: NDArray[np.float32]) -> Reading:
+def read_code(
+    codes: Codes, code: Code, values: NDArray[np.float32], clipped: NDArray[np.bool_]
+) -> Reading:
     """What camera pixels with samples (m, K) see along the axis of a code.
+
+    Where some sample is `clipped` (m,), samples fit badly, but bits are still right.
 
     A camera pixel that sees parts of two neighbouring lines has samples that are a mixture of their
     values: least squares gives the shares (and the constant light).
@@ -314,7 +318,8 @@ def read_code(codes: Codes, code: Code, values: NDArray[np.float32]) -> Reading:
         mean = (weight * near).sum(axis=1)
         spread = np.sqrt((weight * (near - mean[:, None]) ** 2).sum(axis=1))
         # Within two lines their mixture is more exact.
-        place[part] = np.where(spread > 0.75, mean, place[part])
+        moves = (spread > 0.75) & ~clipped[part]
+        place[part] = np.where(moves, mean, place[part])
         uncertainty[part] = np.hypot(uncertainty[part], spread)
     if not code.bits:
         # The spread of two places by their likelihoods under noise of unknown size; once in a

@@ -558,7 +558,12 @@ def _all_corners(
                 hint="photograph all poses with the same camera and projector",
             )
         shapes = sizes
-        white, matches = pose_images(capture)
+        try:
+            white, matches = pose_images(capture)
+        except InputError as error:
+            # Frames out of order, or no light of the projector.
+            left_out[name] = error.message
+            continue
         places = find_corners(white, board)
         corners = None if places is None else light_corners(places, matches, board)
         if corners is None:

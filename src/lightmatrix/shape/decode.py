@@ -105,7 +105,8 @@ def decode(
         if channels > 1:
             values = values.reshape(-1, channels, opened.count).sum(axis=1)
         rows = slice(start // channels, start // channels + len(values))
-        readings = {code.axis: read_code(codes, code, values) for code in codes.codes}
+        clipped = np.asarray(tile.clipped.reshape(len(values), -1).any(axis=1))
+        readings = {code.axis: read_code(codes, code, values, clipped) for code in codes.codes}
         # A camera pixel sees the projector if its direct light exceeds five standard deviations of
         # a decent camera's noise, and noise alone resembles a code as well once in a thousand.
         usable &= sum(reading.evidence for reading in readings.values()) > np.log(1000)

@@ -216,7 +216,8 @@ def triangulate(
     Raises
     ------
     InputError
-        If the geometry has other image sizes, or a file is damaged.
+        If the geometry has other image sizes, a file is damaged, or no point is found for one to be
+        written.
     OutputError
         If a file exists or cannot be written.
 
@@ -246,7 +247,7 @@ def triangulate(
     else:
         found = _spots_of(source, rig, lines)
     shape = _shape(found, rig, camera, lines, strict)
-    if not shape.kept.any():
+    if not shape.kept.any() and any(path is not None for path, _ in outputs):
         raise InputError(
             f"no point is found; pixels by the test that they fail: {shape.summary()['pixels']}",
             hint="OFF_LINE and BEHIND: is this the geometry of this rig, and of images that are "

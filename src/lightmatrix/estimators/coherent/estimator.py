@@ -28,13 +28,8 @@ SIZES = (0.0, 0.7, 1.0, 1.4, 2.0, 2.8, 4.0)
 class CoherentEstimator(Estimator):
     """Estimates T with penalties from neighbouring camera pixels, from few patterns.
 
-    Each round solves row i on its likeliest atoms j, single pixels and spots, with the penalty
-    ``2 lambda e / (e + s_ij)``. Here s_i is the sum of the neighbours' rows, each moved back by the
-    measured Jacobian, divided by its maximum and blurred by a window, relative to its strongest
-    atom. From the third of these rounds on rows have pseudo-samples, in place of clipped samples
-    and under 64 patterns that were never shown: predictions from the neighbours' rows, which weigh
-    the less, the less the neighbours agree. The background of each row is a halo around its atoms;
-    the last round also has coarse cells of projector pixels, for faint light from elsewhere.
+    Each round solves row i on its likeliest atoms j with the penalty ``2 lambda e / (e + s_ij)``;
+    the package `lightmatrix.estimators.coherent` explains the rounds.
 
     The gap of a row is that of the weighted problem of the last round. Further diagnostics are
     footprint, the effective number of projector pixels that a camera pixel sees, and
