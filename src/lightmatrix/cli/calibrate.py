@@ -6,7 +6,6 @@ import re
 from pathlib import Path
 from typing import Annotated
 
-import numpy as np
 from typer import Argument, Option
 
 import lightmatrix as lm
@@ -116,11 +115,11 @@ def _without_board(
     claim(output, GEOMETRY, overwrite=overwrite)
     axis = None
     if principal is not None:
-        given = np.atleast_1d(numbers(principal, "--principal"))
-        if given.size != 2:
+        given = numbers(principal, "--principal")
+        if not isinstance(given, list) or len(given) != 2:
             hint = "give column and row, such as 640,512"
             raise InputError(f"--principal {principal}", hint=hint)
-        axis = float(given[0]), float(given[1])
+        axis = given[0], given[1]
     rig = lm.self_calibrate(
         poses[0],
         focal,

@@ -13,7 +13,6 @@ from lightmatrix.cli.options import Json, Overwrite, output_option, size
 from lightmatrix.cli.source import Source, with_source
 from lightmatrix.cli.terminal import progress, say, show_json
 from lightmatrix.files.kinds import CORRESPONDENCE
-from lightmatrix.patterns.codes import find_codes
 
 
 @with_source(crop=False)
@@ -38,6 +37,8 @@ def decode(
     order: the code is read from the patterns. Writes the projector pixel that each camera pixel
     sees, to fractions, with its uncertainty.
     """
+    from lightmatrix.patterns.codes import find_codes
+
     claim(output, CORRESPONDENCE, overwrite=overwrite)
     capture = source.open().bin(projector=size(bin_projector))
     with progress("decoding", "samples") as step:
