@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import math
 import operator
-from os import PathLike
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -44,15 +42,6 @@ def as_float(value: Any) -> float:
         return math.inf if value > 0 else -math.inf
     except (TypeError, ValueError):
         return math.nan
-
-
-def as_path(value: Any) -> Path:
-    """A path; anything else than text or a path is refused."""
-    if isinstance(value, str | PathLike):
-        return Path(value)
-    raise InputError(
-        f"{type(value).__name__} in place of a file or folder", hint="give a str or a pathlib.Path"
-    )
 
 
 def whole(value: Any) -> int | None:

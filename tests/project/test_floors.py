@@ -17,7 +17,17 @@ ROOT = TOP / "src" / "lightmatrix"
 # From the ground up; a module may import from its own folder and from lower floors. The folders of
 # one floor do not know each other; the single files of the ground may.
 FLOORS = [
-    {"defaults", "errors", "progress_bar", "ranges", "regions", "reprs", "_version", "_core"},
+    {
+        "defaults",
+        "errors",
+        "paths",
+        "progress_bar",
+        "ranges",
+        "regions",
+        "reprs",
+        "_version",
+        "_core",
+    },
     {"resources"},
     {"files"},
     {"geometry", "patterns"},

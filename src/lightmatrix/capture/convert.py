@@ -17,8 +17,9 @@ from lightmatrix.files.colours import COLOURS
 from lightmatrix.files.images import READABLE, read_image
 from lightmatrix.files.reading import read_text
 from lightmatrix.files.stacks import list_images, natural_order
+from lightmatrix.paths import as_path
 from lightmatrix.patterns.pattern_set import ImagePatterns
-from lightmatrix.ranges import as_float, as_path
+from lightmatrix.ranges import as_float
 
 
 class Layout(NamedTuple):

@@ -47,12 +47,12 @@ from lightmatrix.files.kinds import CAPTURE, read_object
 from lightmatrix.files.reading import errors_naming
 from lightmatrix.files.stacks import ImageStack, is_stack, nonlinear_tag
 from lightmatrix.files.writing import atomic_folder
+from lightmatrix.paths import as_path
 from lightmatrix.patterns.bits import with_white
 from lightmatrix.patterns.colour import ColourPatterns
 from lightmatrix.patterns.folder import fill_pattern_folder, read_patterns
 from lightmatrix.patterns.pattern_set import PatternSet
 from lightmatrix.patterns.projector_curve import ProjectorResponse
-from lightmatrix.ranges import as_path
 from lightmatrix.reprs import jsonable
 
 

@@ -21,8 +21,8 @@ from lightmatrix.errors import InputError
 from lightmatrix.files.kinds import CAPTURE
 from lightmatrix.files.writing import atomic_folder, check_output
 from lightmatrix.files.zarr_arrays import create_array
+from lightmatrix.paths import as_path
 from lightmatrix.patterns.pattern_set import PatternSet
-from lightmatrix.ranges import as_path
 from lightmatrix.resources.disk import check_disk_space
 
 Progress = Callable[[int, int], None]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from lightmatrix.ranges import as_path
+from lightmatrix.paths import as_path
 
 COLOURS = ("red", "green", "blue")
 

@@ -15,7 +15,7 @@ from lightmatrix.errors import InputError
 from lightmatrix.files.kinds import RESPONSE, RESPONSE_FORMAT
 from lightmatrix.files.reading import read_json
 from lightmatrix.files.writing import atomic_file
-from lightmatrix.ranges import as_path
+from lightmatrix.paths import as_path
 
 _VERSION = 1
 

@@ -29,7 +29,8 @@ from lightmatrix.files.kinds import IMAGE
 from lightmatrix.files.numpy_files import as_float32, read_npy
 from lightmatrix.files.reading import MOST_VALUES, check_image_size, read_bytes, regular_file
 from lightmatrix.files.writing import atomic_file
-from lightmatrix.ranges import as_path, real_array
+from lightmatrix.paths import as_path
+from lightmatrix.ranges import real_array
 
 # The endings of files that are read, and their formats in words.
 JPEG = (".jpg", ".jpeg")

@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import Any
 
 from lightmatrix.errors import OutputError
-from lightmatrix.ranges import as_path
+from lightmatrix.paths import as_path
 
 MARKER, FORMAT = ".lightmatrix", "lightmatrix-output"
 ANOTHER_NAME = "choose another name for the output"

@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from lightmatrix.errors import InputError
-from lightmatrix.ranges import as_path
+from lightmatrix.paths import as_path
 
 # Bytes of the longest text that is read, far more than any description or curve of ours takes.
 MOST_TEXT = 16 << 20

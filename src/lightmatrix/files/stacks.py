@@ -34,7 +34,7 @@ from lightmatrix.files.images import (
 )
 from lightmatrix.files.numpy_files import map_npy, read_npz
 from lightmatrix.files.reading import check_image_size, regular_file
-from lightmatrix.ranges import as_path
+from lightmatrix.paths import as_path
 from lightmatrix.reprs import short_repr
 
 # Endings of files that may hold several images, and their formats in words.

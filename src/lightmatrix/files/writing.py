@@ -25,7 +25,7 @@ from filelock import FileLock, Timeout
 
 from lightmatrix.errors import OutputError, warn
 from lightmatrix.files.kinds import ANOTHER_NAME, MARKER, FolderKind, OutputKind
-from lightmatrix.ranges import as_path
+from lightmatrix.paths import as_path
 
 # The first line of the marker of a folder of running results (`running.py`).
 RUNNING = "lightmatrix running results"

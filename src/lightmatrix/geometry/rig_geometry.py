@@ -18,7 +18,8 @@ from lightmatrix.files.extras import load_opencv
 from lightmatrix.files.kinds import GEOMETRY, GEOMETRY_FORMAT
 from lightmatrix.files.reading import parse_json, read_json, read_text
 from lightmatrix.files.writing import atomic_file
-from lightmatrix.ranges import as_path, check_sides
+from lightmatrix.paths import as_path
+from lightmatrix.ranges import check_sides
 from lightmatrix.regions import Region
 from lightmatrix.reprs import jsonable, short_repr
 

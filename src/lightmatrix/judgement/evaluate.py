@@ -22,7 +22,8 @@ from lightmatrix.judgement.metrics import (
     unclipped_rows,
     unseen_patterns,
 )
-from lightmatrix.ranges import as_path, check_number
+from lightmatrix.paths import as_path
+from lightmatrix.ranges import check_number
 from lightmatrix.reprs import html_table, labelled, text_table
 from lightmatrix.simulation import library
 from lightmatrix.simulation.colour import is_of_all_primaries, of_primary

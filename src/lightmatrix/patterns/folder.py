@@ -29,11 +29,11 @@ from lightmatrix.files.kinds import PATTERNS
 from lightmatrix.files.reading import errors_naming, read_json
 from lightmatrix.files.stacks import ImageStack, Page, list_entries
 from lightmatrix.files.writing import atomic_folder
+from lightmatrix.paths import as_path
 from lightmatrix.patterns.bits import BitPatterns
 from lightmatrix.patterns.colour import ColourPatterns, colour_images
 from lightmatrix.patterns.making import remake_patterns
 from lightmatrix.patterns.pattern_set import ImagePatterns, PatternSet, to_grey
-from lightmatrix.ranges import as_path
 from lightmatrix.resources.memory import check_memory
 from lightmatrix.resources.threads import work_ahead
 

@@ -26,6 +26,7 @@ from lightmatrix.errors import FrameTimeoutError, InputError
 from lightmatrix.files.kinds import RIG, RIG_FORMAT
 from lightmatrix.files.reading import read_json
 from lightmatrix.files.writing import atomic_file
+from lightmatrix.paths import as_path
 from lightmatrix.patterns.projector_curve import ProjectorResponse
 from lightmatrix.planning.exposure_advice import (
     WhiteFrame,
@@ -33,7 +34,7 @@ from lightmatrix.planning.exposure_advice import (
     advise_exposures,
     clipped_share,
 )
-from lightmatrix.ranges import as_path, check_number
+from lightmatrix.ranges import check_number
 from lightmatrix.rig.devices.base import exposure_limits, same_exposure, set_exposure
 from lightmatrix.rig.photograph import (
     FIRST_SETTLE,

@@ -16,7 +16,7 @@ from lightmatrix.capture.settings import TRUTH
 from lightmatrix.defaults import USUAL_SAMPLES
 from lightmatrix.errors import InputError, OutputError, warn
 from lightmatrix.files.numpy_files import read_npz
-from lightmatrix.ranges import as_path
+from lightmatrix.paths import as_path
 from lightmatrix.reprs import html_table
 from lightmatrix.simulation.renderer import Progress, render
 from lightmatrix.simulation.scenes import Scene, names, scene

@@ -17,10 +17,11 @@ from lightmatrix.capture.packing import pack_capture
 from lightmatrix.capture.sensor import Sensor
 from lightmatrix.defaults import USUAL_NOISE
 from lightmatrix.errors import InputError
+from lightmatrix.paths import as_path
 from lightmatrix.patterns.colour import ColourPatterns
 from lightmatrix.patterns.folder import read_patterns
 from lightmatrix.patterns.pattern_set import PatternSet
-from lightmatrix.ranges import as_float, as_path, check_seed
+from lightmatrix.ranges import as_float, check_seed
 from lightmatrix.regions import Region
 from lightmatrix.simulation import library, realism
 from lightmatrix.simulation.colour import in_all_primaries, in_primary, is_of_all_primaries

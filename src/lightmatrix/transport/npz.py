@@ -23,7 +23,8 @@ from lightmatrix.files.numpy_files import read_npz
 from lightmatrix.files.reading import check_version, parse_json
 from lightmatrix.files.writing import atomic_file, check_output
 from lightmatrix.geometry.rig_geometry import RigGeometry, checked_fields
-from lightmatrix.ranges import as_path, check_type
+from lightmatrix.paths import as_path
+from lightmatrix.ranges import check_type
 from lightmatrix.transport.correspondence import Correspondence
 from lightmatrix.transport.matrix import LightTransport
 from lightmatrix.transport.operator import HOW_TO_GIVE

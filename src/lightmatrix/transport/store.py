@@ -37,7 +37,8 @@ from lightmatrix.files.zarr_arrays import (
     read_group,
     write_parts,
 )
-from lightmatrix.ranges import as_path, check_type
+from lightmatrix.paths import as_path
+from lightmatrix.ranges import check_type
 from lightmatrix.resources.memory import check_memory
 from lightmatrix.transport.correspondence import Correspondence
 from lightmatrix.transport.matrix import ColourTransport, LightTransport

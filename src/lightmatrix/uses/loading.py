@@ -5,7 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 
 from lightmatrix.errors import InputError
-from lightmatrix.ranges import as_path, check_finite
+from lightmatrix.paths import as_path
+from lightmatrix.ranges import check_finite
 from lightmatrix.resources.memory import available_bytes
 from lightmatrix.transport import store
 from lightmatrix.transport.matrix import LightTransport

@@ -20,7 +20,7 @@ from lightmatrix.files.extras import write_exr
 from lightmatrix.files.images import fill_image
 from lightmatrix.files.writing import atomic_file, atomic_folder, check_output
 from lightmatrix.geometry.rig_geometry import RigGeometry
-from lightmatrix.ranges import as_path
+from lightmatrix.paths import as_path
 from lightmatrix.reprs import short_repr
 from lightmatrix.transport.correspondence import (
     REACH,

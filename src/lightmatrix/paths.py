@@ -1,0 +1,18 @@
+"""Paths that a caller gives. This file needs no NumPy, as the help of commands does not."""
+
+from __future__ import annotations
+
+from os import PathLike
+from pathlib import Path
+from typing import Any
+
+from lightmatrix.errors import InputError
+
+
+def as_path(value: Any) -> Path:
+    """A path; anything else than text or a path is refused."""
+    if isinstance(value, str | PathLike):
+        return Path(value)
+    raise InputError(
+        f"{type(value).__name__} in place of a file or folder", hint="give a str or a pathlib.Path"
+    )
