@@ -59,10 +59,10 @@ import lazy_loader
 
 
 class _Package(types.ModuleType):
-    """Keeps `lm.check` and `lm.report` functions when Python imports the folders of these names."""
+    """Keeps public functions such as `lm.check` when Python imports modules of their names."""
 
     def __setattr__(self, name: str, value: Any) -> None:
-        if name not in ("check", "report") or not isinstance(value, types.ModuleType):
+        if not (isinstance(value, types.ModuleType) and name in __all__):
             super().__setattr__(name, value)
 
 

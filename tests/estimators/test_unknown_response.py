@@ -110,7 +110,7 @@ def test_an_estimate_uses_the_curve_when_asked() -> None:
     capture = coded("gamma:2.2")
     known = lm.estimate(capture, response="gamma:2.2", check=False)
     automatic = lm.estimate(capture, response="auto", check=False)
-    wrong = lm.estimate(capture, check=False)
+    wrong = lm.estimate(capture, check=False, correct="none")
 
     def off(transport: lm.LightTransport) -> float:
         difference = transport.to_matrix(dense_background=True) - known.to_matrix(

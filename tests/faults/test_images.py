@@ -92,7 +92,7 @@ def _kinds() -> list[Case]:
         "plain": (_tiff(), 0),
         "deflated": (_tiff(compression="zlib"), 0),
         "big-endian": (_tiff(byteorder=">"), 0),
-        "white is zero": (_tiff(65535 - SHORTS, photometric="miniswhite"), 0),
+        "white is zero": (_tiff(65535 - SHORTS, photometric="miniswhite"), 2),
         "with a palette": (_tiff(index, photometric="palette", colormap=colours), (0, 2)),
         "with strips of 0 bytes": (both(_tiff(), _set_tag("StripByteCounts", 0)), 2),
         "with strips beyond its end": (both(_tiff(), _set_tag("StripOffsets", 10**6)), 2),

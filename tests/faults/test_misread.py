@@ -88,7 +88,6 @@ CASES = [
         "info scene.zarr --pictures scene.zarr --overwrite",
         "holds a light transport matrix",
     ),
-    _surroundings("ZARR_THREADING__MAX_WORKERS", "-1", "info scene.zarr"),
 ]
 
 

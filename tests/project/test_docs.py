@@ -111,7 +111,7 @@ def test_the_commands_of_a_page_work(
     # The commands run at smaller sizes.
     text = (ROOT / "docs" / f"{name}.md").read_text()
     text = re.sub(r"(--size |\()64(, 64)?", lambda found: found[0].replace("64", "12"), text)
-    text = text.replace("-k 64", "-k 16").replace("l_objects", "small.npz")
+    text = text.replace("-k 64", "-k 32").replace("l_objects", "small.npz")
     commands = re.findall(r"^ *(lightmatrix .*)$", text, flags=re.MULTILINE)
     assert commands
     for line in commands:

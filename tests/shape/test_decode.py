@@ -239,7 +239,8 @@ def test_codes_of_blocks_place_pixels_to_blocks() -> None:
     finest = [np.flatnonzero(stripes.axes == axis)[-2:] for axis in (0, 1)]
     kept = np.setdiff1d(np.arange(patterns.count), np.concatenate(finest))
     whole = capture(patterns, photographs(patterns))
-    matches = lm.decode(whole.select(kept))
+    with pytest.warns(lm.LightMatrixWarning, match="blocks of 4 and 4|blocks of 2 and 2"):
+        matches = lm.decode(whole.select(kept))
     assert matches.valid.all()
     assert matches.projector_shape == PROJECTOR
     assert matches.uncertainty is not None

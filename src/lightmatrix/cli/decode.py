@@ -37,15 +37,12 @@ def decode(
     order: the code is read from the patterns. Writes the projector pixel that each camera pixel
     sees, to fractions, with its uncertainty.
     """
-    from lightmatrix.patterns.codes import find_codes
-
     claim(output, CORRESPONDENCE, overwrite=overwrite)
     capture = source.open().bin(projector=size(bin_projector))
     with progress("decoding", "samples") as step:
         matches = lm.decode(capture, output=output, overwrite=overwrite, check=check, progress=step)
     share, known = float(matches.valid.mean()), matches.confidence[matches.valid]
     contradicted = float((known < 0.5).mean())
-    blocks = [code.block for code in find_codes(capture.patterns).codes]
     if as_json:
         facts = {"camera_shape": matches.valid.shape, "decoded_share": share}
         show_json({"output": output, **facts, "contradicted_share": contradicted})
@@ -54,5 +51,3 @@ def decode(
         f"{output}: {100 * share:.1f} % of the camera's pixels see the projector; the photographs "
         f"contradict the code or the neighbours in {100 * contradicted:.1f} % of them"
     )
-    if max(blocks) > 1:
-        say(f"the code numbers blocks of {' and '.join(map(str, blocks))} projector pixels")

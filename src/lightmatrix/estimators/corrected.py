@@ -101,12 +101,13 @@ def corrected(
         if left > _BETTER and others:
             break
         others = left > _CLEARLY or (number == 0 and torn is not None)
-    # A T that other faults have blurred looks as if the camera sharpened what it shows.
+    # A T that is blurred by whatever looks as if the camera sharpened what it shows, so this stays
+    # only if it helps clearly.
     rest = {name: each for name, each in model.values.items() if name != "camera-sharpening"}
-    if 0 < len(rest) < len(model.values):
+    if len(rest) < len(model.values):
         simpler = replace(model, values=rest)
-        transport = estimate(simpler.corrected(capture, best))
-        if _missed(transport) * _BETTER <= _missed(best):
+        transport = estimate(simpler.corrected(capture, best)) if rest else first
+        if _missed(transport) * _CLEARLY <= _missed(best):
             model, best = simpler, transport
     provenance = {**first.provenance, **({RIG: model.as_dict()} if model.names else {})}
     return model, replace(best, provenance=provenance)

@@ -21,7 +21,6 @@ from lightmatrix.capture.found_response import (
     with_response,
 )
 from lightmatrix.errors import InputError, warn
-from lightmatrix.estimators.bends import Bends, bends_from_transport, gammas_from_greys
 from lightmatrix.estimators.camera_window import window_of_levels
 from lightmatrix.estimators.choice import choose_estimator
 from lightmatrix.estimators.settings import EstimateSettings
@@ -29,6 +28,7 @@ from lightmatrix.files.images import JPEG
 from lightmatrix.patterns.colour import ColourPatterns
 from lightmatrix.patterns.pattern_set import PatternSet
 from lightmatrix.patterns.projector_curve import ProjectorResponse
+from lightmatrix.rig_model.bends import Bends, bends_from_transport, gammas_from_greys
 from lightmatrix.transport.matrix import LightTransport, prediction_error
 
 # The search ends after eight estimates, or when the curve changes by less than 1 % of full light.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import zipfile
 from pathlib import Path
 from typing import Any
@@ -29,19 +30,23 @@ def read_npy(path: str | Path) -> NDArray[Any]:
 
 def read_npz(path: str | Path) -> dict[str, NDArray[Any]]:
     """Read all arrays of an npz file, and verify the checksums of the archive."""
-    file = regular_file(path)
+    file, size = regular_file(path), 0
     try:
         with zipfile.ZipFile(file) as archive:
-            check_memory(file, sum(member.file_size for member in archive.infolist()))
+            size = sum(member.file_size for member in archive.infolist())
+            check_memory(file, size)
         with np.load(file, allow_pickle=False) as opened:
             arrays = dict(opened)
         # NumPy returns the bytes of members that are no arrays.
         if other := [name for name, values in arrays.items() if isinstance(values, bytes)]:
             raise ValueError(f"{other[0][:40]!r} is no array")
-    except (InputError, MemoryError):
+    except InputError:
         raise
     # Damaged archives raise nearly anything, among them NotImplementedError and zlib.error.
     except Exception as error:
+        # Only a damaged archive claims arrays that are larger than its members.
+        if isinstance(error, MemoryError) and math.prod(getattr(error, "shape", ())) <= size:
+            raise
         raise InputError(
             f"{file}: cannot be read as npz ({' '.join(str(error).split())[:120]})",
             hint="give a file from `lightmatrix export` or `render`, or write it again",

@@ -13,8 +13,8 @@ from scipy.ndimage import spline_filter1d
 
 from lightmatrix.capture.capture import Capture
 from lightmatrix.capture.samples import Samples
-from lightmatrix.estimators.bends import strongest_pixels
 from lightmatrix.patterns.pattern_set import PatternSet
+from lightmatrix.rig_model.bends import strongest_pixels
 from lightmatrix.transport.matrix import LightTransport
 
 Array = NDArray[np.float64]

@@ -87,6 +87,9 @@ def decode(
         check_output(output, CORRESPONDENCE, overwrite=overwrite)
     opened = open_capture(capture)
     codes = find_codes(opened.patterns)
+    blocks = [code.block for code in codes.codes]
+    if max(blocks, default=1) > 1:
+        warn(f"the code numbers blocks of {' and '.join(map(str, blocks))} projector pixels")
     refuse_unusable(opened)
     if check:
         # What limits an estimate of T is no fault here.
