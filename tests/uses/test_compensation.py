@@ -535,7 +535,7 @@ def test_the_pattern_is_encoded_for_the_projector(
 
     for curve in (response, "projector.json", "gamma:2.2"):
         assert missed(curve) < 0.01
-    # Of a projector of which nothing is known, 2.2 is assumed.
+    # A projector of which nothing is known is taken for one of gamma 2.2.
     assert max(missed(None), missed(None, of_capture)) < 0.01
     assert min(missed("linear"), missed("linear", of_capture)) > 0.1
     video = lm.compensate_video(of_capture, [_ramp()], output="video")

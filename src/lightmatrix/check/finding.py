@@ -48,6 +48,12 @@ WRONG_ORDER = (
     "each change of pattern"
 )
 
+# What to do about light that differs from frame to frame.
+STEADY_LIGHT = (
+    "fix exposure, gain and white balance, expose for whole periods of the mains and of the "
+    "projector (1/50 or 1/60 s and multiples), and let lamps warm up; or state the exposures"
+)
+
 # The entry of a store's provenance that holds the findings of its capture.
 FINDINGS = "findings"
 
@@ -102,6 +108,12 @@ def join_names(names: Sequence[str], most: int = 5) -> str:
     if len(names) < 2:
         return "".join(names)
     return f"{', '.join(names[:-1])} and {names[-1]}"
+
+
+def odd_light(changes: Mapping[str, float]) -> str:
+    """State which frames are brighter or darker than all others, and by which share."""
+    words = [f"{name} ({100 * change:+.0f} %)" for name, change in changes.items()]
+    return f"the light is not that of the other frames in {join_names(words)}"
 
 
 def order_findings(shown: Mapping[int, int], name: Callable[[int], str]) -> list[Finding]:

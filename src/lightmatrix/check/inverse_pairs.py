@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lightmatrix.capture.samples import Samples
-from lightmatrix.check.finding import Finding, join_names, order_findings
+from lightmatrix.check.finding import STEADY_LIGHT, Finding, odd_light, order_findings
 from lightmatrix.check.motion import find_shift, motion_finding
 from lightmatrix.check.prediction import find_places
 from lightmatrix.check.survey import (
@@ -93,7 +93,7 @@ class PairSums:
     def oddness(self, j: int, k: int) -> float:
         """How far two frames are from adding up to white, as a share of it."""
         relative = (self.sum_of(j, k) - self.usual) / np.maximum(self.usual, 1e-6)
-        # Where one of the two clips in all pixels, nothing is known.
+        # Nothing is known of a pair of which one frame clips in all pixels.
         known = np.clip(relative[~np.isnan(relative)], -1, 1)
         return float(np.sqrt((known**2).sum() / max(len(known), 1)))
 
@@ -198,11 +198,6 @@ def check_gains(
     if len(change) < 4:
         return []
     certain, usual = np.abs(change) > 5 * error, robust_deviation(change)
-    advice = (
-        "expose for whole periods of the mains and of the projector (1/50 or 1/60 s and "
-        "multiples), turn automatic exposure and dynamic contrast off, and let lamps warm up; "
-        "if the exposures differed, or the camera has a gamma, state them"
-    )
     # A standard deviation of the light of up to 1.2 % does no harm.
     if usual > 0.012 and certain.mean() > 0.3:
         spread = 100 * float(np.sqrt(np.mean(np.clip(change, -4 * usual, 4 * usual) ** 2)))
@@ -211,13 +206,12 @@ def check_gains(
             f"the light varies from frame to frame by {spread:.1f} % (standard deviation), or the "
             "photographs are not linear in light"
         )
-        return [Finding("gain", (), message, advice)]
+        return [Finding("gain", (), message, f"{STEADY_LIGHT}, or the camera's gamma")]
     odd = np.flatnonzero(certain & (np.abs(change) > max(0.04, 6 * usual)))
     if not len(odd):
         return []
-    words = [f"{names[frames[k]]} ({100 * change[k]:+.0f} %)" for k in odd]
-    message = f"the light is not that of the other frames in {join_names(words)}"
-    return [Finding("gain", tuple(map(int, frames[odd])), message, advice)]
+    message = odd_light({names[frames[k]]: change[k] for k in odd})
+    return [Finding("gain", tuple(map(int, frames[odd])), message, STEADY_LIGHT)]
 
 
 def _find_swap(

@@ -15,10 +15,10 @@ from lightmatrix.rig_model.terms import TERMS, allowed_terms
 from lightmatrix.rig_model.torn import torn_rows
 from lightmatrix.transport.matrix import LightTransport, prediction_error
 
-# Up to eight estimates follow the first one. A correction stays if photographs held out are
-# predicted better by two per cent, which chance does not reach, and is followed by another one if
-# by a tenth. Two suffice for six faults at once; pictures that move by a third of a pixel take four
-# to eight.
+# Up to eight estimates follow the first one: two suffice for six faults at once, pictures that move
+# by a third of a pixel take four to eight. A correction stays if photographs held out are predicted
+# better by two per cent, which chance does not reach. Terms that join later must help by a tenth,
+# since what large faults leave may look like others.
 _MOST_ESTIMATES, _BETTER, _CLEARLY = 8, 0.98, 0.9
 
 
@@ -101,8 +101,8 @@ def corrected(
         if left > _BETTER and others:
             break
         others = left > _CLEARLY or (number == 0 and torn is not None)
-    # A T that is blurred by whatever looks as if the camera sharpened what it shows, so this stays
-    # only if it helps clearly.
+    # Photographs are sharper than what a blurred T predicts, whatever blurs it. It looks as if the
+    # camera sharpened them, so this term stays only if it helps by a tenth.
     rest = {name: each for name, each in model.values.items() if name != "camera-sharpening"}
     if len(rest) < len(model.values):
         simpler = replace(model, values=rest)

@@ -199,7 +199,7 @@ def _held_bytes(capture: Capture, coherent: bool, active_set: bool, sample_bytes
     if coherent:
         pixel, value, grey, row, sample = 2700, 35, 26, 1500, 6
         if _seed_spacing(capture) > GROWTH.near_seeds:
-            # Where light grows from few seeds, spots are kept in half precision.
+            # Spots are kept in half precision where light grows from few seeds.
             pixel, value, grey, row, sample = 1700, 13, 12, 100, 12
         # 64 more patterns were never shown.
         values = patterns.pixels * (capture.count + 64)
@@ -226,7 +226,7 @@ def _seconds(capture: Capture, coherent: bool) -> float:
     """The operations over a billion of each core a second."""
     count, pixels = capture.count, capture.patterns.pixels
     if coherent:
-        # Of all rows but seeds, 0.3 % search because the light that grew onto them is wrong.
+        # The light that grew onto 0.3 % of all rows but seeds is wrong, so these search too.
         spacing = _seed_spacing(capture)
         searching = 1.0 if spacing == 1 else spacing**-2 + 0.003
         # Ten rounds on 250 candidates, after a search of all pixels and spots.

@@ -24,10 +24,10 @@ from lightmatrix.patterns.stripes import is_separable
 from lightmatrix.rig_model.model import RigModel
 from lightmatrix.rig_model.terms import TERMS
 
-# Findings after which T cannot be estimated, or shows them in place of what the rig did.
+# After these findings T cannot be estimated, or it shows them in place of what the rig did.
 _SPOILING = ("files", "counts", "interchanged", "order", "unrelated", "frame", "motion", "clip")
-# T is estimated from fewer frames than from 12, but reveals nothing of the rig; up to 256, camera
-# pixels learn from their neighbours, and frames are held out.
+# Fewer than 12 frames reveal nothing of the rig. Of more than 256, only so many are looked at:
+# estimates from more hold no frames out, without which no fault is certain.
 _FEWEST_FRAMES, _MOST_FRAMES = 12, 256
 
 
@@ -49,8 +49,8 @@ def check(
     Parameters
     ----------
     capture : Capture, str or Path, optional
-        A capture, looked at as it was taken whatever is binned; or a capture folder, packed or
-        not. None: two plain folders.
+        A capture, or its folder, packed or not. Its photographs are looked at as they were taken,
+        whatever is binned; what the rig did is found in binned ones. None: two plain folders.
     patterns : str, Path or PatternSet, optional
     images : str or Path, optional
         The two folders, or stacks; see `Capture.from_folders`.

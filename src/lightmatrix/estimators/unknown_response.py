@@ -284,11 +284,15 @@ def find_projector_response(
     # a step uses. Windows of 64 x 64 gave the same gammas to 0.4 %, for 1.7 times the time.
     part = window_of_levels(read, 45)
     # Most searches end at the right gammas from wherever they begin.
-    searches = (_searched_gammas(part, start, camera, settings) for start in (1.0, 2.2))
-    found = next((each for each in searches if each is not None), None)
-    if found is None:
+    estimates = 0
+    for start in (1.0, 2.2):
+        found, tried = _searched_gammas(part, start, camera, settings)
+        estimates += tried
+        if found is not None:
+            break
+    else:
         raise _undetermined("projector's gamma")
-    response, gamma, last, estimates = found
+    response, gamma, last = found
     # A gamma whose standard error is above 2.5 % is not determined.
     if last.errors.max() > 0.025:
         raise _undetermined("projector's gamma")
@@ -308,18 +312,19 @@ def find_projector_response(
 
 def _searched_gammas(
     part: Capture, gamma: float, camera: bool, settings: EstimateSettings
-) -> tuple[Response, float, Bends, int] | None:
-    """The camera's response, the projector's gamma, the last step, and how many estimates it took.
+) -> tuple[tuple[Response, float, Bends] | None, int]:
+    """The camera's response, the projector's gamma and the last step; and how many estimates.
 
-    None if the search from this gamma does not settle.
+    None in place of the first if the search from this gamma does not settle.
     """
     # One to four estimates were needed on simulated captures.
-    for number in range(6):
+    most = 6
+    for number in range(1, most + 1):
         read = with_projector(part, ProjectorResponse.of_gamma(gamma))
         transport = choose_estimator(read, settings).estimate(read)
         better = gammas_from_greys(part, transport, gamma, camera=camera)
         if better is None:
-            return None
+            return None, number
         known, before = part.decoder.response, gamma
         part, gamma, last = better
         change = abs(gamma / before - 1)
@@ -327,8 +332,8 @@ def _searched_gammas(
             change = max(change, abs(exponent(part.decoder.response) / exponent(known) - 1))
         # When an estimate changes neither gamma by 1.5 %, the next change would be a tenth of it.
         if change < 0.015:
-            return part.decoder.response, gamma, last, number + 1
-    return None
+            return (part.decoder.response, gamma, last), number
+    return None, most
 
 
 def find_responses(capture: Capture, settings: EstimateSettings) -> FoundResponse:

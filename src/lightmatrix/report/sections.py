@@ -252,7 +252,7 @@ def error_estimates(facts: Facts) -> Section:
     if has_diagnostic(facts.transport, "estimated_error"):
         caption = "Each camera pixel's own estimate, from its samples and its neighbours."
         maps.append(image_of_map(estimated_error_map(facts.transport), caption))
-    # Where all rows have converged, the numbers in the table say all.
+    # The numbers in the table say all if all rows have converged.
     if np.nanmax(facts.transport.diagnostics.get("gap", 0), initial=0) > 1e-3:
         caption = (
             "How far the objective of each row can be from its optimum. A small gap means solved. "

@@ -77,7 +77,8 @@ def measure_settle(rig: Rig, whites: WhiteAndBlack, report: _Report) -> SettleTi
     spread = robust_deviation(np.array(levels)) if levels else 0.0
     tolerance = min(max(0.03, 4 * spread), 0.3)
     generator = np.random.default_rng(0)
-    # Of each change: seconds to the start of the last frame that saw it, and to that of the next.
+    # Each entry holds the seconds from a change to the start of the last frame that saw it, and to
+    # that of the next frame.
     looks: list[tuple[float, float]] = []
     total = 21
     for change in range(total):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from lightmatrix.check.finding import join_names
+from lightmatrix.check.finding import STEADY_LIGHT, odd_light
 from lightmatrix.rig_model.prediction import Prediction
 from lightmatrix.rig_model.term import Array, Draft, Term, deviation
 
@@ -13,11 +13,7 @@ class Gain(Term):
     """Frame k has (1 + g_k) times the light."""
 
     name = "gain"
-    advice = (
-        "fix exposure, gain and white balance, expose for whole periods of the mains and of "
-        "the projector (1/50 or 1/60 s and multiples), and let lamps warm up; or state the "
-        "exposures"
-    )
+    advice = STEADY_LIGHT
     per_frame = True
 
     def regressors(self, seen: Prediction) -> Array:
@@ -41,8 +37,7 @@ class Gain(Term):
             usual = values[0] - np.median(values[0])
             odd = np.flatnonzero(np.abs(usual) > max(0.02, 6 * np.median(np.abs(usual))))
             if 0 < len(odd) <= 3:
-                words = [f"frame {j} ({100 * usual[j]:+.0f} %)" for j in odd]
-                return f"the light is not that of the other frames in {join_names(words)}"
+                return odd_light({f"frame {j}": usual[j] for j in odd})
             return f"the light varied by {100 * deviation(values):.1f} % from frame to frame"
         change = (1 + values[0, k:].mean()) / (1 + values[0, :k].mean()) - 1
         return f"the exposure changed by {100 * change:+.1f} % before frame {k}"

@@ -7,6 +7,7 @@ import numpy as np
 from lightmatrix.capture.capture import Capture
 from lightmatrix.check.pursuit import best_pixels, column_scale
 from lightmatrix.rig_model.prediction import Prediction, samples_of_rows
+from lightmatrix.rig_model.previous import Previous
 from lightmatrix.rig_model.term import Array, Draft, Term
 
 # The picture is looked at in up to this many bands of rows, of each 32 of its camera pixels.
@@ -18,7 +19,7 @@ class Torn(Term):
 
     name = "torn"
     label = "previous"
-    advice = "wait longer after each change of pattern (`lightmatrix rig settle` measures how long)"
+    advice = Previous.advice
 
     def regressors(self, seen: Prediction) -> None:
         """None: it is found before T is estimated, which is wrong where the picture is torn."""

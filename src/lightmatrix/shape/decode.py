@@ -142,7 +142,7 @@ def decode(
         opened.projector_shape,
     )
     contradicted = float(1 - agreeing[result.valid].mean())
-    # Of intact captures with occlusions and noise at most a few per cent do.
+    # At most a few per cent do in intact captures with occlusions and noise.
     if check and contradicted > 0.1:
         warn(
             f"{100 * contradicted:.0f} % of the decoded places contradict those of their "

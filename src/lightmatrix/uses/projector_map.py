@@ -322,7 +322,7 @@ def _as_map(found: Correspondence, reverse: ProjectorMap | None = None) -> Proje
     light, other = found.light, found.projector_shape
     assert light is not None
     assert other is not None
-    # Where there is less light than this share of a bright pixel's, an estimate has errors only.
+    # Below this share of a bright pixel's light, what an estimate shows are its errors.
     dark = light <= 0.02 * np.quantile(light, 0.9)
     place = np.where(dark[..., None], np.float32(np.nan), found.place)
     return ProjectorMap(place, light, found.confidence, other, reverse)
