@@ -9,12 +9,12 @@ from typing import TYPE_CHECKING, Any, Literal
 import typer
 
 import lightmatrix as lm
-from lightmatrix.cli.claims import claim
 from lightmatrix.cli.options import USUAL_SIZE, Json, Overwrite, Seed, described, refuse, size
 from lightmatrix.cli.terminal import progress, say, show_json
 from lightmatrix.defaults import EXPOSURES_EXAMPLE, PROCEDURAL, USUAL_COUNT, USUAL_NOISE
 from lightmatrix.errors import InputError
 from lightmatrix.files.kinds import CAPTURE
+from lightmatrix.files.writing import check_output
 
 if TYPE_CHECKING:
     from lightmatrix import PatternSet
@@ -81,7 +81,7 @@ def simulate(
     The command writes a capture folder, with the true T beside the frames as truth.npz. The scene
     `procedural` has any --camera-size and --size that fit into memory.
     """
-    claim(output, CAPTURE, overwrite=overwrite)
+    check_output(output, CAPTURE, overwrite=overwrite)
     common: dict[str, Any] = {
         "exposure": exposure,
         "bits": bits,
