@@ -170,12 +170,12 @@ def test_every_other_use_of_a_colour_matrix(
 ) -> None:
     place, exposure = rig
     scene = place / "green.zarr"
-    for view in ("--dual", "--column 5,7"):
+    for view in ("dual", "column 5,7"):
         assert main(f"show {scene} {view} -o {tmp_path}/view.npy --overwrite".split()) == 0
         assert np.load(tmp_path / "view.npy").shape == (12, 12, 3)
-    assert main(f"show {scene} --row 5,7,1 -o {tmp_path}/row.npy".split()) == 0
+    assert main(f"show {scene} row 5,7,1 -o {tmp_path}/row.npy".split()) == 0
     assert np.load(tmp_path / "row.npy").shape == (12, 12)
-    assert main(f"show {scene} --dual -o {tmp_path}/dual.png".split()) == 0
+    assert main(f"show {scene} dual -o {tmp_path}/dual.png".split()) == 0
     assert main(f"export {scene} {tmp_path}/T.npz".split()) == 0
     assert lm.open(tmp_path / "T.npz").camera_shape == (12, 12, 3)
     lm.export(tmp_path / "truth.npz", truth(SEEN["green"]))

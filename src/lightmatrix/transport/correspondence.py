@@ -84,20 +84,6 @@ class Correspondence:
         # Codes of columns only leave all rows unknown.
         return np.asarray((self.pixel >= 0).any(axis=-1))
 
-    def levels(self) -> NDArray[np.uint16]:
-        """The correspondence as a 16-bit picture, (rows, cols, 3).
-
-        The channels hold column and row of the strongest projector pixel, counted from 0, and the
-        confidence from 0 to 65535, which is 0 only where a camera pixel sees no projector pixel.
-        """
-        picture = np.zeros((*self.confidence.shape, 3), np.uint16)
-        picture[..., 0] = np.maximum(self.pixel[..., 1], 0)
-        picture[..., 1] = np.maximum(self.pixel[..., 0], 0)
-        picture[..., 2] = np.rint(self.confidence.clip(0, 1) * 65535)
-        # The smallest confidence rounds to 1, since 0 means that there is no light.
-        picture[..., 2] = np.maximum(picture[..., 2], self.valid)
-        return picture
-
 
 def correspondence(transport: LightTransport) -> Correspondence:
     """Find the projector pixel that each camera pixel sees most, with a confidence.
