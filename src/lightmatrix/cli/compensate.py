@@ -107,16 +107,21 @@ def compensate(
     """
     with_rig = rig is not None or projector is not None or camera is not None
     video = wanted is not None and (wanted.is_dir() or wanted.suffix.lower() in VIDEOS)
-    of_rig = {"--refine": refine, "--live": live, "--settle": settle}
+    of_rig: dict[str, object] = {"--refine": refine, "--live": live, "--settle": settle}
     if cancel_global:
-        others = {"--beside": beside, "--black": black, "--mask": mask, "--brightness": brightness}
+        others: dict[str, object] = {
+            "--beside": beside,
+            "--black": black,
+            "--mask": mask,
+            "--brightness": brightness,
+        }
         others |= {"--projector-mask": projector_mask, "--gamma": gamma, "a video": video}
         options.refuse(of_rig | others | {"a rig": with_rig}, "--cancel-global")
     elif wanted is None:
         raise InputError("no picture", hint="give the wanted picture, or a folder of frames")
     elif with_rig:
-        others = {"--black": black, "--projector-response": projector_response}
-        options.refuse(others | {"a video": video, "--beside": beside}, "a rig")
+        options.refuse({"--black": black, "--projector-response": projector_response}, "a rig")
+        options.refuse({"--beside": beside, "a video": video}, "a rig")
     else:
         options.refuse(of_rig, "a compensation without a rig")
         options.refuse({"--beside": video and beside}, "a video")
