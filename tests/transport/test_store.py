@@ -140,7 +140,7 @@ def test_npz_comes_back(
 def test_npz_with_the_background_spread_is_the_whole_matrix(tmp_path: Path) -> None:
     written = transport()
     export(tmp_path / "T.npz", written, dense_background=True)
-    whole = written.dense_rows(np.arange(20))
+    whole = written.to_matrix(dense_background=True).toarray()
     np.testing.assert_array_equal(scipy.sparse.load_npz(tmp_path / "T.npz").toarray(), whole)
     back = import_npz(tmp_path / "T.npz")
     assert not back.background.any()
@@ -153,7 +153,7 @@ def test_mat_is_read_by_matlab_s_rules(tmp_path: Path, dense: bool) -> None:
     written = transport()
     export(tmp_path / "T.mat", written, dense_background=dense)
     content = loadmat(tmp_path / "T.mat")
-    expected = written.dense_rows(np.arange(20)) if dense else written.sparse.toarray()
+    expected = written.to_matrix(dense_background=dense).toarray()
     np.testing.assert_array_equal(content["T"].toarray(), expected)
     assert content["T"].dtype == np.float64
     assert content["background"].any() != dense

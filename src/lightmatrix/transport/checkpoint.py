@@ -108,6 +108,8 @@ class Checkpoint:
             steps = {step for _, step, _ in self._files()}
             if not steps or (refused and ROWS not in steps):
                 self._kept.discard()
+            elif error is not None:
+                error.add_note("finished tiles are kept, run again to continue")
 
     def spans(self, step: str = ROWS) -> list[Span]:
         """Rows of the finished, undamaged tiles of a step, in order and without overlap."""

@@ -528,7 +528,8 @@ class StoredTransport(TransportOperator):
         block = self.some_rows(start, stop)
         # The first blocks stay: going through all blocks in order, replacing the oldest would
         # always remove the one that is needed next.
-        if sum(map(_bytes, self._kept.values())) + _bytes(block) <= self.memory:
+        # A list, since other threads may add blocks meanwhile.
+        if sum(map(_bytes, list(self._kept.values()))) + _bytes(block) <= self.memory:
             self._kept[start] = block
         return block
 
