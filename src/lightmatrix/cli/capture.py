@@ -9,11 +9,11 @@ from typer import Option
 
 import lightmatrix as lm
 from lightmatrix.cli import options
-from lightmatrix.cli.claims import claim
 from lightmatrix.cli.options import described
 from lightmatrix.cli.terminal import Stages, progress, say, show_json
 from lightmatrix.defaults import MOST_FRAMES, RIG_FILE, USUAL_FRAMES, USUAL_PATIENCE
-from lightmatrix.files.kinds import LIVE_CAPTURE, STORE
+from lightmatrix.files.kinds import STORE
+from lightmatrix.files.writing import check_output
 
 
 @described(
@@ -81,9 +81,8 @@ def capture(
     )
     if count is None:
         count = USUAL_FRAMES if until is None else MOST_FRAMES
-    claim(output, LIVE_CAPTURE, overwrite=overwrite, parts="frames")
     if store is not None:
-        claim(store, STORE, overwrite=overwrite, parts="tiles")
+        check_output(store, STORE, overwrite=overwrite)
     with (
         lm.open_rig(rig, projector=projector, camera=camera, patience=patience) as opened,
         Stages() as shown,

@@ -9,11 +9,11 @@ from typing import Annotated
 from typer import Argument, Option
 
 import lightmatrix as lm
-from lightmatrix.cli.claims import claim
 from lightmatrix.cli.options import Json, Overwrite, Store
 from lightmatrix.cli.terminal import say, show_json
 from lightmatrix.errors import InputError
 from lightmatrix.files.kinds import export_kind
+from lightmatrix.files.writing import check_output
 
 
 def export(
@@ -37,7 +37,7 @@ def export(
     The file holds the sparse part of T as `scipy.sparse.load_npz` reads it. The background is
     stored separately in it, unless --dense-background adds it to the entries.
     """
-    claim(output, export_kind(output), overwrite=overwrite)
+    check_output(output, export_kind(output), overwrite=overwrite)
     if region is None:
         transport = lm.open(scene)
     else:

@@ -8,11 +8,8 @@ from typing import Annotated
 from typer import Argument, Option
 
 import lightmatrix as lm
-from lightmatrix.cli.claims import claim
 from lightmatrix.cli.options import Json, LeastProbability, Overwrite, Tolerance, output_option
 from lightmatrix.cli.terminal import say, show_json
-from lightmatrix.files.kinds import PICTURE
-from lightmatrix.shape.layers import layers_kind
 
 
 def layers(
@@ -32,9 +29,6 @@ def layers(
     A camera pixel that sees a curtain, dusty glass or a mirror, and what is behind or in it, has
     several spots in its row of T. Surfaces come near to far, up to three a pixel.
     """
-    claim(output, layers_kind(output), overwrite=overwrite)
-    if picture is not None:
-        claim(picture, PICTURE, overwrite=overwrite)
     found = lm.layers(
         scene,
         geometry,

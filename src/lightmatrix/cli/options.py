@@ -68,13 +68,6 @@ ResponseCurve = Annotated[
 ]
 Seed = Annotated[int, Option(help="Seed of the random numbers.", min=0)]
 Store = Annotated[Path, Argument(metavar="SCENE.zarr", help="A store of `estimate`, or a T.npz.")]
-Green = Annotated[
-    Path | None,
-    Option(
-        metavar="GREEN.zarr", help="T of a colour projector's green. SCENE is then T of its red."
-    ),
-]
-Blue = Annotated[Path | None, Option(metavar="BLUE.zarr", help="T of a colour projector's blue.")]
 RigName = Annotated[
     str | None,
     Option("--rig", metavar="virtual:SCENE", help="A virtual rig, which needs no hardware."),
@@ -120,15 +113,3 @@ def size(text: str) -> tuple[int, int]:
             f"a size of {text!r}", hint=f"use at least 1x1 and at most {MOST_PIXELS:,} pixels"
         )
     return rows, cols
-
-
-def primaries(red: Path, green: Path | None, blue: Path | None) -> tuple[Path, Path, Path] | None:
-    """The three matrices of a colour projector; None for a grey projector, which has only one."""
-    if green is None and blue is None:
-        return None
-    if green is None or blue is None:
-        raise InputError(
-            f"--{'blue' if blue is None else 'green'} is missing",
-            hint="a colour projector has three matrices: give red as the scene, --green and --blue",
-        )
-    return red, green, blue

@@ -8,10 +8,8 @@ from typing import Annotated
 from typer import Argument, Option
 
 import lightmatrix as lm
-from lightmatrix.cli.claims import claim
 from lightmatrix.cli.options import Json, LeastProbability, Overwrite, Tolerance, output_option
 from lightmatrix.cli.terminal import say, show_json
-from lightmatrix.files.kinds import CLOUD, DEPTH, PICTURE
 
 
 def triangulate(
@@ -41,11 +39,6 @@ def triangulate(
     between surfaces lies elsewhere. Points come with normals, grey values, the uncertainty of their
     depth, and how probably it is right.
     """
-    claim(output, CLOUD, overwrite=overwrite)
-    if depth is not None:
-        claim(depth, DEPTH, overwrite=overwrite)
-    if picture is not None:
-        claim(picture, PICTURE, overwrite=overwrite)
     shape = lm.triangulate(
         scene,
         geometry,

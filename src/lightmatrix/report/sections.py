@@ -440,7 +440,7 @@ def transport_matrix(facts: Facts) -> Section:
     elements: list[Element] = [
         Text(
             "The projector pixel that each camera pixel sees most. `lightmatrix show SCENE.zarr "
-            "--correspondence -o map.npz` writes the numbers, to fractions of a pixel."
+            "correspondence -o map.npz` writes the numbers, to fractions of a pixel."
         ),
         Gallery(tuple(images)),
         Text(

@@ -159,7 +159,8 @@ def layers(
     True
     """
     check_thresholds(tolerance, least_probability)
-    outputs = {} if output is None else {output: layers_kind(output)}
+    outputs: dict[str | Path, FileKind]
+    outputs = {} if output is None else {output: IMAGE if as_path(output).suffix.lower() == ".exr" else CLOUD}
     outputs |= {} if picture is None else {picture: PICTURE}
     for path, kind in outputs.items():
         check_output(path, kind, overwrite=overwrite)
@@ -200,7 +201,3 @@ def layers(
             found.show().draw_file(part) if kind is PICTURE else found.write(part)
     return found
 
-
-def layers_kind(path: str | Path) -> FileKind:
-    """The kind of file at a path: a point cloud, or an image of layers."""
-    return IMAGE if as_path(path).suffix.lower() == ".exr" else CLOUD
