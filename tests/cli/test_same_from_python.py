@@ -604,7 +604,8 @@ def test_triangulate(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None
     assert shown["points"] == made.kept.sum()
     _same_files(tmp_path / "shown", tmp_path / "made")
     shown = _run(
-        f"layers {scene} {limits} -o {tmp_path}/shown/l.ply --picture {tmp_path}/shown/l.png", capsys
+        f"layers {scene} {limits} -o {tmp_path}/shown/l.ply --picture {tmp_path}/shown/l.png",
+        capsys,
     )
     layers = lm.layers(
         tmp_path / "T.npz",

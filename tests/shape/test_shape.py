@@ -72,13 +72,13 @@ def test_a_higher_probability_keeps_fewer_points_and_fewer_wrong_ones() -> None:
     assert (usual.kept | ~sure.kept).all()
     assert (usual.probability[usual.kept] >= 0.5).all()
     wrong = [(errors(shape, known)[shape.kept] > 0.04).mean() for shape in (usual, sure)]
-    assert sure.kept.mean() > 0.8
+    assert sure.kept.mean() > 0.75
     assert wrong[1] < 0.2 * wrong[0]
     # A stricter tolerance makes all points less probable.
     close = lm.triangulate(known.transport(), known.geometry, tolerance=0.003)
     assert close.probability.mean() < usual.probability.mean() - 0.02
     for wrong_value in ({"tolerance": 0.0}, {"least_probability": 1.5}):
-        with pytest.raises(InputError, match="out of|0"):
+        with pytest.raises(InputError, match=r"of (0\.0|1\.5)"):
             lm.triangulate(known.transport(), known.geometry, **wrong_value)
 
 

@@ -160,7 +160,11 @@ def layers(
     """
     check_thresholds(tolerance, least_probability)
     outputs: dict[str | Path, FileKind]
-    outputs = {} if output is None else {output: IMAGE if as_path(output).suffix.lower() == ".exr" else CLOUD}
+    outputs = (
+        {}
+        if output is None
+        else {output: IMAGE if as_path(output).suffix.lower() == ".exr" else CLOUD}
+    )
     outputs |= {} if picture is None else {picture: PICTURE}
     for path, kind in outputs.items():
         check_output(path, kind, overwrite=overwrite)
@@ -200,4 +204,3 @@ def layers(
             part = files.enter_context(atomic_file(path, kind, overwrite=overwrite))
             found.show().draw_file(part) if kind is PICTURE else found.write(part)
     return found
-
