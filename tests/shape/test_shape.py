@@ -129,11 +129,11 @@ def test_the_brightest_three_by_three_pixels_are_the_spot() -> None:
     lines = np.column_stack([normal, -(normal * [5, 4]).sum(axis=1)])
     row, col = np.indices(shape)
     pixels = np.column_stack([col.ravel(), row.ravel()]).astype(float)
-    spots = find_line_spots(
+    places, lights, widths, total = find_line_spots(
         csr_array(dense.reshape(count, -1)), np.ones(count), lines, pixels, shape, 1.5
     )
-    np.testing.assert_allclose(spots.total, dense.sum(axis=(1, 2)) + 1)
-    first = spots.place[:, 0], spots.light[:, 0], spots.width[:, 0]
+    np.testing.assert_allclose(total, dense.sum(axis=(1, 2)) + 1)
+    first = places[:, 0], lights[:, 0], widths[:, 0]
     for light, line, place, held, width in zip(dense, lines, *first, strict=True):
         distance = np.abs(line[0] * col + line[1] * row + line[2])
         padded = np.pad(light, 1)

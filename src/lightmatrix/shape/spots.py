@@ -33,21 +33,6 @@ _REACH = 1.5
 Array = NDArray[np.float64]
 
 
-@dataclass(frozen=True, eq=False)
-class LineSpots:
-    """Spots of P camera pixels, up to n each.
-
-    `place` (P, n, 2) is row and column on the projector, NaN where there is none, `light` (P, n)
-    what a spot holds, `width` (P, n) its standard deviation in projector pixels, and `total` (P,)
-    the light of the row.
-    """
-
-    place: Array
-    light: Array
-    width: Array
-    total: Array
-
-
 def find_line_spots(
     matrix: csr_array,
     background: Array,
@@ -55,8 +40,7 @@ def find_line_spots(
     pixels: Array,
     shape: tuple[int, int],
     half_width: float,
-    count: int = SPOTS,
-) -> LineSpots:
+) -> tuple[Array, Array, Array, Array]:
     """Find the spots of each row of T, (P, N): two beside its line, and a third anywhere.
 
     Of all 3 x 3 pixels whose middle lies within 1.5 pixels of the line, the brightest are the first
@@ -64,19 +48,20 @@ def find_line_spots(
     light in a window around it, whose borders cut pixels in parts, so that it moves smoothly.
 
     `lines` (P, 3) are a, b, c with a^2 + b^2 = 1 and a col + b row + c = 0, `pixels` (N, 2) the
-    column and row of each projector pixel without distortion.
+    column and row of each projector pixel without distortion. Returns places (P, 3, 2) as (row,
+    col), NaN where there is none, light and standard deviations (P, 3), and the light of rows (P,).
     """
     if not matrix.has_sorted_indices:
         matrix = matrix.copy()
         matrix.sort_indices()
 
     def find(rows: slice) -> tuple[Array, ...]:
-        return _of_block(csr_array(matrix[rows]), lines[rows], pixels, shape, half_width, count)
+        return _of_block(csr_array(matrix[rows]), lines[rows], pixels, shape, half_width)
 
     # Two at a time, since each block takes about 400 MiB.
     parts = work_ahead(find, blocks_of(matrix), threads=2)
     place, light, width, total = map(np.concatenate, zip(*parts, strict=True))
-    return LineSpots(place, light, width, total + np.maximum(background, 0))
+    return place, light, width, total + np.maximum(background, 0)
 
 
 def uncut_places(place: Array, lines: Array, shape: tuple[int, int], margin: float) -> Array:
@@ -102,59 +87,51 @@ def uncut_places(place: Array, lines: Array, shape: tuple[int, int], margin: flo
 
 
 def _of_block(
-    matrix: csr_array,
-    lines: Array,
-    pixels: Array,
-    shape: tuple[int, int],
-    half_width: float,
-    spots: int,
+    matrix: csr_array, lines: Array, pixels: Array, shape: tuple[int, int], half_width: float
 ) -> tuple[Array, ...]:
     """Places, light, widths and total light of the spots of some rows."""
     count = int(matrix.shape[0])
     owner, row, col = entries_of(matrix, shape[1])
     # Some estimates allow negative light, which does not count.
     light = np.maximum(matrix.data, 0).astype(np.float64)
-    total = np.bincount(owner, light, count).astype(np.float64)
     # Coordinate by coordinate: NumPy takes several times as long over pairs of them.
     ideal_col, ideal_row = np.ascontiguousarray(pixels.T).take(matrix.indices, axis=1)
     across, down, shift = np.ascontiguousarray(lines.T)
     distance = np.abs(across[owner] * ideal_col + down[owner] * ideal_row + shift[owner])
     sums = _window_sums(owner, row, col, light, shape)
-    places, lights, widths = np.full((spots, count, 2), np.nan), *np.zeros((2, spots, count))
+    places, lights, widths = np.full((SPOTS, count, 2), np.nan), *np.zeros((2, SPOTS, count))
     free = light > 0
-    for number in range(spots):
-        middle = _brightest(owner, sums, free & ((distance <= _REACH) | (number == 2)), count)
-        known = middle >= 0
-        middle_row, middle_col = (np.where(known, each[middle], np.nan) for each in (row, col))
-        away_row, away_col = np.abs(row - middle_row[owner]), np.abs(col - middle_col[owner])
-        away = np.maximum(away_row, away_col)
-        # The window moves by up to a pixel.
-        inside = np.flatnonzero(away <= half_width + _REACH)
-        # The windows of two spots have no pixel in common, but for what they move.
+    for number in range(SPOTS):
+        chosen = np.flatnonzero(free & ((distance <= _REACH) | (number == 2)))
+        best = np.zeros(count)
+        np.maximum.at(best, owner[chosen], sums[chosen])
+        # In reverse order, so that the first of several equal ones stays.
+        chosen = chosen[sums[chosen] == best[owner[chosen]]][::-1]
+        middle_row, middle_col = np.full((2, count), np.nan)
+        middle_row[owner[chosen]], middle_col[owner[chosen]] = row[chosen], col[chosen]
+        away = np.maximum(np.abs(row - middle_row[owner]), np.abs(col - middle_col[owner]))
+        # The windows of two spots have no pixel in common, but for what they move: by up to one.
         free &= ~(away < 2 * half_width)
+        inside = np.flatnonzero(away <= half_width + _REACH)
         own, y, x, held_by = owner[inside], row[inside], col[inside], light[inside]
-        # The window is centred on the light within it; it then moves by less than 0.01 pixels.
-        for _ in range(4):
-            share = np.clip(half_width + 0.5 - np.abs(y - middle_row[own]), 0, 1)
-            share *= np.clip(half_width + 0.5 - np.abs(x - middle_col[own]), 0, 1)
-            share *= held_by
-            held = np.bincount(own, share, count).astype(np.float64)
-            with np.errstate(invalid="ignore", divide="ignore"):
+        with np.errstate(invalid="ignore", divide="ignore"):
+            # The window is centred on the light within it; it then moves by less than 0.01 pixels.
+            for _ in range(4):
+                share = np.clip(half_width + 0.5 - np.abs(y - middle_row[own]), 0, 1)
+                share *= np.clip(half_width + 0.5 - np.abs(x - middle_col[own]), 0, 1)
+                share *= held_by
+                lights[number] = held = np.bincount(own, share, count).astype(np.float64)
                 middle_row = np.bincount(own, share * y, count) / held
                 middle_col = np.bincount(own, share * x, count) / held
-        spread = share * ((y - middle_row[own]) ** 2 + (x - middle_col[own]) ** 2) / 2
-        with np.errstate(invalid="ignore", divide="ignore"):
-            widths[number] = np.sqrt(np.bincount(own, spread, count) / held)
-        places[number], lights[number] = np.stack([middle_row, middle_col], axis=1), held
+            squared = share * ((y - middle_row[own]) ** 2 + (x - middle_col[own]) ** 2) / 2
+            widths[number] = np.sqrt(np.bincount(own, squared, count) / held)
+        places[number] = np.stack([middle_row, middle_col], axis=1)
+    total = np.bincount(owner, light, count).astype(np.float64)
     return places.swapaxes(0, 1), lights.T, widths.T, total
 
 
 def _window_sums(
-    owner: NDArray[np.int64],
-    row: Array,
-    col: Array,
-    light: Array,
-    shape: tuple[int, int],
+    owner: NDArray[np.int64], row: Array, col: Array, light: Array, shape: tuple[int, int]
 ) -> Array:
     """The light of the 3 x 3 pixels around each entry, in its row of T."""
     # Entries are sorted by row and pixel. The numbers of the pixels of all rows have a border, so
@@ -173,67 +150,30 @@ def _window_sums(
     return sums
 
 
-def _brightest(
-    owner: NDArray[np.int64],
-    sums: Array,
-    possible: NDArray[np.bool_],
-    count: int,
-) -> NDArray[np.int64]:
-    """The entry of each row of T with the largest sum, -1 where none is possible."""
-    result = np.full(count, -1, np.int64)
-    chosen = np.flatnonzero(possible)
-    if len(chosen):
-        own, values = owner[chosen], sums[chosen]
-        starts = np.flatnonzero(np.diff(own, prepend=-1))
-        best = np.zeros(count)
-        best[own[starts]] = np.maximum.reduceat(values, starts)
-        # In reverse order, so that the first of several equal ones stays.
-        strongest = chosen[values == best[own]][::-1]
-        result[owner[strongest]] = strongest
-    return result
-
-
 @dataclass(frozen=True, eq=False)
 class Seen:
-    """What P camera pixels see in up to n places each, and where that lies.
+    """What P camera pixels see in up to n places each, and where that lies."""
 
-    Parameters
-    ----------
-    place : (P, n, 2) float64
-        Row and column on the projector; NaN where there is none.
-    light, share, width : (P, n) float64
-        The light of a spot, its share of the row's, and its standard deviation in projector pixels,
-        in units of a usual spot's.
-    error : (P,) float64
-        The row's stated error, or the uncertainty of a decoded place in projector pixels.
-    cut : (P, n) bool
-        Whether the projector's border may cut the spot off.
-    away : (P, n) float64
-        Signed distance from the epipolar line in projector pixels.
-    points : (P, n, 3) float64
-        Points of the world.
-    depth, slope : (P, n) float64
-        Distance along the camera's axis, and how far a projector pixel along the line moves it.
-    grid : (rows, cols)
-        The camera's pixels.
-    projector_shape : (rows, cols)
-        The projector's pixels.
-    decoded : bool
-        Whether a code told the places.
-    """
-
+    # Row and column on the projector, (P, n, 2); NaN where there is none.
     place: Array
+    # The light of a spot, its share of the row's, and its standard deviation in those of a usual
+    # spot, (P, n). Of a decoded place the share is the confidence.
     light: Array
     share: Array
     width: Array
+    # The row's stated error, or the uncertainty of a decoded place in projector pixels, (P,).
     error: Array
+    # Whether the projector's border may cut the spot off, (P, n).
     cut: NDArray[np.bool_]
+    # Signed distance from the epipolar line in projector pixels, (P, n).
     away: Array
+    # Points of the world, (P, n, 3), their depth, and how far a projector pixel along the line
+    # moves it, (P, n). Points behind the camera or the projector have no depth.
     points: Array
     depth: Array
     slope: Array
+    # The pixels of camera and projector, and whether a code told the places.
     grid: tuple[int, int]
-    projector_shape: tuple[int, int]
     decoded: bool
 
     @property
@@ -255,87 +195,71 @@ def seen_by(source: LightTransport | Correspondence, geometry: RigGeometry) -> S
     lines = np.column_stack([geometry.undistort_camera(camera), np.ones(len(camera))])
     lines = lines @ geometry.fundamental_matrix().T
     lines = lines / np.hypot(lines[:, 0], lines[:, 1])[:, None]
-    # Lines for columns as the projector counts them, which mirrors may reverse.
-    counted = lines
+    # Lines and their directions for columns as the projector counts them, which mirrors may
+    # reverse.
+    counted, along = lines, np.column_stack([-lines[:, 1], lines[:, 0]])
     if geometry.projector_mirrored:
         a, b, c = lines.T
         counted = np.column_stack([-a, b, c + a * (geometry.projector_shape[1] - 1)])
-    decoded = isinstance(source, Correspondence)
+        along *= (-1, 1)
+    shape, usual, margin = geometry.projector_shape, 1.0, 0.5
     if isinstance(source, Correspondence):
-        spots, error, usual = _decoded(source, counted)
         # Places within half a pixel of the border may be cut off, as for a sharp spot of T.
-        margin = 0.5
+        place, light, width, total, error = _decoded(source, counted)
     else:
         rows, background = pixel_rows(source)
         usual = spot_deviation(source, rows)
-        pixels = geometry.undistort_projector(camera_pixels(source.projector_shape)[:, ::-1])
+        pixels = geometry.undistort_projector(camera_pixels(shape)[:, ::-1])
         # The window reaches 1.5 projector pixels to each side of sharp spots, and 2.5 under a blur
         # of 1 pixel. Chosen by hand.
         half_width = max(1.5, 2.4 * usual)
-        shape, margin = source.projector_shape, half_width - 1
-        spots = find_line_spots(rows, background, lines, pixels, shape, half_width)
+        margin = half_width - 1
+        found = find_line_spots(rows, background, lines, pixels, shape, half_width)
+        place, light, width, total = found
         channels = int(np.prod(source.camera_shape[2:]))
         stated = source.diagnostics.get("estimated_error", np.zeros(len(lines) * channels))
         error = np.nan_to_num(np.asarray(stated, float).reshape(-1, channels).mean(axis=1))
-    shape = geometry.projector_shape
     with np.errstate(invalid="ignore", divide="ignore"):
-        share = np.nan_to_num(spots.light / spots.total[:, None])
+        share = np.nan_to_num(light / total[:, None])
+        cut = ((place < margin) | (place > np.array(shape) - 1 - margin)).any(axis=-1)
+    away, depth, slope = np.full((3, *light.shape), np.nan)
+    points = np.full((*light.shape, 3), np.nan)
+    axis = geometry.projector_matrix[2]
+    for number in range(light.shape[1]):
+        some = np.flatnonzero(np.isfinite(place[:, number]).all(axis=1))
         # A spot that the projector's border cuts off seems to lie farther inside than it does.
-        cut = (spots.place < margin) | (spots.place > np.array(shape) - 1 - margin)
-    parts = [
-        _located(uncut_places(spots.place[:, k], counted, shape, margin), geometry, camera, lines)
-        for k in range(spots.light.shape[1])
-    ]
-    place, away, points, depth, slope = (
-        np.stack(each, axis=1) for each in zip(*parts, strict=True)
-    )
-    width = spots.width / max(usual, 0.3)
-    grid = geometry.camera_shape
-    cut = cut.any(axis=-1)
-    where = (place, spots.light, share, width, error, cut, away, points, depth, slope)
-    return Seen(*where, grid, shape, decoded)
+        place[some, number] = uncut_places(place[some, number], counted[some], shape, margin)
+        lit, pixel = place[some, number, ::-1], camera[some]
+        ideal = geometry.undistort_projector(lit)
+        away[some, number] = (lines[some, :2] * ideal).sum(axis=1) + lines[some, 2]
+        points[some, number] = found_points = geometry.triangulate(pixel, lit)
+        deep = geometry.depth(found_points)
+        moved = geometry.depth(geometry.triangulate(pixel, lit + 0.1 * along[some]))
+        slope[some, number] = np.abs(moved - deep) / 0.1
+        before = (deep > 0) & (found_points @ axis[:3] + axis[3] > 0)
+        depth[some, number] = np.where(before, deep, np.nan)
+    width = width / max(usual, 0.3)
+    where = (place, light, share, width, error, cut, away, points, depth, slope)
+    return Seen(*where, geometry.camera_shape, isinstance(source, Correspondence))
 
 
-def _decoded(matches: Correspondence, lines: Array) -> tuple[LineSpots, Array, float]:
-    """The places of a correspondence; with columns or rows only, where they cross the line."""
+def _decoded(matches: Correspondence, lines: Array) -> tuple[Array, ...]:
+    """Places, light, widths, light of rows and errors; with one axis, where it crosses the line."""
     place = matches.place.reshape(-1, 2).astype(np.float64)
     known = np.isfinite(place)
     if not known.all(axis=1).any():
         a, b, c = lines.T
         with np.errstate(invalid="ignore", divide="ignore"):
-            row = -(a * place[:, 1] + c) / b
-            col = -(b * place[:, 0] + c) / a
-        place = np.column_stack(
-            [np.where(known[:, 0], place[:, 0], row), np.where(known[:, 1], place[:, 1], col)]
-        )
+            crossing = -np.column_stack([a * place[:, 1] + c, b * place[:, 0] + c])
+            place = np.where(known, place, crossing / np.column_stack([b, a]))
     confidence = matches.confidence.ravel().astype(np.float64)
     light = confidence if matches.light is None else matches.light.ravel().astype(np.float64)
     error = np.zeros(len(place))
     if matches.uncertainty is not None:
         error = np.nan_to_num(matches.uncertainty.reshape(-1, 2).astype(np.float64)).max(axis=1)
-    # The confidence takes the place of the share of the row's light.
     with np.errstate(invalid="ignore", divide="ignore"):
-        spots = LineSpots(
-            place[:, None], light[:, None], np.ones((len(place), 1)), light / confidence
-        )
-    return spots, error, 1.0
-
-
-def _located(place: Array, geometry: RigGeometry, camera: Array, lines: Array) -> tuple[Array, ...]:
-    """Where places (P, 2) lie: place, distance from the line, points, depth and its slope.
-
-    Points behind the camera or the projector have no depth.
-    """
-    seen = place[:, ::-1]
-    away = (lines[:, :2] * geometry.undistort_projector(seen)).sum(axis=1) + lines[:, 2]
-    points = geometry.triangulate(camera, seen)
-    depth = geometry.depth(points)
-    along = np.column_stack([-lines[:, 1], lines[:, 0]])
-    along *= (-1, 1) if geometry.projector_mirrored else (1, 1)
-    moved = geometry.depth(geometry.triangulate(camera, seen + 0.1 * along))
-    axis = geometry.projector_matrix[2]
-    before = (depth > 0) & (points @ axis[:3] + axis[3] > 0)
-    return place, away, points, np.where(before, depth, np.nan), np.abs(moved - depth) / 0.1
+        total = light / confidence
+    return place[:, None], light[:, None], np.ones((len(place), 1)), total, error
 
 
 # How probably a spot is a surface.
