@@ -238,10 +238,6 @@ def test_an_index_of_columns_gives_the_light_of_single_pixels(
     with pytest.raises(InputError, match="has an index already"):
         lm.index_columns(path)
     lm.index_columns(path, overwrite=True)
-    # Leftovers of killed runs are removed.
-    (path / ".columns.part").mkdir()
-    (path / ".columns.part" / "half").touch()
-    lm.index_columns(path, overwrite=True)
     # The matrix is the same, and may be replaced together with its index.
     assert (lm.open(path).sparse != whole.sparse).nnz == 0
     lm.save(path, whole, overwrite=True)

@@ -137,7 +137,7 @@ def fill_store(
     """Write a matrix into an empty folder, from parts of its arrays as `write_parts` takes them."""
     group = zarr.open_group(folder, mode="w", zarr_format=3)
     group.create_group("diagnostics")
-    write_parts(group, arrays, chunk, blosc)
+    write_parts(group, arrays, math.prod(shapes["camera_shape"]), chunk, blosc)
     stated = json.loads(json.dumps(dict(provenance), default=str))
     group.attrs.update({"format": FORMAT, "version": VERSION, **shapes, "provenance": stated})
     seal(folder)
