@@ -25,7 +25,7 @@ from lightmatrix.simulation.simulate import simulate
 from lightmatrix.simulation.truth import Truth, trace_surface
 from lightmatrix.uses.separation import camera_pixels
 
-Array = NDArray[np.float64]
+Array = NDArray[np.floating]
 # Each surface of a pixel that counts holds this share of its light.
 _LEAST = 0.15
 # A depth is right within this share of the distance, and a mirrored place within a projector pixel.
@@ -65,7 +65,7 @@ class TwoSurfaces:
             second = ((apart <= 1) & mirrored).any(axis=1)
         kept = np.isfinite(depth)
         wrong = kept & ~_near(depth, self.surfaces)
-        shares = (first & second, first, second)
+        shares = (np.asarray(first & second), np.asarray(first), np.asarray(second))
         values = [100 * float(each[self.both].mean()) for each in shares]
         values.append(100 * float(wrong.sum() / max(1, kept.sum())))
         return dict(zip(_METRICS, values, strict=True))

@@ -81,7 +81,7 @@ class Layers:
         """Write the layers into a file, by its ending: .ply or .exr."""
         if part.suffix.lower() == ".ply":
             number = np.broadcast_to(np.arange(1, 4, dtype=np.uint8), self.depth.shape)
-            more = {"probability": self.probability, "layer": number}
+            more: dict[str, NDArray[Any]] = {"probability": self.probability, "layer": number}
             write_ply(part, self.points, self.light, more)
         else:
             parts = {"Z": self.depth, "Y": self.light, "probability": self.probability}

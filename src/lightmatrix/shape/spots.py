@@ -238,9 +238,20 @@ def seen_by(source: LightTransport | Correspondence, geometry: RigGeometry) -> S
         slope[some, number] = np.abs(moved - deep) / 0.1
         before = (deep > 0) & (found_points @ axis[:3] + axis[3] > 0)
         depth[some, number] = np.where(before, deep, np.nan)
-    width = width / max(usual, 0.3)
-    where = (place, light, share, width, error, cut, away, points, depth, slope)
-    return Seen(*where, geometry.camera_shape, isinstance(source, Correspondence))
+    return Seen(
+        place,
+        light,
+        share,
+        width / max(usual, 0.3),
+        error,
+        np.asarray(cut),
+        away,
+        points,
+        depth,
+        slope,
+        geometry.camera_shape,
+        isinstance(source, Correspondence),
+    )
 
 
 def _decoded(matches: Correspondence, lines: Array) -> tuple[Array, ...]:
@@ -268,8 +279,10 @@ def _decoded(matches: Correspondence, lines: Array) -> tuple[Array, ...]:
 # What `features` tells of a spot, and the coefficients of the logistic regression on it, for T
 # (False) and for decoded places (True). The last two: how much steeper the score rises, and from
 # where on. `python -m benchmarks.shape_probability` fits them, and tests them on other scenes.
-FEATURES = ("one", "away", "share", "error", "width", "bend", "step", "largest_step")
-FEATURES += ("bend_nearby", "cut")
+FEATURES = (
+    *("one", "away", "share", "error", "width", "bend", "step", "largest_step"),
+    *("bend_nearby", "cut"),
+)
 COEFFICIENTS = {
     False: (1.16, -0.98, 0.42, -0.2, -0.46, -0.32, -0.76, 0.28, -0.3, -0.48, 2.04, 1.22),
     True: (1.03, -0.58, 0.0, -0.1, 0.0, -0.19, -0.94, 0.02, 0.09, -0.25, 1.88, 1.33),
