@@ -38,12 +38,8 @@ def layers(
         picture=picture,
         overwrite=overwrite,
     )
-    summary = found.summary()
     if as_json:
-        show_json({"output": output, "picture": picture, **summary})
+        show_json({"output": output, "picture": picture, **found.summary()})
         return
-    one, two, three, mirrored = summary.values()
-    say(
-        f"{output}: {one} pixels see one surface, {two} two and {three} three; {mirrored} see "
-        "mirrored light"
-    )
+    one, two, three, mirrored = found.summary().values()
+    say(f"{output}: {one} pixels see one surface, {two} two, {three} three; {mirrored} by mirrors")

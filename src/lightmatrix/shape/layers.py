@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from lightmatrix.errors import InputError
 from lightmatrix.files.extras import write_exr
-from lightmatrix.files.kinds import CLOUD, IMAGE, PICTURE, FileKind
+from lightmatrix.files.kinds import CLOUD, IMAGE, PICTURE
 from lightmatrix.files.writing import atomic_file, check_output
 from lightmatrix.geometry.rig_geometry import RigGeometry
 from lightmatrix.paths import as_path
@@ -32,38 +32,25 @@ class Layers:
 
     Parameters
     ----------
-    depth : (rows, cols, 3) float32
-        Distance along the camera's axis in the unit of the geometry; NaN where there is none, and
-        for mirrored light.
+    depth, light, probability : (rows, cols, 3) float32
+        Depth and probability as in `Shape`, and light under a white pattern, in units of the clip
+        level; NaN where there is none. Mirrored light has no depth.
     points : (rows, cols, 3, 3) float32
-        Points of the world; NaN where there is no depth.
-    light : (rows, cols, 3) float32
-        Light of each layer under a white pattern, in units of the clip level; NaN where there is
-        none.
-    probability : (rows, cols, 3) float32
-        As in `Shape`; NaN where there is no depth.
+        Points of the world.
     place : (rows, cols, 3, 2) float32
-        Row and column of the projector pixel that lights it.
+        Row and column of the projector pixel that lights each.
     width : (rows, cols, 3) float32
         Standard deviation of its spot on the projector, in those of a usual spot.
     mirrored : (rows, cols, 3) bool
         Whether the light came by a mirror or another surface: it lies off the epipolar line.
     geometry : RigGeometry
         Of images of these sizes.
-
-    Examples
-    --------
-    >>> import lightmatrix as lm
-    >>> known = lm.truth("metal")
-    >>> found = lm.layers(known.transport(), known.geometry)
-    >>> found.depth.shape, bool(found.mirrored.any())
-    ((64, 64, 3), True)
     """
 
     depth: NDArray[np.float32]
-    points: NDArray[np.float32]
     light: NDArray[np.float32]
     probability: NDArray[np.float32]
+    points: NDArray[np.float32]
     place: NDArray[np.float32]
     width: NDArray[np.float32]
     mirrored: NDArray[np.bool_]
@@ -71,23 +58,24 @@ class Layers:
 
     __repr__ = short_repr
 
-    def summary(self) -> dict[str, Any]:
+    def summary(self) -> dict[str, int]:
         """Pixels that see one, two and three surfaces, and those that see mirrored light."""
         surfaces = np.isfinite(self.depth).sum(axis=-1)
         counts = {f"pixels_with_{n}": int((surfaces == n).sum()) for n in (1, 2, 3)}
         return {**counts, "mirrored_pixels": int(self.mirrored.any(axis=-1).sum())}
 
     def write(self, part: Path) -> None:
-        """Write the layers into a file, by its ending: .ply or .exr."""
+        """Write points with the number of their layer (.ply), or an image of all layers (.exr)."""
         if part.suffix.lower() == ".ply":
             number = np.broadcast_to(np.arange(1, 4, dtype=np.uint8), self.depth.shape)
-            more: dict[str, NDArray[Any]] = {"probability": self.probability, "layer": number}
-            write_ply(part, self.points, self.light, more)
+            write_ply(
+                part, self.points, self.light, {"probability": self.probability, "layer": number}
+            )
         else:
             parts = {"Z": self.depth, "Y": self.light, "probability": self.probability}
-            names = [f"layer{n}.{name}" for n in (1, 2, 3) for name in parts]
-            values = np.stack(list(parts.values()), axis=-1).reshape(*self.depth.shape[:2], -1)
-            write_exr(part, values, names)
+            names = [f"layer{number}.{name}" for number in (1, 2, 3) for name in parts]
+            values = np.stack([*parts.values()], axis=-1)
+            write_exr(part, values.reshape(*values.shape[:2], -1), names)
 
     def show(self) -> Picture:
         """A Matplotlib figure: the nearest surface, the one behind it, and what mirrors show."""
@@ -123,49 +111,30 @@ def layers(
     ----------
     transport : LightTransport, StoredTransport, str or Path
         T, or where `open` finds it.
-    geometry : RigGeometry, str or Path
-        Where camera and projector stand, or its file, as for `triangulate`.
-    tolerance, least_probability : float
-        The error of a depth that counts as right, as a share of the distance, and how probably a
-        surface is right to be kept.
+    geometry, tolerance, least_probability, picture, overwrite
+        As in `triangulate`.
     output : str or Path, optional
         The file to write: a point cloud with the number of each layer (.ply), or an image (.exr)
         with the channels Z, Y (light) and probability of layer1 to layer3.
-    picture : str or Path, optional
-        The picture to write: .png.
-    overwrite : bool
-        Whether existing files may be replaced.
 
     Returns
     -------
     Layers
-        Depth, light and probability of up to three layers.
-
-    Raises
-    ------
-    InputError
-        If the geometry has other image sizes, a file is damaged, or a threshold is out of range.
-    MissingExtraError
-        If an EXR file is asked for and OpenEXR is not installed.
-    OutputError
-        If a file exists or cannot be written.
+        Depth, light and probability of up to three layers. Errors are those of `triangulate`, and
+        MissingExtraError if an EXR file is asked for and OpenEXR is not installed.
 
     Examples
     --------
     >>> import lightmatrix as lm
-    >>> known = lm.truth("corner")
-    >>> found = lm.layers(known.transport(), known.geometry, output="corner.ply")
-    >>> bool(np.isfinite(found.depth[..., 0]).mean() > 0.9)
-    True
+    >>> known = lm.truth("metal")
+    >>> found = lm.layers(known.transport(), known.geometry, output="metal.ply")
+    >>> found.depth.shape, bool(found.mirrored.any())
+    ((64, 64, 3), True)
     """
     check_thresholds(tolerance, least_probability)
-    outputs: dict[str | Path, FileKind]
-    outputs = (
-        {}
-        if output is None
-        else {output: IMAGE if as_path(output).suffix.lower() == ".exr" else CLOUD}
-    )
-    outputs |= {} if picture is None else {picture: PICTURE}
+    outputs = {} if picture is None else {picture: PICTURE}
+    if output is not None:
+        outputs[output] = IMAGE if as_path(output).suffix.lower() == ".exr" else CLOUD
     for path, kind in outputs.items():
         check_output(path, kind, overwrite=overwrite)
     matrix = loaded(transport, 2.5)
@@ -173,32 +142,27 @@ def layers(
     seen = seen_by(matrix, rig)
     probability = surface_probability(seen, tolerance)
     kept = seen.direct & (probability >= least_probability)
-    # Farther off the line than a direct spot is searched, and no faint stray light.
+    if outputs and not kept.any():
+        raise InputError(
+            "no surface is found",
+            hint="is this the geometry of this rig, and is the scene lit? Or use a smaller "
+            "least_probability",
+        )
+    # Farther off the line than direct light is searched, and no faint stray light.
     mirrored = (np.abs(seen.away) > 1.5) & (seen.share > 0.1)
+    some = kept | mirrored
     order = np.argsort(np.where(kept, seen.depth, np.where(mirrored, 1e300, np.inf)), axis=1)
 
     def mapped(values: NDArray[Any], mask: NDArray[np.bool_]) -> NDArray[np.float32]:
-        shown = np.where(mask.reshape(*mask.shape, *(1,) * (values.ndim - 2)), values, np.nan)
-        by = order.reshape(*order.shape, *(1,) * (values.ndim - 2))
-        sorted_ = np.take_along_axis(shown.astype(np.float32), by, axis=1)
-        return sorted_.reshape(*seen.grid, *sorted_.shape[1:])
+        more = (*order.shape, *(1,) * (values.ndim - 2))
+        shown = np.where(mask.reshape(more), values, np.nan).astype(np.float32)
+        shown = np.take_along_axis(shown, order.reshape(more), axis=1)
+        return shown.reshape(*seen.grid, *shown.shape[1:])
 
-    found = Layers(
-        mapped(seen.depth, kept),
-        mapped(seen.points, kept),
-        mapped(seen.light, kept | mirrored),
-        mapped(probability, kept),
-        mapped(seen.place, kept | mirrored),
-        mapped(seen.width, kept | mirrored),
-        mapped(mirrored.astype(float), mirrored) == 1,
-        rig,
-    )
-    if output is not None and not kept.any():
-        raise InputError(
-            "no surface is found",
-            hint="is this the geometry of this rig, and is the scene lit? least_probability=0 "
-            "keeps all",
-        )
+    depth, points, probable = (mapped(v, kept) for v in (seen.depth, seen.points, probability))
+    light, place, width = (mapped(v, some) for v in (seen.light, seen.place, seen.width))
+    by_mirror = np.isfinite(light) & np.isnan(depth)
+    found = Layers(depth, light, probable, points, place, width, by_mirror, rig)
     with ExitStack() as files:
         for path, kind in outputs.items():
             part = files.enter_context(atomic_file(path, kind, overwrite=overwrite))

@@ -18,6 +18,7 @@ from lightmatrix.files.extras import load_extra
 from lightmatrix.files.kinds import CLOUD, DEPTH, PLY_MARK
 from lightmatrix.files.writing import atomic_file
 from lightmatrix.geometry.rig_geometry import RigGeometry, decomposed
+from lightmatrix.paths import as_path
 from lightmatrix.pictures.maps import UNKNOWN, Map
 from lightmatrix.pictures.style import COLOURS, STYLE, panel
 from lightmatrix.pictures.transport import Picture, draw_into
@@ -229,10 +230,9 @@ class Shape:
         epipolar lines, on which exact places would lie.
     probability : (rows, cols) float32
         How probably the point lies within the tolerated error, 1 % of the distance by default, of a
-        surface; 0 where no light lies on the line. A logistic regression on its distance from the
-        line, its share of the light, the estimate's stated error, the spot's width, and how the
-        depth continues in the neighbours. Of the points at 0.99 and more, on scenes that it was not
-        fitted to, fewer than one in a hundred is wrong.
+        surface; 0 where no light lies on the line. A logistic regression on known scenes: on the
+        distance from the line, the share of the light, the stated error, the width of the spot, and
+        how the depth continues in the neighbours.
     test : (rows, cols) uint8
         Which test a pixel failed first, see `ShapeTest`; 0 where the point was kept.
     place : (rows, cols, 2) float32
@@ -291,52 +291,31 @@ class Shape:
         }
 
     def save(self, path: str | Path, *, mesh: bool = False, overwrite: bool = False) -> None:
-        """Write the points as PLY, with normals, grey values, uncertainty and probability.
+        """Write the points as PLY, or the depth as float32: .tif, .tiff or .npy.
 
-        Parameters
-        ----------
-        path : str or Path
-            The file, .ply.
-        mesh : bool
-            Whether to write triangles between neighbouring pixels on one surface too.
-        overwrite : bool
-            Whether an existing point cloud may be replaced.
-
-        Raises
-        ------
-        OutputError
-            If the file exists, is not one of ours, or cannot be written.
+        Points come with normals, grey values, uncertainty and probability, and with triangles
+        between neighbouring pixels on one surface if `mesh` is set. Depth is NaN where there is
+        none. An OutputError refuses a file that exists, unless `overwrite` is set, or that cannot
+        be written.
         """
-        with atomic_file(path, CLOUD, overwrite=overwrite) as part:
-            self.write_points(part, mesh=mesh)
+        kind = DEPTH if as_path(path).suffix.lower() in DEPTH.suffixes else CLOUD
+        with atomic_file(path, kind, overwrite=overwrite) as part:
+            self.write(part, mesh=mesh)
 
-    def write_points(self, part: Path, *, mesh: bool) -> None:
-        """Write the points as `save` does, but in place."""
-        columns = {
-            **dict(zip(("nx", "ny", "nz"), np.moveaxis(self.normals, -1, 0), strict=True)),
-            "uncertainty": self.uncertainty,
-            "probability": self.probability,
-        }
-        faces = surface_faces(self.depth, self.geometry) if mesh else None
-        write_ply(part, self.points, self.albedo, columns, faces)
-
-    def save_depth(self, path: str | Path, *, overwrite: bool = False) -> None:
-        """Write the depth as float32, NaN where there is none: .tif, .tiff or .npy.
-
-        Raises
-        ------
-        OutputError
-            If the file exists or cannot be written.
-        """
-        with atomic_file(path, DEPTH, overwrite=overwrite) as part:
-            self.write_depth(part)
-
-    def write_depth(self, part: Path) -> None:
-        """Write the depth as `save_depth` does, but in place."""
+    def write(self, part: Path, *, mesh: bool = False) -> None:
+        """Write points or depth as `save` does, but in place."""
         if part.suffix.lower() == ".npy":
             np.save(part, self.depth)
-        else:
+        elif part.suffix.lower() != ".ply":
             tifffile.imwrite(part, self.depth)
+        else:
+            columns = {
+                **dict(zip(("nx", "ny", "nz"), np.moveaxis(self.normals, -1, 0), strict=True)),
+                "uncertainty": self.uncertainty,
+                "probability": self.probability,
+            }
+            faces = surface_faces(self.depth, self.geometry) if mesh else None
+            write_ply(part, self.points, self.albedo, columns, faces)
 
     def show(self) -> Picture:
         """A Matplotlib figure: maps of depth, normals, probability and failed tests."""

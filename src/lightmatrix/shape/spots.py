@@ -238,20 +238,9 @@ def seen_by(source: LightTransport | Correspondence, geometry: RigGeometry) -> S
         slope[some, number] = np.abs(moved - deep) / 0.1
         before = (deep > 0) & (found_points @ axis[:3] + axis[3] > 0)
         depth[some, number] = np.where(before, deep, np.nan)
-    return Seen(
-        place,
-        light,
-        share,
-        width / max(usual, 0.3),
-        error,
-        np.asarray(cut),
-        away,
-        points,
-        depth,
-        slope,
-        geometry.camera_shape,
-        isinstance(source, Correspondence),
-    )
+    decoded, width = isinstance(source, Correspondence), width / max(usual, 0.3)
+    of_spots = (light, share, width, error, np.asarray(cut), away, points, depth, slope)
+    return Seen(place, *of_spots, geometry.camera_shape, decoded)
 
 
 def _decoded(matches: Correspondence, lines: Array) -> tuple[Array, ...]:
@@ -274,7 +263,6 @@ def _decoded(matches: Correspondence, lines: Array) -> tuple[Array, ...]:
 
 
 # How probably a spot is a surface.
-
 
 # What `features` tells of a spot, and the coefficients of the logistic regression on it, for T
 # (False) and for decoded places (True). The last two: how much steeper the score rises, and from
@@ -311,7 +299,7 @@ def features(seen: Seen, tolerance: float) -> dict[str, Array]:
     first = np.nan_to_num([each[0] for each in bends])
     known = np.maximum(np.isfinite([each[0] for each in bends]).sum(axis=0), 1)
     nearby = np.broadcast_to(uniform_filter(first.sum(axis=0) / known, 3), bend.shape)
-    three = np.partition(np.stack(steps), 2, axis=0)[:3].mean(axis=0)
+    three = np.nan_to_num(np.partition(np.stack(steps), 2, axis=0)[:3], nan=0.1).mean(axis=0)
 
     def relative(values: NDArray[np.float32]) -> Array:
         flat = values.reshape(spots, -1).T / tolerance

@@ -84,16 +84,16 @@ def triangulate(
     >>> shape.depth.shape, bool(shape.kept.mean() > 0.9)
     ((64, 64), True)
     """
-    outputs = ((output, CLOUD), (depth, DEPTH), (picture, PICTURE))
-    for path, kind in outputs:
-        if path is not None:
-            check_output(path, kind, overwrite=overwrite)
+    check_thresholds(tolerance, least_probability)
+    wanted = ((output, CLOUD), (depth, DEPTH), (picture, PICTURE))
+    outputs = {path: kind for path, kind in wanted if path is not None}
+    for path, kind in outputs.items():
+        check_output(path, kind, overwrite=overwrite)
     source = open_matches(transport)
     rig = geometry_of(source, geometry)
-    check_thresholds(tolerance, least_probability)
     seen = seen_by(source, rig)
     shape = _shape(seen, rig, surface_probability(seen, tolerance), least_probability)
-    if not shape.kept.any() and any(path is not None for path, _ in outputs):
+    if outputs and not shape.kept.any():
         raise InputError(
             f"no point is found; pixels by the test that they fail: {shape.summary()['pixels']}",
             hint="OFF_LINE and BEHIND: is this the geometry of this rig, and of images that are "
@@ -101,16 +101,12 @@ def triangulate(
         )
     # The files take their places together, since one alone would stand in the way of the next run.
     with ExitStack() as files:
-        for path, kind in outputs:
-            if path is None:
-                continue
+        for path, kind in outputs.items():
             part = files.enter_context(atomic_file(path, kind, overwrite=overwrite))
-            if kind is CLOUD:
-                shape.write_points(part, mesh=mesh)
-            elif kind is DEPTH:
-                shape.write_depth(part)
-            else:
+            if kind is PICTURE:
                 shape.show().draw_file(part)
+            else:
+                shape.write(part, mesh=mesh)
     return shape
 
 
