@@ -28,7 +28,6 @@ WRITERS = {
     "relight npy": ("relight scene.zarr shown.png -o", ".npy"),
     "show png": ("show scene.zarr dual -o", ".png"),
     "show npz": ("show scene.zarr correspondence -o", ".npz"),
-    "info pictures": ("info scene.zarr --pictures", ""),
     "report": (f"{ESTIMATE} -o new.zarr --report", ""),
     "export npz": ("export scene.zarr", ".npz"),
     "export mat": ("export scene.zarr", ".mat"),

@@ -72,18 +72,12 @@ Settle = Annotated[
     float | None,
     Option(help="Seconds to wait after showing a picture.", show_default="as measured"),
 ]
-# The heading of options that few need, which only --help-all shows.
-RARE = "Rarely needed"
-Patience = Annotated[
-    float, Option(rich_help_panel=RARE, help="Seconds to wait for a frame after its exposure.")
-]
 RigFile = Annotated[
     Path, Option("--rig-file", help="The file that keeps the measurements of the rig.")
 ]
 
 # Defaults as the texts of options.
 USUAL_SIZE = "x".join(map(str, defaults.USUAL_SIZE))
-USUAL_PAGE_MEMORY = f"{defaults.PAGE_BYTES >> 20}MiB"
 # Numbers of pixels fit into 32 bits.
 MOST_PIXELS = 2**31 - 1
 
