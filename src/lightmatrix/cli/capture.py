@@ -70,14 +70,7 @@ def capture(
     The rig is measured first: settle time and flicker, which the rig file keeps, and the exposures
     that the scene needs. Frames that are late, torn, lost or copied are taken again.
     """
-    settings = lm.CaptureSettings(
-        cell=cell,
-        exposure=exposure,
-        settle=settle,
-        response=response,
-        check=check,
-        until=until,
-    )
+    settings = lm.CaptureSettings(cell, exposure, settle, response, check, until)
     if count is None:
         count = USUAL_FRAMES if until is None else MOST_FRAMES
     if store is not None:

@@ -237,10 +237,13 @@ class ProjectedPatterns:
             grey = self.response.grey_for(light)
         else:
             grey = to_grey(light)
-        grey = grey.repeat(self.cell, axis=0).repeat(self.cell, axis=1)
-        if grey.shape == self.screen:
-            return grey
-        whole = np.zeros(self.screen, np.uint8)
-        top, left = ((a - b) // 2 for a, b in zip(self.screen, grey.shape, strict=True))
-        whole[top : top + grey.shape[0], left : left + grey.shape[1]] = grey
-        return whole
+        return on_screen(grey, self.screen, self.cell)
+
+
+def on_screen(grey: NDArray[np.uint8], screen: tuple[int, int], cell: int) -> NDArray[np.uint8]:
+    """An image (rows, cols[, 3]), each pixel `cell` x `cell`, in the middle of a black screen."""
+    wide = grey.repeat(cell, axis=0).repeat(cell, axis=1)
+    whole = np.zeros((*screen, *wide.shape[2:]), np.uint8)
+    top, left = ((a - b) // 2 for a, b in zip(screen, wide.shape, strict=False))
+    whole[top : top + wide.shape[0], left : left + wide.shape[1]] = wide
+    return whole
