@@ -10,7 +10,6 @@ from .patterns.bits import (
 )
 from .patterns.blocks import (
     BlockPatterns as BlockPatterns,
-    one_pixel_patterns as one_pixel_patterns,
 )
 from .patterns.colour import (
     ColourPatterns as ColourPatterns,
@@ -143,7 +142,6 @@ from .uses.probing import (
 )
 from .report.views import (
     show as show,
-    write_pictures as write_pictures,
 )
 from .shape.triangulation import (
     geometry_of as geometry_of,

@@ -218,8 +218,6 @@ def test_info_describes_both(folder: Path, capsys: pytest.CaptureFixture[str]) -
         summaries.append(json.loads(capsys.readouterr().out))
         assert main(["info", str(folder / name)]) == 0
         assert "16 x 16" in capsys.readouterr().out
-        assert main(["info", str(folder / name), "--pictures", str(folder / "p")]) == 2
-        assert "is a capture" in capsys.readouterr().err
     assert summaries[0] == summaries[1]
     assert summaries[0]["frames"] == 24
 

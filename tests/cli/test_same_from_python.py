@@ -199,17 +199,6 @@ def test_info(work: Path, capsys: pytest.CaptureFixture[str]) -> None:
     }  # fmt: skip
 
 
-def test_info_writes_the_pictures_of_the_door(
-    work: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    printed = _run(f"info {work}/scene.zarr --pictures {tmp_path}/shown", capsys)
-    made = lm.write_pictures(tmp_path / "made", work / "scene.zarr")
-    _same_files(tmp_path / "shown", tmp_path / "made")
-    assert [Path(name).name for name in printed["pictures"]] == [path.name for path in made]
-    shown = {"correspondence", "clipping", "gap", "footprint", "estimated-error"}
-    assert {path.stem for path in made} == shown
-
-
 @pytest.mark.parametrize(
     ("words", "view", "index"),
     [
