@@ -187,17 +187,7 @@ def normals_picture(normals: NDArray[np.float32]) -> Picture:
 
 
 class ShapeTest(IntEnum):
-    """What became of a camera pixel, the values of `Shape.test`.
-
-    Examples
-    --------
-    >>> import lightmatrix as lm
-    >>> from lightmatrix.shape.shape import ShapeTest
-    >>> known = lm.truth("metal")
-    >>> shape = lm.triangulate(known.transport(), known.geometry)
-    >>> bool((shape.test == ShapeTest.OFF_LINE).any())
-    True
-    """
+    """What became of a camera pixel, the values of `Shape.test`."""
 
     KEPT = 0
     # There is no light beside its epipolar line, or its code is not readable.
