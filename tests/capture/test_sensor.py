@@ -269,10 +269,3 @@ def test_a_binned_clipped_sample_is_a_lower_bound() -> None:
 def test_impossible_sensors(parameters: dict[str, Any], message: str) -> None:
     with pytest.raises(InputError, match=message):
         Sensor(**parameters)
-
-
-def test_impossible_decoders() -> None:
-    with pytest.raises(InputError, match="a clip level of -1"):
-        Decoder(-1, 255)
-    with pytest.raises(InputError, match="an exposure of 0"):
-        Decoder(255, 255, exposure=np.array([0, 1.0]))
