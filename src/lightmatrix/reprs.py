@@ -54,6 +54,9 @@ _LABELS = {
 }
 # Values between 0 and 1 that are shown in per cent.
 _SHARES = {
+    "gap_median",
+    "gap_max",
+    "response_rmse",
     "background_share",
     "clipped_samples",
     "rows_half_clipped",
@@ -100,6 +103,8 @@ def shown_value(value: Any) -> str:
 def percent(share: float) -> str:
     """A share in per cent, rounded to two digits or to whole per cent."""
     value = 100 * share
+    if 0 < value < 0.001:
+        return "below 0.001 %"
     digits = "0" if value == 0 else f"{value:.0f}" if value >= 9.95 else f"{value:.2g}"
     return f"{digits} %"
 
