@@ -25,6 +25,7 @@ from experiments.harness import options as options_of
 from lightmatrix.capture.capture import Capture
 from lightmatrix.capture.exposures import exposure_sequence
 from lightmatrix.capture.sensor import Sensor
+from lightmatrix.defaults import FEWEST_BLACK_AND_WHITE
 from lightmatrix.estimators.coherent.estimator import CoherentEstimator
 from lightmatrix.estimators.plain import PlainEstimator
 from lightmatrix.judgement.metrics import (
@@ -34,6 +35,7 @@ from lightmatrix.judgement.metrics import (
     unseen_patterns,
 )
 from lightmatrix.patterns.bits import BernoulliPatterns
+from lightmatrix.patterns.grey import grey_patterns
 from lightmatrix.patterns.mix import MixedPatterns, default_mix
 from lightmatrix.patterns.pattern_set import PatternSet
 from lightmatrix.planning.exposure_advice import WhiteFrame, advise_exposures
@@ -45,7 +47,7 @@ from lightmatrix.solvers import ActiveSet
 TABLE = Path(__file__).parents[1] / "src" / "lightmatrix" / "planning" / "table.json"
 SIZE = (128, 128)
 SCENES = ("l_objects", "gripper", "metal")
-COUNTS = (32, 64, 128, 256)
+COUNTS = (8, 10, 12, 16, 32, 64, 128, 256)
 ROW_STEP = 5
 
 
@@ -56,7 +58,7 @@ def main() -> None:
     parser.add_argument("--scenes", nargs="+", default=SCENES)
     parser.add_argument("--estimators", nargs="+", default=("plain", "coherent"))
     parser.add_argument("--counts", nargs="+", type=int, default=COUNTS)
-    parser.add_argument("--patterns", nargs="+", default=("fine", "mix"))
+    parser.add_argument("--patterns", nargs="+", default=("grey", "fine", "mix"))
     parser.add_argument("--exposures", nargs="+", default=("advised", "long"))
     parser.add_argument("--densities", nargs="+", type=float, default=(0.5,))
     parser.add_argument("--show", action="store_true", help="Print the tables of the docs.")
@@ -78,6 +80,9 @@ def main() -> None:
     names = ("estimator", "scene", "frames", "patterns", "exposures", "density")
     for values in itertools.product(*wanted):
         case = dict(zip(names, values, strict=True))
+        grey = case["frames"] < FEWEST_BLACK_AND_WHITE
+        if grey != (case["patterns"] == "grey") or (grey and case["estimator"] == "plain"):
+            continue
         if (case["patterns"] == "mix" and case["frames"] < 64) or _known(rows, case):
             continue
         rows.append({**case, **run(**case)})
@@ -122,7 +127,9 @@ def run(
     if estimator == "plain":
         known = some_rows(known)
     pattern_set: PatternSet = BernoulliPatterns(SIZE, frames, density)
-    if patterns == "mix":
+    if patterns == "grey":
+        pattern_set = grey_patterns(SIZE, frames)
+    elif patterns == "mix":
         pattern_set = MixedPatterns(SIZE, frames, default_mix(SIZE, frames), density)
     capture, share = photograph(known, pattern_set, chosen)
     coherent = estimator == "coherent"
