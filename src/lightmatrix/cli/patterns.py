@@ -49,7 +49,7 @@ def patterns(
         int | None,
         Option(
             help="Random: grey levels. A projector's curve and sharpening spoil more than 2.",
-            show_default="4 below 10 patterns, 3 below 16, else 2",
+            show_default="2 from 16 patterns on, else 3 or 4",
         ),
     ] = None,
     mix: Annotated[

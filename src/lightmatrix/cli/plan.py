@@ -18,7 +18,7 @@ from lightmatrix.cli.options import (
 )
 from lightmatrix.cli.source import level_or_file
 from lightmatrix.cli.terminal import progress, say, show_columns, show_json
-from lightmatrix.defaults import FEWEST_BLACK_AND_WHITE, FEWEST_FRAMES, USUAL_NOISE
+from lightmatrix.defaults import FEWEST_BLACK_AND_WHITE, USUAL_NOISE
 
 
 @described(
@@ -32,7 +32,7 @@ from lightmatrix.defaults import FEWEST_BLACK_AND_WHITE, FEWEST_FRAMES, USUAL_NO
         "--count",
         help="Number of patterns.",
         show_default="as --error needs",
-        min=FEWEST_FRAMES,
+        min=2,
     ),
     error="Relative error of T to aim for; decides the number of frames.",
     noise="Noise of a sample, as a share of the clip level.",

@@ -63,9 +63,9 @@ def make_patterns(
     density : float
         bernoulli and mix: share of lit pixels, in (0, 1).
     levels : int, optional
-        random: number of grey levels, 2 to 256. None: 4 below ten patterns, 3 below sixteen, then
-        2, which are bernoulli patterns. A projector's curve and its sharpening change grey
-        patterns, and not black and white ones.
+        random: number of grey levels, 2 to 256. None: 2 from sixteen patterns on, which are
+        bernoulli patterns, else 3, or 4 where these are too few to tell pixels apart. A projector's
+        curve and its sharpening change grey patterns, and not black and white ones.
     mix : str or sequence of ((rows, cols), share), optional
         mix: grids of cells lit as a whole and their shares of the patterns, such as
         ``fine:0.75,32x32:0.125,8x8:0.125``. None: this, and all fine below 64 patterns.
@@ -108,7 +108,7 @@ def make_patterns(
     number = USUAL_COUNT if count is None else count
     check_geometry(shape, number)
     if kind == "random":
-        levels = usual_levels(number) if levels is None else levels
+        levels = usual_levels(number, shape[0] * shape[1]) if levels is None else levels
         if levels != 2:
             return grey_patterns(shape, number, levels, seed)
     if kind in ("bernoulli", "random"):

@@ -24,7 +24,6 @@ from lightmatrix.capture.folder import read_white_frame
 from lightmatrix.capture.settings import FORMAT, NAME, VERSION, ReadSettings
 from lightmatrix.defaults import (
     FEWEST_BLACK_AND_WHITE,
-    FEWEST_FRAMES,
     FEWEST_MIXED,
     USUAL_NOISE,
     USUAL_SIZE,
@@ -33,6 +32,7 @@ from lightmatrix.errors import InputError
 from lightmatrix.files.kinds import CAPTURE
 from lightmatrix.files.writing import atomic_folder
 from lightmatrix.patterns.folder import fill_pattern_folder
+from lightmatrix.patterns.grey import fewest_frames
 from lightmatrix.patterns.making import make_patterns
 from lightmatrix.patterns.mix import Mix, MixedPatterns, default_mix
 from lightmatrix.patterns.pattern_set import PatternSet
@@ -285,7 +285,7 @@ def plan(
     size : (rows, cols), optional
         Projector pixels. None: 128 x 128, or those of a truth.
     frames : int, optional
-        Number of frames, at least 8. None: as many as `error` needs.
+        Number of frames, at least 8 to 16, by the size. None: as many as `error` needs.
     error : float
         Wanted relative error of T, in (0, 1).
     noise : float
@@ -336,8 +336,7 @@ def plan(
     if not 0 < as_float(error) < 1:
         raise InputError(f"an error of {error}", hint="use a relative error, such as 0.05")
     if frames is not None:
-        hint = f"use {FEWEST_FRAMES} to 1000000: fewer do not tell pixels apart"
-        check_whole("frames", frames, least=FEWEST_FRAMES, most=1_000_000, hint=hint)
+        check_whole("frames", frames, least=2, most=1_000_000, hint="use 16, or more")
     check_camera(noise, shortest)
     of_photograph = {"exposure": exposure, "black": black, "clip": clip, "response": response}
     of_photograph |= {"output": output}
@@ -371,7 +370,13 @@ def plan(
         photograph = read_white_frame(white, settings)
         values = photograph.values[:, 0].astype(np.float64) / unit
         frame = WhiteFrame(values, photograph.clipped[:, 0])
-    count = frames_for(error) if frames is None else frames
+    fewest = fewest_frames(projector[0] * projector[1])
+    count = max(frames_for(error), fewest) if frames is None else frames
+    if count < fewest:
+        raise InputError(
+            f"{count} photographs do not tell {projector[0]} x {projector[1]} pixels apart",
+            hint=f"take {fewest} or more, better {FEWEST_BLACK_AND_WHITE}",
+        )
     exposures = advise_exposures(frame, noise, shortest, count)
     kind = _MADE[kind_for(count)]
     density = DENSITY if kind == "random" else advise_density(frame, exposures)

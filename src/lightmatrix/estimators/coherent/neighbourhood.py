@@ -366,8 +366,8 @@ class Neighbourhood:
         )
         count, constants = self.atoms.count, PSEUDO_SAMPLES
         np.maximum(values[:, :count], samples.clip_level, out=values[:, :count], where=clipped)
-        # Neighbours estimated from fewer than twelve photographs err more than they differ. Measured
-        # at 8: `gripper` errs by 0.027 in place of 0.038, `l_objects` by 0.039 in place of 0.047.
+        # Neighbours estimated from fewer than twelve photographs err more than they differ. At 8
+        # `gripper` errs by 0.027 in place of 0.038, `l_objects` by 0.039 in place of 0.047.
         deviation = constants.deviation * min(1.0, count / 12) ** 2
         # 1 / (1 + (variance + (common_error value)^2) / (deviation level)^2), in place.
         weight = np.square(values)
