@@ -2,10 +2,10 @@
 
     python -m benchmarks.plan_calibration            makes src/lightmatrix/planning/table.json
 
-The scenes have 128 x 128 pixels (rendered on first use), or 64 x 64 below ten frames, the camera 8 bits and noise of 0.003 of
-its clip level, with one seed. Row by row, every fifth camera row is estimated; coherent estimates
-need whole frames. Each finished run is kept in the output, so that an interrupted calibration
-continues.
+The scenes have 128 x 128 pixels (rendered on first use), or 64 x 64 below ten frames, the camera 8
+bits and noise of 0.003 of its clip level, with one seed. Row by row, every fifth camera row is
+estimated; coherent estimates need whole frames. Each finished run is kept in the output, so that an
+interrupted calibration continues.
 """
 
 from __future__ import annotations

@@ -83,8 +83,9 @@ class _Inverted(Work):
         # Fewer than one entry in a hundred may be faults. Where none is dark, noise is unknown.
         if len(below) < 0.01 * entries.size:
             return USUAL_NOISE * self.capture.reference_level, False
-        # The median of a normal deviate's size is 0.6745; samples that clip do not move it.
-        return float(np.median(-below)) / 0.6745, True
+        # Sums that clip leave large entries, which do not move the median.
+        usual = below[below > 8 * np.median(below)]
+        return float(np.sqrt(np.mean(np.square(usual)))), True
 
     def tiles(self, step: str, parts: int = 1) -> Iterator[Span]:
         patterns = self.capture.patterns
@@ -104,8 +105,10 @@ class _Inverted(Work):
         # A dark pixel exceeds this many variances as seldom as a tenth of the pixels are light.
         least = 2 * np.log1p(10 * below / (1 - below)) * variances
         kept = (entries > 0) & (np.square(entries) > least)
-        missed = np.where(kept, variances, np.square(entries) - variances).sum(axis=1)
-        missed = np.maximum(missed, (kept * variances).sum(axis=1))
+        # What is missed of the light is what the dark entries have beyond their noise. Chance makes
+        # this too much rather than too little.
+        beyond = (np.square(entries) - variances) * ~kept
+        missed = (kept * variances).sum(axis=1) + np.maximum(beyond.sum(axis=1), 0)
         entries *= kept
         clipped, known = samples.clipped.any(axis=1), samples.counted.all(axis=1)
         lost = np.flatnonzero((clipped & (not self.inverse.lone)) | ~known)
