@@ -2,7 +2,7 @@
 
     python -m benchmarks.plan_calibration            makes src/lightmatrix/planning/table.json
 
-The scenes have 128 x 128 pixels (rendered on first use), or 64 x 64 below ten frames, the camera 8
+The scenes have 128 x 128 pixels (rendered on first use), or 64 x 64 below 12 frames, the camera 8
 bits and noise of 0.003 of its clip level, with one seed. Row by row, every fifth camera row is
 estimated; coherent estimates need whole frames. Each finished run is kept in the output, so that an
 interrupted calibration continues.
@@ -118,8 +118,8 @@ def run(
     estimator: str, scene: str, frames: int, patterns: str, exposures: str, density: float
 ) -> dict[str, float]:
     """One estimate and its errors."""
-    # Fewer than ten photographs do not tell so many pixels apart.
-    size = SIZE if frames >= 10 else (64, 64)
+    # Fewer than twelve photographs do not tell so many pixels apart.
+    size = SIZE if frames >= 12 else (64, 64)
     known = truth(scene, size)
     white = known.matrix.sum(axis=1)
     if exposures == "advised":

@@ -224,7 +224,7 @@ def test_nothing_is_promised_below_the_fewest_measured_frames(
 def test_few_frames_get_grey_levels_and_a_warning_of_the_projectors_curve(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    assert [fewest_frames(n * n) for n in (32, 64, 128, 1024)] == [8, 8, 10, 16]
+    assert [fewest_frames(n * n) for n in (32, 64, 128, 1024)] == [8, 8, 12, 16]
     assert main(["plan", "metal", "--size", "64", "-k", "8"]) == 0
     text = " ".join(capsys.readouterr().out.split())
     assert "patterns random -k 8 --size 64x64 -o" in text

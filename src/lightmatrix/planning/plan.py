@@ -76,7 +76,8 @@ class ExpectedErrors:
 def expectations(frames: int) -> list[ExpectedErrors]:
     """The errors of each estimator at a number of frames, by a power law between measured ones.
 
-    None below the fewest that were measured, where errors are far larger. Patterns are grey below
+    None below the fewest that were measured, where errors are far larger. Those below 12 frames are
+    of 64 x 64 pixels, as larger projectors need more. Patterns are grey below
     16 frames and mixed from 64 on, and exposures are those of `advise_exposures`.
     """
     rows = [
