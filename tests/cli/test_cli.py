@@ -248,19 +248,6 @@ def test_rare_options_are_shown_on_request(capsys: pytest.CaptureFixture[str]) -
     assert not re.search("<(int|str|path|list)|x>=", long)
 
 
-@pytest.mark.parametrize(
-    ("command", "option"),
-    [("capture", "--patience X"), ("rig settle", "--patience X"), ("view", "--page-memory SIZE")],
-)
-def test_rare_options_of_other_commands(
-    command: str, option: str, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert main([*command.split(), "--help"]) == 0
-    assert option not in capsys.readouterr().out
-    assert main([*command.split(), "--help-all"]) == 0
-    assert option in capsys.readouterr().out
-
-
 def test_every_command_has_help(capsys: pytest.CaptureFixture[str]) -> None:
     assert main([]) == 0
     overview = capsys.readouterr().out

@@ -281,11 +281,10 @@ def test_another_tiling_keeps_what_is_there_and_a_damaged_tile_is_computed_again
 @pytest.mark.parametrize(
     ("key", "change"),
     [
-        ("data", lambda values: values * 2),
-        ("diagnostic_gap", None),
-        ("digest", None),
-        ("shape", lambda values: values + np.array([0, 1])),
-        ("background", lambda values: values.astype(np.float64)),
+        ("mark", None),
+        ("indices", None),
+        ("shape", lambda values: values + 1),
+        ("data", lambda values: values * np.nan),
     ],
 )
 def test_a_changed_tile_is_computed_again(

@@ -16,7 +16,7 @@ from lightmatrix.cli.terminal import (
     say,
     show_json,
 )
-from lightmatrix.defaults import RIG_FILE, USUAL_PATIENCE, VIDEOS
+from lightmatrix.defaults import RIG_FILE, VIDEOS
 from lightmatrix.errors import InputError
 
 
@@ -95,7 +95,6 @@ def compensate(
     projector: options.ProjectorName = None,
     camera: options.CameraName = None,
     settle: options.Settle = None,
-    patience: options.Patience = USUAL_PATIENCE,
     rig_file: options.RigFile = Path(RIG_FILE),
     overwrite: options.Overwrite = False,
     as_json: options.Json = False,
@@ -147,7 +146,7 @@ def compensate(
         with progress("compensating", "frames") as report:
             found = lm.compensate_video(scene, wanted, ambient=black, progress=report, **common)
     elif with_rig:
-        opened = lm.open_rig(rig, projector=projector, camera=camera, patience=patience)
+        opened = lm.open_rig(rig, projector=projector, camera=camera)
         assert wanted is not None
         if live:
             common["live"] = _Live(refine, quiet=as_json)

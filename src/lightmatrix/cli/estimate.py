@@ -5,6 +5,7 @@ from __future__ import annotations
 import functools
 import time
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
@@ -159,20 +160,14 @@ def estimate(
     a matrix of each primary, in one go.
     """
     started = time.perf_counter()
+    # A regularization is auto, or a number.
+    number: str | float = regularization
+    with suppress(ValueError):
+        number = float(regularization)
     settings = lm.EstimateSettings(
-        solver=solver,
-        fidelity=fidelity,
-        regularization=_regularization(regularization),
-        coherent=coherent,
-        multi_scale=multi_scale,
-        background=background,
-        signed=signed,
-        iterations=iterations,
-        tile_rows=tile_rows,
-        memory=memory,
-        workers=workers,
-        cluster=cluster,
-    )
+        solver, fidelity, number, coherent, multi_scale, background,
+        signed, iterations, tile_rows, memory, workers, cluster,
+    )  # fmt: skip
     # A mistyped input is named first, whatever the output.
     capture = source.open(finds_projector=True)
     if isinstance(capture.patterns, lm.ColourPatterns):
@@ -315,11 +310,3 @@ def _show_resources(resources: ResourceEstimate, as_json: bool) -> None:
     say(f"the estimate takes {resources} ({free})", style=None if resources.fits else "yellow")
     if resources.advice:
         say(as_options(resources.advice))
-
-
-def _regularization(text: str) -> str | float:
-    """A number if the text is one, otherwise the text."""
-    try:
-        return float(text)
-    except ValueError:
-        return text

@@ -45,6 +45,12 @@ def described(**options: Any) -> Callable[[_Command], _Command]:
 
 Overwrite = Annotated[bool, Option("--overwrite", help="Replace an output that exists.")]
 Json = Annotated[bool, Option("--json", help="Print one JSON object instead of text.")]
+Tolerance = Annotated[
+    float, Option(help="Error of a depth that counts as right, as a share of the distance.")
+]
+LeastProbability = Annotated[
+    float, Option(help="Keep what is right as probably as this; 0.99 for hardly a wrong point.")
+]
 Verbose = Annotated[bool, Option("--verbose", help="Show every number instead of the main ones.")]
 Clip = Annotated[
     float | None,
@@ -72,18 +78,12 @@ Settle = Annotated[
     float | None,
     Option(help="Seconds to wait after showing a picture.", show_default="as measured"),
 ]
-# The heading of options that few need, which only --help-all shows.
-RARE = "Rarely needed"
-Patience = Annotated[
-    float, Option(rich_help_panel=RARE, help="Seconds to wait for a frame after its exposure.")
-]
 RigFile = Annotated[
     Path, Option("--rig-file", help="The file that keeps the measurements of the rig.")
 ]
 
 # Defaults as the texts of options.
 USUAL_SIZE = "x".join(map(str, defaults.USUAL_SIZE))
-USUAL_PAGE_MEMORY = f"{defaults.PAGE_BYTES >> 20}MiB"
 # Numbers of pixels fit into 32 bits.
 MOST_PIXELS = 2**31 - 1
 

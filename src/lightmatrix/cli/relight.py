@@ -17,7 +17,7 @@ def relight(
     scene: Store,
     pattern: Annotated[Path, Argument(metavar="PATTERN", help="An image of the projector's size.")],
     output: Annotated[Path, output_option("Image: .png, .tiff, .exr or .npy.")],
-    exposure: Annotated[float, Option(help="Exposure e, a factor; T is for exposure 1.")] = 1.0,
+    exposure: Annotated[float, Option(help="Brightness factor; 1 is the unit of T.")] = 1.0,
     gamma: Annotated[
         float | None, Option(help="Display gamma of a PNG; 1 keeps it linear.", show_default="2.2")
     ] = None,
