@@ -74,7 +74,7 @@ def test_a_picture_is_read_as_it_is() -> None:
 def test_lights_one_at_a_time_and_one_that_is_never_lit() -> None:
     random = np.random.default_rng(2)
     matrix = random.random((400, 24)) * (random.random((400, 24)) < 0.7)
-    images = np.eye(24)[[k for k in range(24) if k != 5]].reshape(23, 4, 6)
+    images = np.eye(24, dtype=np.float32)[[k for k in range(24) if k != 5]].reshape(23, 4, 6)
     patterns = lm.ImagePatterns(images)
     with pytest.warns(lm.LightMatrixWarning, match="1 of the 24 projector pixels are lit by no"):
         transport, error = estimated(patterns, matrix, (20, 20), 0.9)
