@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import warnings
 from pathlib import Path
 
@@ -25,7 +24,6 @@ from lightmatrix.capture.found_response import (
 from lightmatrix.estimators import unknown_response
 from lightmatrix.estimators.camera_window import window_of_levels
 from lightmatrix.estimators.unknown_response import Curves, refined
-from lightmatrix.patterns.folder import write_patterns
 from lightmatrix.simulation.realism import defocus
 from tests.helpers.surface import PROJECTOR, photographs
 
@@ -144,16 +142,6 @@ def test_a_few_frames_determine_nothing() -> None:
         lm.find_response(coded("gamma:2.2").select(np.arange(4)))
 
 
-def test_pictures_determine_no_curve_of_the_camera() -> None:
-    generator = np.random.default_rng(0)
-    ramps = np.cumsum(generator.normal(size=(K, *PROJECTOR)), axis=2)
-    ramps -= ramps.min(axis=2, keepdims=True)
-    pictures = lm.ImagePatterns(ramps / ramps.max(axis=2, keepdims=True))
-    capture = lm.Capture(pictures, coded("linear").frames, coded("linear").decoder)
-    with pytest.raises(lm.InputError, match="quotient"):
-        lm.find_response(capture)
-
-
 def test_jpeg_is_a_gamma_with_a_warning(tmp_path: Path) -> None:
     capture = coded("gamma:2.2")
     for number in range(K):
@@ -166,28 +154,6 @@ def test_jpeg_is_a_gamma_with_a_warning(tmp_path: Path) -> None:
         found = lm.find_response(read)
     assert found.is_gamma
     assert found.gamma == pytest.approx(2.2, rel=0.1)
-
-
-@pytest.mark.filterwarnings("ignore::lightmatrix.errors.LightMatrixWarning")
-def test_the_command_finds_the_response_of_a_capture_folder(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    from lightmatrix.cli import main
-
-    capture = coded("gamma:2.2")
-    for number in range(K):
-        lm.write_image(tmp_path / f"c/images/{number:03}.png", capture.frame(number))
-    write_patterns(tmp_path / "c/patterns", PATTERNS)
-    store = tmp_path / "scene.zarr"
-    words = ["estimate", str(tmp_path / "c"), "-o", str(store), "--response", "auto", "--json"]
-    words.append("--no-check")
-    assert main(words) == 0
-    printed = capsys.readouterr()
-    result = json.loads(printed.out)
-    assert result["response"]["gamma"] == pytest.approx(2.2, rel=0.02)
-    assert "response: gamma 2.2" in printed.err
-    automatic = lm.estimate(tmp_path / "c", response="auto", check=False)
-    assert (lm.open(store).to_matrix() != automatic.sparse).nnz == 0
 
 
 def test_a_found_curve_is_saved_as_any_other(tmp_path: Path) -> None:

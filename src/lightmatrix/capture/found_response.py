@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lightmatrix.capture.camera_curve import AUTOMATIC, Response
+from lightmatrix.capture.camera_curve import AUTOMATIC, Response, nearest_gamma
 from lightmatrix.capture.capture import Capture
 from lightmatrix.files.curve_file import CurveFile
 from lightmatrix.files.kinds import RESPONSE
@@ -69,10 +69,7 @@ def exponent(response: Response) -> float:
         return float(response.name.removeprefix("gamma:"))
     if response.levels is None:
         return 1.0
-    levels, light = points(response)
-    part = (levels > 0.1) & (levels < 0.99) & (light > 0)
-    log_level, log_light = np.log(levels[part]), np.log(light[part])
-    return float((log_light @ log_level) / (log_level @ log_level))
+    return nearest_gamma(*points(response))
 
 
 def points(response: Response) -> tuple[Light, Light]:
