@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter
@@ -47,7 +49,7 @@ def test_defocus_keeps_light_and_parts(truth: Truth) -> None:
 def test_a_blurred_camera_blurs_its_images(truth: Truth, channels: int) -> None:
     primary = "red" if channels == 3 else None
     patterns = lm.BernoulliPatterns((12, 10), 3)
-    quiet = {"bits": None, "noise": 0.0, "exposure": 0.01, "primary": primary}
+    quiet: dict[str, Any] = {"bits": None, "noise": 0, "exposure": 0.01, "primary": primary}
     blurred = lm.simulate(truth, patterns, camera_blur=0.8, **quiet)
     sharp = lm.simulate(truth, patterns, **quiet)
     sigma = (0.8, 0.8, 0)[: 2 + (channels > 1)]
