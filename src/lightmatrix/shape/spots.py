@@ -27,8 +27,6 @@ from lightmatrix.uses.separation import (
 # 3 x 3 pixels around it reach as far. Chosen by hand: one pixel and a half leave room for a spot
 # that lies between pixels.
 _REACH = 1.5
-
-
 Array = NDArray[np.float64]
 
 
@@ -111,6 +109,7 @@ def _of_block(
         found = np.searchsorted(pixel, first)
         for step in range(3):
             sums += np.where(padded[found + step] <= first + 2, padded_light[found + step], 0)
+    del pixel, padded, padded_light, first, found, ideal_col, ideal_row
     places, lights, widths = np.full((SPOTS, count, 2), np.nan), *np.zeros((2, SPOTS, count))
     free = light > 0
     for number in range(SPOTS):
@@ -144,27 +143,26 @@ def _of_block(
 
 @dataclass(frozen=True, eq=False)
 class Seen:
-    """What P camera pixels see in up to n places each, and where that lies."""
+    """What P camera pixels see in up to n places each, and where that lies; (P, n) but for some."""
 
     # Row and column on the projector, (P, n, 2); NaN where there is none.
     place: Array
-    # The light of a spot, its share of the row's, and its standard deviation in those of a usual
-    # spot, (P, n). Of a decoded place the share is the confidence.
+    # The light of a spot, its share of the row's or the confidence of a decoded place, and its
+    # standard deviation in those of a usual spot.
     light: Array
     share: Array
     width: Array
     # The row's stated error, or the uncertainty of a decoded place in projector pixels, (P,).
     error: Array
-    # Whether the projector's border may cut the spot off, (P, n).
+    # Whether the projector's border may cut the spot off.
     cut: NDArray[np.bool_]
-    # Signed distance from the epipolar line in projector pixels, (P, n).
+    # Signed distance from the epipolar line in projector pixels.
     away: Array
-    # Points of the world, (P, n, 3), their depth, and how far a projector pixel along the line
-    # moves it, (P, n). Points behind the camera or the projector have no depth.
+    # Points (P, n, 3), their depth, NaN behind camera or projector, and how far a projector pixel
+    # along the line moves it.
     points: Array
     depth: Array
     slope: Array
-    # The pixels of camera and projector, and whether a code told the places.
     grid: tuple[int, int]
     decoded: bool
 
@@ -187,8 +185,7 @@ def seen_by(source: LightTransport | Correspondence, geometry: RigGeometry) -> S
     lines = np.column_stack([geometry.undistort_camera(camera), np.ones(len(camera))])
     lines = lines @ geometry.fundamental_matrix().T
     lines = lines / np.hypot(lines[:, 0], lines[:, 1])[:, None]
-    # Lines and their directions for columns as the projector counts them, which mirrors may
-    # reverse.
+    # Lines and directions for columns as the projector counts them, which mirrors may reverse.
     counted, along = lines, np.column_stack([-lines[:, 1], lines[:, 0]])
     if geometry.projector_mirrored:
         a, b, c = lines.T
@@ -196,8 +193,21 @@ def seen_by(source: LightTransport | Correspondence, geometry: RigGeometry) -> S
         along *= (-1, 1)
     shape, usual, margin = geometry.projector_shape, 1.0, 0.5
     if isinstance(source, Correspondence):
-        # Places within half a pixel of the border may be cut off, as for a sharp spot of T.
-        place, light, width, total, error = _decoded(source, counted)
+        # Places within half a pixel of the border may be cut off, as for a sharp spot of T. With
+        # columns or rows only, a place is where they cross the line.
+        place = source.place.reshape(-1, 2).astype(np.float64)
+        known = np.isfinite(place)
+        if not known.all(axis=1).any():
+            a, b, c = counted.T
+            with np.errstate(invalid="ignore", divide="ignore"):
+                crossing = -np.column_stack([a * place[:, 1] + c, b * place[:, 0] + c])
+                place = np.where(known, place, crossing / np.column_stack([b, a]))
+        place, share = place[:, None], source.confidence.reshape(-1, 1).astype(np.float64)
+        light = share if source.light is None else source.light.reshape(-1, 1).astype(np.float64)
+        width, error = np.ones_like(share), np.zeros(len(share))
+        if source.uncertainty is not None:
+            stated = source.uncertainty.reshape(-1, 2).astype(np.float64)
+            error = np.nan_to_num(stated).max(axis=1)
     else:
         rows, background = pixel_rows(source)
         usual = spot_deviation(source, rows)
@@ -208,11 +218,11 @@ def seen_by(source: LightTransport | Correspondence, geometry: RigGeometry) -> S
         margin = half_width - 1
         found = find_line_spots(rows, background, lines, pixels, shape, half_width)
         place, light, width, total = found
+        share = np.nan_to_num(light / np.maximum(total, 1e-30)[:, None])
         channels = int(np.prod(source.camera_shape[2:]))
         stated = source.diagnostics.get("estimated_error", np.zeros(len(lines) * channels))
         error = np.nan_to_num(np.asarray(stated, float).reshape(-1, channels).mean(axis=1))
-    with np.errstate(invalid="ignore", divide="ignore"):
-        share = np.nan_to_num(light / total[:, None])
+    with np.errstate(invalid="ignore"):
         cut = ((place < margin) | (place > np.array(shape) - 1 - margin)).any(axis=-1)
     away, depth, slope = np.full((3, *light.shape), np.nan)
     points = np.full((*light.shape, 3), np.nan)
@@ -233,25 +243,6 @@ def seen_by(source: LightTransport | Correspondence, geometry: RigGeometry) -> S
     decoded, width = isinstance(source, Correspondence), width / max(usual, 0.3)
     of_spots = (light, share, width, error, np.asarray(cut), away, points, depth, slope)
     return Seen(place, *of_spots, geometry.camera_shape, decoded)
-
-
-def _decoded(matches: Correspondence, lines: Array) -> tuple[Array, ...]:
-    """Places, light, widths, light of rows and errors; with one axis, where it crosses the line."""
-    place = matches.place.reshape(-1, 2).astype(np.float64)
-    known = np.isfinite(place)
-    if not known.all(axis=1).any():
-        a, b, c = lines.T
-        with np.errstate(invalid="ignore", divide="ignore"):
-            crossing = -np.column_stack([a * place[:, 1] + c, b * place[:, 0] + c])
-            place = np.where(known, place, crossing / np.column_stack([b, a]))
-    confidence = matches.confidence.ravel().astype(np.float64)
-    light = confidence if matches.light is None else matches.light.ravel().astype(np.float64)
-    error = np.zeros(len(place))
-    if matches.uncertainty is not None:
-        error = np.nan_to_num(matches.uncertainty.reshape(-1, 2).astype(np.float64)).max(axis=1)
-    with np.errstate(invalid="ignore", divide="ignore"):
-        total = light / confidence
-    return place[:, None], light[:, None], np.ones((len(place), 1)), total, error
 
 
 # How probably a spot is a surface.

@@ -16,7 +16,7 @@ from lightmatrix.files.kinds import CLOUD, DEPTH, PICTURE
 from lightmatrix.files.writing import atomic_file, check_output
 from lightmatrix.geometry.rig_geometry import RigGeometry
 from lightmatrix.shape.shape import Shape, ShapeTest, surface_normals
-from lightmatrix.shape.spots import Seen, check_thresholds, seen_by, surface_probability
+from lightmatrix.shape.spots import check_thresholds, seen_by, surface_probability
 from lightmatrix.transport.correspondence import Correspondence
 from lightmatrix.transport.matrix import LightTransport
 from lightmatrix.transport.store import open_matches
@@ -93,7 +93,41 @@ def triangulate(
     source = open_matches(transport)
     rig = geometry_of(source, geometry)
     seen = seen_by(source, rig)
-    shape = _shape(seen, rig, surface_probability(seen, tolerance), least_probability)
+    grid, probability = seen.grid, surface_probability(seen, tolerance)
+    chosen = np.arange(len(probability)), probability.argmax(axis=1)
+    found = probability[chosen]
+    place, away, light = seen.place[chosen], seen.away[chosen], seen.light[chosen]
+    test = np.full(len(found), ShapeTest.KEPT, np.uint8)
+    test[found < least_probability] = ShapeTest.IMPROBABLE
+    test[~np.isfinite(seen.depth[chosen])] = ShapeTest.BEHIND
+    test[~seen.on_line[chosen]] = ShapeTest.OFF_LINE
+    test[~np.isfinite(place).all(axis=1) | ~(light > 0)] = ShapeTest.NO_LIGHT
+    kept = test == ShapeTest.KEPT
+    # The root mean square of the distances from the line within 5 x 5 pixels. No depth is called
+    # exact: no estimate of a rendered scene was closer than 0.01 pixels.
+    sums = [
+        uniform_filter(each.reshape(grid), 5) for each in (np.where(kept, away**2, 0), kept * 1.0)
+    ]
+    spread = np.sqrt(np.maximum(sums[0] / np.maximum(sums[1], 0.02), 0.01**2)).ravel()
+    uncertainty = seen.slope[chosen] * spread
+
+    def mapped(values: NDArray[np.float64]) -> NDArray[np.float32]:
+        shown = np.where(kept if values.ndim == 1 else kept[:, None], values, np.nan)
+        return shown.astype(np.float32).reshape(*grid, *values.shape[1:])
+
+    depths, points = mapped(seen.depth[chosen]), mapped(seen.points[chosen])
+    shape = Shape(
+        depths,
+        points,
+        surface_normals(points, depths, rig),
+        light.astype(np.float32).reshape(grid),
+        mapped(uncertainty),
+        found.astype(np.float32).reshape(grid),
+        test.reshape(grid),
+        place.astype(np.float32).reshape(*grid, 2),
+        np.abs(away).astype(np.float32).reshape(grid),
+        rig,
+    )
     if outputs and not shape.kept.any():
         raise InputError(
             f"no point is found; pixels by the test that they fail: {shape.summary()['pixels']}",
@@ -176,44 +210,3 @@ def geometry_of(
         return rig
     scaled = rig.scaled(camera=blocks["camera"], projector=blocks["projector"])
     return replace(scaled, camera_shape=shapes["camera"], projector_shape=shapes["projector"])
-
-
-def _shape(
-    seen: Seen, geometry: RigGeometry, probability: NDArray[np.float64], least: float
-) -> Shape:
-    """The shape of what camera pixels see most probably."""
-    grid = seen.grid
-    chosen = np.arange(len(probability)), probability.argmax(axis=1)
-    found = probability[chosen]
-    place, away, light = seen.place[chosen], seen.away[chosen], seen.light[chosen]
-    test = np.full(len(found), ShapeTest.KEPT, np.uint8)
-    test[found < least] = ShapeTest.IMPROBABLE
-    test[~np.isfinite(seen.depth[chosen])] = ShapeTest.BEHIND
-    test[~seen.on_line[chosen]] = ShapeTest.OFF_LINE
-    test[~np.isfinite(place).all(axis=1) | ~(light > 0)] = ShapeTest.NO_LIGHT
-    kept = test == ShapeTest.KEPT
-    # The root mean square of the distances from the line within 5 x 5 pixels. No depth is called
-    # exact: no estimate of a rendered scene was closer than 0.01 pixels.
-    sums = [
-        uniform_filter(each.reshape(grid), 5) for each in (np.where(kept, away**2, 0), kept * 1.0)
-    ]
-    spread = np.sqrt(np.maximum(sums[0] / np.maximum(sums[1], 0.02), 0.01**2)).ravel()
-    uncertainty = seen.slope[chosen] * spread
-
-    def mapped(values: NDArray[np.float64]) -> NDArray[np.float32]:
-        shown = np.where(kept if values.ndim == 1 else kept[:, None], values, np.nan)
-        return shown.astype(np.float32).reshape(*grid, *values.shape[1:])
-
-    depth, points = mapped(seen.depth[chosen]), mapped(seen.points[chosen])
-    return Shape(
-        depth,
-        points,
-        surface_normals(points, depth, geometry),
-        light.astype(np.float32).reshape(grid),
-        mapped(uncertainty),
-        found.astype(np.float32).reshape(grid),
-        test.reshape(grid),
-        place.astype(np.float32).reshape(*grid, 2),
-        np.abs(away).astype(np.float32).reshape(grid),
-        geometry,
-    )
