@@ -24,7 +24,7 @@ def layers(
     overwrite: Overwrite = False,
     as_json: Json = False,
 ) -> None:
-    """Find the surfaces that pixels see through each other, and mirrors.
+    """Find surfaces seen through each other, and in mirrors.
 
     A camera pixel that sees a curtain, dusty glass or a mirror, and what is behind or in it, has
     several spots in its row of T. Surfaces come near to far, up to three a pixel.
