@@ -132,7 +132,7 @@ CALLS: dict[str, tuple[Callable[[Any], Any], tuple[Any, ...]]] = {
     "correspondence": (lm.correspondence, ARRAYS),
     "evaluate_colour": (lambda v: lm.evaluate_colour(v, v), (*ARRAYS, 3)),
     "calibrate_rig": (lm.calibrate_rig, (*ARRAYS, 3)),
-    "compensate_video": (lambda v: lm.compensate_video(T, v), (*ARRAYS, 3)),
+    "compensate_video frames": (lambda v: lm.compensate_video(T, v), (*ARRAYS, 3)),
     "estimate": (lm.estimate, PATHS),
     "check": (lm.check, PATHS),
     "open": (lm.open, PATHS),
