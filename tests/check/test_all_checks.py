@@ -12,21 +12,18 @@ from pathlib import Path
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from PIL import ExifTags, Image
 from scipy.ndimage import gaussian_filter
 
 import lightmatrix as lm
 from benchmarks import frame_checks
 from lightmatrix.check.all_checks import (
-    _with_orientation,
     check_distinguishable,
     check_interchanged,
 )
-from lightmatrix.check.finding import KINDS, Finding, join_names
+from lightmatrix.check.finding import KINDS
 from lightmatrix.check.survey import Survey
 from lightmatrix.cli import main
 from lightmatrix.files.images import decode_image, encode_image
-from lightmatrix.files.stacks import ImageStack
 from lightmatrix.patterns.bits import BernoulliPatterns
 from lightmatrix.patterns.hadamard import HadamardPatterns
 from lightmatrix.patterns.pattern_set import ImagePatterns
@@ -100,13 +97,6 @@ def coded(frames: Frames) -> Frames:
 )
 def test_faults_are_named(fault: Callable[[Frames], Frames], expected: Found) -> None:
     assert found(fault(photographs(PATTERNS))) == expected
-
-
-def test_a_lost_frame_displaces_the_rest() -> None:
-    ((kind, frames),) = found(lost(photographs(PATTERNS)))
-    assert kind == "order"
-    assert abs(frames[0] - 12) <= 1
-    assert frames == tuple(range(frames[0], 31))
 
 
 def test_light_that_changes() -> None:
@@ -187,14 +177,6 @@ def test_several_exposures_of_a_bundled_scene_are_left_alone() -> None:
     assert lm.check(capture) == []
 
 
-def test_names_in_words() -> None:
-    assert join_names(list("ab")) == "a and b"
-    assert join_names(list("abc")) == "a, b and c"
-    assert join_names(["a"]) == "a"
-    assert join_names(list("abcde")) == "a, b, c, d and e"
-    assert join_names(list("abcdefg")) == "a, b, c, d, e and 2 more"
-
-
 MICRO = MicroPhasePatterns((64, 64))
 
 
@@ -264,11 +246,6 @@ def test_stripes_in_both_directions_do_not() -> None:
     assert "along rows or along columns only" in message(both)
     both[5, 3, 3] += 0.02
     assert "along rows or along columns only" not in message(both)
-
-
-def test_pixels_that_few_random_patterns_leave_alike_are_no_fault() -> None:
-    assert check_distinguishable(lm.BernoulliPatterns((128, 128), 16)) == []
-    assert check_distinguishable(lm.BernoulliPatterns((128, 128), 12)) != []
 
 
 def test_a_fifth_of_the_pixels_may_be_alike() -> None:
@@ -389,21 +366,3 @@ def test_estimate_says_what_check_finds(
     shown = capsys.readouterr()
     assert "camera-curve: " in shown.err
     assert [each["kind"] for each in json.loads(shown.out)["findings"]] == ["camera-curve"]
-
-
-def test_photographs_that_viewers_turn_are_told_so(tmp_path: Path) -> None:
-    """A camera that was turned in between, and wrote that into the tag of its files."""
-    for k in range(4):
-        exif = Image.Exif()
-        exif[ExifTags.Base.Orientation] = 3 if k >= 2 else 1
-        Image.fromarray(np.zeros((6, 6), np.uint8)).save(tmp_path / f"{k}.png", exif=exif)
-    capture = lm.Capture.from_folders(lm.BernoulliPatterns((4, 4), 4), tmp_path)
-    moved, flicker = (Finding(kind, (2, 3), "", "take it again") for kind in ("motion", "gain"))
-    told = _with_orientation(capture, moved).advice
-    assert "again; the EXIF orientation of 2 photographs, from 2.png on, differs" in told
-    assert _with_orientation(capture, flicker) == flicker
-    Image.fromarray(np.zeros((8, 6), np.uint8)).save(tmp_path / "0.png")
-    Image.fromarray(np.zeros((6, 8), np.uint8)).save(tmp_path / "1.png")
-    stack = ImageStack.open([tmp_path / "0.png", tmp_path / "1.png"])
-    with pytest.raises(lm.InputError, match="EXIF orientation"):
-        stack.read(1)

@@ -22,6 +22,7 @@ KINDS = {
     "frame": "a photograph that does not show its pattern",
     "motion": "a scene, camera or projector that moved by pixels",
     "linearity": "photographs that cannot tell whether they are linear in light",
+    "unlit": "projector pixels that no pattern lights, where one is lit at a time",
     "jpeg": "photographs that went through lossy compression",
     "unseen": "camera pixels that never see the projector",
     # What the rig did in the course of the capture, by the names of its model.
@@ -101,10 +102,10 @@ class Finding:
         }
 
 
-def join_names(names: Sequence[str], most: int = 5) -> str:
+def join_names(names: Sequence[str]) -> str:
     """Some names in words: "a, b and c", "a, b, c, d, e and 7 more"."""
-    if len(names) > most:
-        return f"{', '.join(names[:most])} and {len(names) - most} more"
+    if len(names) > 5:
+        return f"{', '.join(names[:5])} and {len(names) - 5} more"
     if len(names) < 2:
         return "".join(names)
     return f"{', '.join(names[:-1])} and {names[-1]}"

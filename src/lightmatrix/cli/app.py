@@ -25,7 +25,6 @@ import lightmatrix as lm
 from lightmatrix.cli.calibrate import calibrate
 from lightmatrix.cli.capture import capture
 from lightmatrix.cli.check import check
-from lightmatrix.cli.claims import outputs
 from lightmatrix.cli.compensate import compensate
 from lightmatrix.cli.convert import convert
 from lightmatrix.cli.decode import decode
@@ -35,6 +34,7 @@ from lightmatrix.cli.evaluate import evaluate
 from lightmatrix.cli.export import export
 from lightmatrix.cli.help import Command
 from lightmatrix.cli.info import info
+from lightmatrix.cli.layers import layers
 from lightmatrix.cli.map import map
 from lightmatrix.cli.pack import pack
 from lightmatrix.cli.patterns import patterns
@@ -65,7 +65,7 @@ STAGES: dict[str, tuple[Callable[..., None], ...]] = {
     "Photograph": (capture, convert, response, calibrate),
     "Measure and use": (
         check, pack, estimate, decode, info, show, view, relight, separate, compensate,
-        project, map, triangulate, evaluate, export,
+        project, map, triangulate, layers, evaluate, export,
     ),
     "Simulate": (scenes, render, simulate),
     "Show": (demo,),
@@ -144,7 +144,7 @@ def _invoke(arguments: list[str]) -> int:
             command.main(arguments, prog_name="lightmatrix", complete_var=COMPLETION)
         words = ["--help" if word == "--help-all" else word for word in arguments]
         every = words != arguments
-        with outputs, command.make_context("lightmatrix", words, obj=every) as context:
+        with command.make_context("lightmatrix", words, obj=every) as context:
             command.invoke(context)
     except typer.Exit as leaving:
         return leaving.exit_code
@@ -236,8 +236,9 @@ def _usage_error(error: typer.TyperException) -> tuple[str, str]:
     message = error.format_message().replace("Value error, ", "")
     context = getattr(error, "ctx", None)
     path = context.command_path if context else "lightmatrix"
-    full = context is not None and isinstance(context.command, Command)
-    hint = f"see `{path} --help{'-all' if full else ''}`"
+    # What is required is among the usual options.
+    rare = isinstance(getattr(context, "command", None), Command) and "Missing" not in message
+    hint = f"see `{path} --help{'-all' if rare else ''}`"
     choice = re.search(r"'([^']*)' is not one of (.*)", message)
     if choice:
         near = get_close_matches(choice[1], re.findall(r"'([^']*)'", choice[2]), n=1)

@@ -8,18 +8,24 @@ from typing import TYPE_CHECKING, Annotated, Literal
 from typer import Argument, Option
 
 import lightmatrix as lm
-from lightmatrix.cli.claims import claim
 from lightmatrix.cli.options import Json, Overwrite, Seed, output_option, size
 from lightmatrix.cli.terminal import say, show_json
 from lightmatrix.defaults import FEWEST_MIXED, MIX_EXAMPLE, USUAL_COUNT
 from lightmatrix.errors import InputError
-from lightmatrix.files.kinds import PATTERNS
 
 if TYPE_CHECKING:
     from lightmatrix import PatternSet
 
 Kind = Literal[
-    "bernoulli", "hadamard", "onepixel", "blocks", "mix", "graycode", "phase", "microphase"
+    "bernoulli",
+    "random",
+    "hadamard",
+    "onepixel",
+    "blocks",
+    "mix",
+    "graycode",
+    "phase",
+    "microphase",
 ]
 Primary = Literal["red", "green", "blue", "rgb"]
 Order = Literal["natural", "sequency", "random"]
@@ -39,6 +45,13 @@ def patterns(
     ] = None,
     shape: Annotated[str, Option("--size", help="Rows x columns of the projector.")] = "128x128",
     density: Annotated[float, Option(help="Bernoulli and mix: share of lit pixels.")] = 0.5,
+    levels: Annotated[
+        int | None,
+        Option(
+            help="Random: grey levels. A projector's curve and sharpening spoil more than 2.",
+            show_default="2 from 16 patterns on, else 3 or 4",
+        ),
+    ] = None,
     mix: Annotated[
         str | None,
         Option(
@@ -85,7 +98,6 @@ def patterns(
     as_json: Json = False,
 ) -> None:
     """Write projection patterns as a folder of PNG files."""
-    claim(output, PATTERNS, overwrite=overwrite)
     if mix is not None and kind != "mix":
         raise InputError(f"--mix for {kind} patterns", hint="write `lightmatrix patterns mix`")
     in_colour = primary == "rgb"
@@ -105,6 +117,7 @@ def patterns(
             size(shape),
             count,
             density=density,
+            levels=levels,
             mix=mix,
             order=order,
             permute=permute,

@@ -163,11 +163,11 @@ class StereoFit:
     geometry: RigGeometry
     # (poses, 3): the normal of each board in the camera's frame.
     normals: NDArray[np.float64]
-    # (n, 2) of each pose, in pixels; NaN where a corner has no projector pixel.
-    camera_errors: list[NDArray[np.float64]]
-    projector_errors: list[NDArray[np.float64]]
-    # (n,) of each pose: the corners that count.
-    used: list[NDArray[np.bool_]]
+    # (poses, n, 2) in pixels; NaN where a corner has no projector pixel.
+    camera_errors: NDArray[np.float64]
+    projector_errors: NDArray[np.float64]
+    # (poses, n): the corners that count.
+    used: NDArray[np.bool_]
 
 
 def board_points(board: Shape, square: float) -> NDArray[np.float64]:
@@ -184,23 +184,19 @@ def fit_stereo(
     projector_shape: Shape,
 ) -> StereoFit:
     """Fit both devices to all poses, and leave out corners that are far off."""
-    used = [pose.lit for pose in poses]
+    used = np.stack([pose.lit for pose in poses])
     fit = _fit(poses, points, used, camera_shape, projector_shape)
     # On real boards four rounds were enough.
     for _ in range(8):
-        errors = [
-            np.hypot(np.linalg.norm(seen, axis=1), np.linalg.norm(lit, axis=1))
-            for seen, lit in zip(fit.camera_errors, fit.projector_errors, strict=True)
-        ]
-        counted = [each[use] for each, use in zip(errors, used, strict=True)]
+        both = np.concatenate([fit.camera_errors, fit.projector_errors], axis=2)
+        errors = np.linalg.norm(both, axis=2)
         # Random errors reach five times the median once in 10^10; where a board is bent or glares,
         # corners are off by more. On the five poses of a real board, whose corner is bent, this
         # leaves 304 of 315 corners, and all others within 0.6 pixels.
-        most = 5 * float(np.median(np.concatenate(counted)))
-        kept = [use & (each <= most) for each, use in zip(errors, used, strict=True)]
+        kept = used & (errors <= 5 * float(np.median(errors[used])))
         # A pose needs four corners to be placed at all.
-        kept = [keep if keep.sum() >= 4 else use for keep, use in zip(kept, used, strict=True)]
-        if all(np.array_equal(keep, use) for keep, use in zip(kept, used, strict=True)):
+        kept = np.where(kept.sum(axis=1, keepdims=True) >= 4, kept, used)
+        if np.array_equal(kept, used):
             break
         used = kept
         fit = _fit(poses, points, used, camera_shape, projector_shape)
@@ -210,7 +206,7 @@ def fit_stereo(
 def _fit(
     poses: Sequence[BoardCorners],
     points: NDArray[np.float64],
-    used: list[NDArray[np.bool_]],
+    used: NDArray[np.bool_],
     camera_shape: Shape,
     projector_shape: Shape,
 ) -> StereoFit:
@@ -274,7 +270,8 @@ def _fit(
     # A wild fit is judged by its residuals.
     matrices = camera @ np.eye(3, 4), projector @ np.column_stack([turn, shift])
     geometry = RigGeometry(*matrices, camera_shape, projector_shape, camera_lens, projector_lens)
-    return StereoFit(geometry, np.array(normals), camera_errors, projector_errors, used)
+    residuals = np.array(camera_errors), np.array(projector_errors)
+    return StereoFit(geometry, np.array(normals), *residuals, used)
 
 
 def projector_start(
@@ -464,32 +461,31 @@ def calibrate_rig(
         )
     check_list(poses, hint="give a capture for each pose of the board")
     _check_count(len(poses), {})
-    corners, names, shapes, left_out = _all_corners(poses, board, progress)
+    corners, shapes, left_out = _all_corners(poses, board, progress)
     points = board_points(board, square)
-    mirrored = bool(np.mean([pose.mirrored for pose in corners]) > 0.5)
-    shown = corners
+    mirrored = bool(np.mean([pose.mirrored for pose in corners.values()]) > 0.5)
     if mirrored:
         warn(
             "the camera sees the projector's image mirrored (rear projection, a mirror, flipped "
             "patterns): the geometry takes it into account"
         )
-        corners = [
-            replace(pose, projector=pose.projector * (-1, 1) + (shapes[1][1] - 1, 0))
-            for pose in corners
-        ]
-    fit = fit_stereo(corners, points, *shapes)
+
+    def fitted() -> StereoFit:
+        flip, last = ((-1, 1), (shapes[1][1] - 1, 0)) if mirrored else ((1, 1), (0, 0))
+        own = [replace(pose, projector=pose.projector * flip + last) for pose in corners.values()]
+        return fit_stereo(own, points, *shapes)
+
+    fit = fitted()
     badly = {
         name: f"only {use.sum()} of {len(use)} corners fit the other poses; did the board move?"
-        for name, use in zip(names, fit.used, strict=True)
+        for name, use in zip(corners, fit.used, strict=True)
         if use.sum() < 0.5 * len(use)
     }
     if badly:
         left_out |= badly
-        keep = [k for k, name in enumerate(names) if name not in badly]
-        corners, names = [corners[k] for k in keep], [names[k] for k in keep]
-        shown = [shown[k] for k in keep]
-        _check_count(len(names), left_out)
-        fit = fit_stereo(corners, points, *shapes)
+        corners = {name: pose for name, pose in corners.items() if name not in badly}
+        _check_count(len(corners), left_out)
+        fit = fitted()
     turn = float(np.degrees(np.arccos(np.abs(fit.normals @ fit.normals.T).clip(0, 1).min())))
     # Zhang's Fig. 4: the error of the focal length falls steeply with the angle between two boards,
     # and is several times its best below 10 degrees.
@@ -498,9 +494,8 @@ def calibrate_rig(
             f"the poses are nearly parallel: their largest angle is {turn:.1f} degrees",
             hint="add poses with the board tilted by 20 to 40 degrees to the left, right, up, down",
         )
-    seen = [error[use] for error, use in zip(fit.camera_errors, fit.used, strict=True)]
-    lit = [error[use] for error, use in zip(fit.projector_errors, fit.used, strict=True)]
-    rms = {"camera": _rms(np.concatenate(seen)), "projector": _rms(np.concatenate(lit))}
+    seen, lit = fit.camera_errors, fit.projector_errors
+    rms = {"camera": _rms(seen[fit.used]), "projector": _rms(lit[fit.used])}
     rms["stereo"] = float(np.sqrt((rms["camera"] ** 2 + rms["projector"] ** 2) / 2))
     # Good calibrations reach 0.1 to 0.5 pixels.
     worst = max(rms["camera"], rms["projector"])
@@ -522,8 +517,8 @@ def calibrate_rig(
         )
     geometry = replace(fit.geometry, units=units, rms=rms, projector_mirrored=mirrored)
     used_poses = tuple(
-        BoardPose(name, corner.camera, corner.projector, use, _rms(a), _rms(b))
-        for name, corner, use, a, b in zip(names, shown, fit.used, seen, lit, strict=True)
+        BoardPose(name, corner.camera, corner.projector, use, _rms(a[use]), _rms(b[use]))
+        for (name, corner), use, a, b in zip(corners.items(), fit.used, seen, lit, strict=True)
     )
     for name, reason in left_out.items():
         warn(f"{name} is left out: {reason}")
@@ -542,12 +537,11 @@ def calibrate_rig(
 
 def _all_corners(
     poses: Sequence[Capture | str | Path], board: tuple[int, int], progress: Progress | None
-) -> tuple[list[BoardCorners], list[str], tuple[tuple[int, int], tuple[int, int]], dict[str, str]]:
-    """Corners and names of usable poses, the image sizes, and why the others are not usable."""
-    found: list[BoardCorners] = []
-    names: list[str] = []
+) -> tuple[dict[str, BoardCorners], tuple[Shape, Shape], dict[str, str]]:
+    """The corners of usable poses by name, the image sizes, and why other poses are not usable."""
+    found: dict[str, BoardCorners] = {}
     left_out: dict[str, str] = {}
-    shapes: tuple[tuple[int, int], tuple[int, int]] | None = None
+    shapes: tuple[Shape, Shape] | None = None
     for number, pose in enumerate(poses):
         name = f"pose {number}" if isinstance(pose, Capture) else str(pose)
         capture = open_capture(pose)
@@ -575,13 +569,12 @@ def _all_corners(
                 f"its {len(corners.lit)} corners"
             )
         else:
-            found.append(corners)
-            names.append(name)
+            found[name] = corners
         if progress is not None:
             progress(number + 1, len(poses))
     _check_count(len(found), left_out)
     assert shapes is not None
-    return found, names, shapes, left_out
+    return found, shapes, left_out
 
 
 def _check_count(usable: int, left_out: dict[str, str]) -> None:

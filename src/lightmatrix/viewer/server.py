@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import asyncio
 import html
-import json
 import os
 import re
 import secrets
@@ -13,7 +12,7 @@ import tempfile
 import threading
 import webbrowser
 from collections.abc import Awaitable, Callable, Iterator
-from contextlib import contextmanager, nullcontext
+from contextlib import contextmanager, nullcontext, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -115,14 +114,12 @@ def _header(scope: dict[str, Any], name: bytes) -> list[str]:
     return [value.decode("latin-1") for key, value in scope["headers"] if key == name]
 
 
-# What the server answers, as an ASGI application: the page, the matrix, its layers, notices.
+# What the server answers, as an ASGI application: the page, the matrix, its layers.
 
 
 Receive = Callable[[], Awaitable[dict[str, Any]]]
 Send = Callable[[dict[str, Any]], Awaitable[None]]
 
-# Seconds between two looks at the store.
-_WATCH_SECONDS = 1.0
 # WebSocket's code for "you broke the rules".
 _VIOLATION = 1008
 _BINARY, _TEXT = "application/octet-stream", "text/plain; charset=utf-8"
@@ -185,17 +182,10 @@ class Answers:
         if path != "socket":
             await send({"type": "websocket.close", "code": _VIOLATION})
             return
-        watching = None
-        try:
+        # The window may be closed while it is being answered.
+        with suppress(OSError):
             await send({"type": "websocket.accept"})
-            watching = asyncio.create_task(self._watch(send))
             await self._converse(receive, send)
-        except OSError:
-            # The window was closed while it was being answered.
-            return
-        finally:
-            if watching is not None:
-                watching.cancel()
 
     async def _converse(self, receive: Receive, send: Send) -> None:
         """Answer the messages of a window, and meanwhile send what it lacks."""
@@ -226,16 +216,6 @@ class Answers:
                     await send({"type": "websocket.send", "bytes": part})
         finally:
             coming.cancel()
-
-    async def _watch(self, send: Send) -> None:
-        """Tell the page what becomes of the store."""
-        told = ""
-        while True:
-            notice = await asyncio.to_thread(self._scene.notice)
-            if notice != told:
-                await send({"type": "websocket.send", "text": json.dumps({"notice": notice})})
-                told = notice
-            await asyncio.sleep(_WATCH_SECONDS)
 
 
 def serve_viewer(
@@ -307,7 +287,6 @@ def serve_viewer(
         # The socket listens already, so that whoever opens the page now is answered.
         if ready is not None:
             ready(guard.address)
-        http, ws = _protocols()
         config = uvicorn.Config(
             Answers(scene, guard),
             lifespan="off",
@@ -315,8 +294,7 @@ def serve_viewer(
             access_log=False,
             server_header=False,
             proxy_headers=False,
-            http=http,
-            ws=ws,
+            ws="websockets-sansio",
             timeout_keep_alive=2,
             ws_max_size=scene.most_message,
             ws_per_message_deflate=False,
@@ -327,36 +305,6 @@ def serve_viewer(
             uvicorn.Server(config).run(sockets=[listening])
     # Only Ctrl-C ends the server. The event loop may have swallowed its KeyboardInterrupt.
     raise KeyboardInterrupt
-
-
-def _protocols() -> tuple[type, type]:
-    """What uvicorn speaks with clients, so that none of them costs the server much."""
-    from uvicorn.protocols.http.h11_impl import H11Protocol
-    from uvicorn.protocols.websockets.websockets_sansio_impl import WebSocketsSansIOProtocol
-
-    class Http(H11Protocol):
-        """Closes connections that ask for nothing, as it does after each answer."""
-
-        def connection_made(self, transport: Any) -> None:
-            super().connection_made(transport)
-            self.timeout_keep_alive_task = self.loop.call_later(
-                self.timeout_keep_alive, self.timeout_keep_alive_handler
-            )
-
-    class WebSocket(WebSocketsSansIOProtocol):
-        """Reads nothing more from a client that does not read its answers, such as pongs."""
-
-        def data_received(self, data: bytes) -> None:
-            super().data_received(data)
-            if not self.writable.is_set() and not self.transport.is_closing():
-                self.transport.pause_reading()
-
-        def resume_writing(self) -> None:
-            super().resume_writing()
-            if not self.read_paused:
-                self.transport.resume_reading()
-
-    return Http, WebSocket
 
 
 def _bound(port: int) -> socket.socket:
