@@ -288,8 +288,8 @@ def error_of(case: Case, estimate: LightTransport, truth: Truth) -> float:
     known = truth.transport()
     if all(name != "gain" for name, _ in case.faults):
         return relative_error(estimate, known)
-    every = np.arange(estimate.sparse.shape[0])
-    dense, wanted = estimate.dense_rows(every), known.dense_rows(every)
+    both = (estimate, known)
+    dense, wanted = (each.to_matrix(dense_background=True).toarray() for each in both)
     along = float((dense * wanted).sum() / max(float((dense**2).sum()), 1e-30))
     return float(np.linalg.norm(along * dense - wanted) / np.linalg.norm(wanted))
 

@@ -34,14 +34,15 @@ def _scenes_are_unpacked_once() -> Iterator[None]:
 
 @pytest.fixture(scope="module")
 def small_scenes() -> Iterator[None]:
-    """The bundled scenes at 32 x 32 too, binned, where they would be rendered."""
+    """The bundled scenes at smaller sizes too, binned, where they would be rendered."""
     bundled = library.truth
+    coarse = cache(lambda name, factor: binned(bundled(name), factor))
 
     def truth(
         name: str | Path | Truth, size: tuple[int, int] = library.BUNDLED_SIZE, **options: Any
     ) -> Truth:
-        if name in library.BUNDLED and size == (32, 32):
-            return binned(bundled(name), 2)
+        if name in library.BUNDLED and size in ((32, 32), (16, 16)):
+            return coarse(name, 64 // size[0])
         return bundled(name, size, **options)
 
     with pytest.MonkeyPatch.context() as patch:

@@ -25,8 +25,6 @@ FEWEST_MIXED = 64
 USUAL_FRAMES, MOST_FRAMES = 64, 256
 # The file that keeps the measurements of a rig.
 RIG_FILE = "rig.json"
-# Seconds to wait for a frame beyond its exposure.
-USUAL_PATIENCE = 2.0
 
 # The number of patterns up to which rows are estimated with their neighbours by default. With more
 # patterns the estimate row by row is good enough, and much faster (docs/few-patterns.md).

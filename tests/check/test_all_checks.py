@@ -12,21 +12,18 @@ from pathlib import Path
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from PIL import ExifTags, Image
 from scipy.ndimage import gaussian_filter
 
 import lightmatrix as lm
 from benchmarks import frame_checks
 from lightmatrix.check.all_checks import (
-    _with_orientation,
     check_distinguishable,
     check_interchanged,
 )
-from lightmatrix.check.finding import KINDS, Finding, join_names
+from lightmatrix.check.finding import KINDS, join_names
 from lightmatrix.check.survey import Survey
 from lightmatrix.cli import main
 from lightmatrix.files.images import decode_image, encode_image
-from lightmatrix.files.stacks import ImageStack
 from lightmatrix.patterns.bits import BernoulliPatterns
 from lightmatrix.patterns.hadamard import HadamardPatterns
 from lightmatrix.patterns.pattern_set import ImagePatterns
@@ -389,21 +386,3 @@ def test_estimate_says_what_check_finds(
     shown = capsys.readouterr()
     assert "camera-curve: " in shown.err
     assert [each["kind"] for each in json.loads(shown.out)["findings"]] == ["camera-curve"]
-
-
-def test_photographs_that_viewers_turn_are_told_so(tmp_path: Path) -> None:
-    """A camera that was turned in between, and wrote that into the tag of its files."""
-    for k in range(4):
-        exif = Image.Exif()
-        exif[ExifTags.Base.Orientation] = 3 if k >= 2 else 1
-        Image.fromarray(np.zeros((6, 6), np.uint8)).save(tmp_path / f"{k}.png", exif=exif)
-    capture = lm.Capture.from_folders(lm.BernoulliPatterns((4, 4), 4), tmp_path)
-    moved, flicker = (Finding(kind, (2, 3), "", "take it again") for kind in ("motion", "gain"))
-    told = _with_orientation(capture, moved).advice
-    assert "again; the EXIF orientation of 2 photographs, from 2.png on, differs" in told
-    assert _with_orientation(capture, flicker) == flicker
-    Image.fromarray(np.zeros((8, 6), np.uint8)).save(tmp_path / "0.png")
-    Image.fromarray(np.zeros((6, 8), np.uint8)).save(tmp_path / "1.png")
-    stack = ImageStack.open([tmp_path / "0.png", tmp_path / "1.png"])
-    with pytest.raises(lm.InputError, match="EXIF orientation"):
-        stack.read(1)

@@ -9,11 +9,8 @@ import pytest
 from numpy.typing import NDArray
 
 import lightmatrix as lm
-from lightmatrix.capture.samples import Samples
 from lightmatrix.check.frame_order import missing_places
-from lightmatrix.check.inverse_pairs import Pairs, PairSums
 from lightmatrix.check.survey import Survey
-from lightmatrix.patterns.bits import BernoulliPatterns
 from lightmatrix.patterns.pattern_set import ImagePatterns
 from tests.helpers.surface import CAMERA, PROJECTOR, photographs
 
@@ -50,27 +47,6 @@ def ordered(*swap: int) -> NDArray[np.int64]:
     order = np.arange(K)
     order[list(swap)] = swap[::-1]
     return order
-
-
-def test_pairs_are_patterns_and_their_inverses() -> None:
-    pairs = Pairs.find(PATTERNS)
-    assert pairs is not None
-    # The last stripes are there twice, in the other order; white and black tell nothing.
-    assert pairs.pairs == tuple((k, k + 1) for k in range(0, 20, 2))
-    assert pairs.others == (20, 21)
-    assert Pairs.find(BernoulliPatterns((16, 16), 32)) is None
-
-
-def test_most_patterns_must_be_in_pairs() -> None:
-    stripes = PATTERNS.subset(np.arange(8)).images()
-    for others, enough in ((5, True), (6, False)):
-        random = np.random.default_rng(0).random((others, *PROJECTOR), np.float32)
-        pairs = Pairs.find(ImagePatterns(np.concatenate([random, stripes])))
-        assert (pairs is not None) == enough
-        if pairs is not None:
-            assert pairs.others == tuple(range(others))
-    # Four of them.
-    assert Pairs.find(PATTERNS.subset(np.arange(6))) is None
 
 
 @pytest.mark.parametrize("swap", [(2, 7), (4, 13)])
@@ -123,12 +99,3 @@ def test_a_missing_frame_is_named_with_its_inverse_at_most(place: int) -> None:
     named = missing_places(replace(survey, patterns=PATTERNS))
     assert place in named
     assert set(named) <= {place, place ^ 1}
-
-
-def test_a_pair_of_which_one_always_clips_is_not_odd() -> None:
-    values = np.ones((3, 4), np.float32)
-    samples = Samples(
-        values, np.broadcast_to(np.arange(4) == 0, (3, 4)), np.full((3, 1), 2, np.float32)
-    )
-    sums = PairSums(((0, 1), (2, 3)), samples)
-    assert sums.odd == []

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import lightmatrix as lm
-from lightmatrix.check.prediction import find_places, predict
+from lightmatrix.check.prediction import predict
 from lightmatrix.patterns.bits import BernoulliPatterns
 
 K, SHAPE = 80, (12, 14)
@@ -30,11 +30,9 @@ def samples(
 
 
 def test_the_two_strongest_places_are_found() -> None:
-    first, second = find_places(PATTERNS, samples([(3, 4), (8, 2)]))
+    first, second = predict(PATTERNS, samples([(3, 4), (8, 2)])).places
     assert first.tolist() == [3 * 14 + 4, 8 * 14 + 2]
     assert second.tolist() == [3 * 14 + 9, 8 * 14 + 7]
-    (only,) = find_places(PATTERNS, samples([(3, 4)]), count=1)
-    assert only.tolist() == [3 * 14 + 4]
 
 
 def test_clipped_and_doubted_samples_find_nothing() -> None:
@@ -42,10 +40,9 @@ def test_clipped_and_doubted_samples_find_nothing() -> None:
     spoilt = seen.values.copy()
     spoilt[0, :6] = np.random.default_rng(1).random(6) * 9
     clipped = np.arange(K) < 6
-    found = find_places(PATTERNS, lm.Samples(spoilt, clipped[None], np.full(K, np.inf)))
-    assert found[0].tolist() == [3 * 14 + 4]
+    hidden = predict(PATTERNS, lm.Samples(spoilt, clipped[None], np.full(K, np.inf)))
+    assert hidden.places[0].tolist() == [3 * 14 + 4]
     plain = lm.Samples(spoilt, np.zeros((1, K), bool), np.full(K, np.inf))
-    assert find_places(PATTERNS, plain, ~clipped[None])[0].tolist() == [3 * 14 + 4]
     doubtful = predict(PATTERNS, plain, doubted=clipped)
     assert doubtful.places[0].tolist() == [3 * 14 + 4]
     # Predicted are they all the same.

@@ -37,7 +37,6 @@ def relation(capture: lm.Capture) -> list[Finding]:
         ("negative", "order", "negative"),
         ("half turned", "motion", "turned or moved"),
         ("half turned by 90", "motion", "turned or moved"),
-        ("rows late", "order", "every other row of each photograph comes a frame late"),
     ],
 )
 def test_names_what_the_photographs_follow(scene: str, damage: str, kind: str, words: str) -> None:
@@ -74,16 +73,6 @@ def test_estimate_refuses_photographs_of_other_patterns() -> None:
     with pytest.raises(InputError, match="do not follow the patterns") as refused:
         lm.estimate(draw("textured", "few", "other seed", 16, 0).capture)
     assert "check=False" in (refused.value.hint or "")
-
-
-@pytest.mark.parametrize("first", [2, 10, 55])
-def test_a_counter_of_names_that_began_again_is_named(first: int) -> None:
-    capture = draw("textured", "random", "intact", 16, 0).capture
-    turned = capture.select(np.roll(np.arange(capture.count), -first))
-    frames = np.stack([turned.frame(k) for k in range(turned.count)])
-    (found,) = check_capture(lm.Capture.from_arrays(capture.patterns, frames, capture.decoder))
-    assert found.kind == "order"
-    assert f"begin with that of pattern {first} (from 0)" in found.message
 
 
 @pytest.mark.parametrize(("scene", "seed"), [("translucent", 1), ("broad", 0), ("wall", 0)])

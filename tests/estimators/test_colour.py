@@ -193,7 +193,7 @@ def test_the_commands_take_colour_from_patterns_to_pictures(
     np.testing.assert_allclose(
         lm.read_image("relit.tiff"), colour.relight(lm.read_image("shown.png") / 65535), rtol=1e-4
     )
-    assert _run("show scene --dual -o dual.npz") == 0
+    assert _run("show scene dual -o dual.npz") == 0
     np.testing.assert_array_equal(np.load("dual.npz")["values"], colour.dual_image())
     capsys.readouterr()
     assert _run("evaluate scene --truth c --json") == 0
@@ -202,6 +202,6 @@ def test_the_commands_take_colour_from_patterns_to_pictures(
     assert _run("estimate c -o other.zarr --no-check") == 2
     assert _run("estimate c -o other --solver romp --report r") == 2
     assert "--solver, --report for patterns in colour" in capsys.readouterr().err
-    assert _run("show scene --row 1,1 -o row.png") == 2
+    assert _run("show scene row 1,1 -o row.png") == 2
     assert _run("patterns hadamard --primary rgb -o q") == 2
     assert _run("patterns bernoulli --grey 3 -o q") == 2

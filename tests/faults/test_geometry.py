@@ -89,7 +89,7 @@ def _views() -> list[Case]:
     other = text("rig.json", _geometry(camera_shape=[12, 10]))
     twice = text("rig.json", _geometry(camera_shape=[16, 16], projector_shape=[16, 16]))
     report = "estimate capture -o new.zarr --report new --geometry"
-    depth = "show scene.zarr --depth -o new.png"
+    depth = "show scene.zarr depth -o new.png"
     return [
         Case("images twice as large", TRIANGULATE, (), twice, code=0, check=holds("new.ply")),
         Case("depth of another camera", f"{depth} --geometry rig.json", "12 x 10", other),

@@ -28,7 +28,6 @@ CASES = [
     Case("a port in use", SERVE, "cannot be used", scenario=_on_a_port_in_use),
     Case("port 70000", f"{SERVE} --port 70000", "70000"),
     Case("port -1", f"{SERVE} --port=-1", "-1"),
-    Case("much memory", f"{SERVE} --page-memory much", "much"),
     Case("no capture", f"{SERVE} --capture nowhere", "nowhere"),
     Case("a damaged store", "view bad.zarr --no-browser", "bad.zarr", DAMAGED),
     Case("a page", f"{PAGE} p.html", code=0, makes=("p.html",), check=holds("p.html")),

@@ -95,7 +95,7 @@ def test_photographs_and_views(tmp_path: Path) -> None:
         lm.write_image(tmp_path / "photos" / f"{k}.exr", frame)
     line = f"estimate {tmp_path}/patterns {tmp_path}/photos --no-check -o {tmp_path}/scene.zarr"
     assert main(line.split()) == 0
-    assert main(f"show {tmp_path}/scene.zarr --dual -o {tmp_path}/dual.exr".split()) == 0
+    assert main(f"show {tmp_path}/scene.zarr dual -o {tmp_path}/dual.exr".split()) == 0
     estimate = lm.open(tmp_path / "scene.zarr")
     np.testing.assert_array_equal(lm.read_image(tmp_path / "dual.exr"), estimate.dual_image())
 

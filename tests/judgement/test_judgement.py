@@ -41,7 +41,7 @@ def test_the_verdict_follows_the_estimated_errors(transport: lm.LightTransport) 
     errors = np.where(np.arange(30) < 2, 0.5, 0.01)
     errors[5] = np.nan
     mixed = replace(transport, diagnostics={"estimated_error": errors})
-    energy = (transport.dense_rows(np.arange(30)).astype(float) ** 2).sum(axis=1)
+    energy = (transport.to_matrix(dense_background=True).toarray().astype(float) ** 2).sum(axis=1)
     known = np.isfinite(errors)
     expected = np.sqrt((energy[known] * errors[known] ** 2).sum() / energy[known].sum())
     assert OwnError(mixed).estimated == pytest.approx(expected, rel=1e-5)
@@ -59,7 +59,7 @@ def test_what_no_error_estimate_shows_makes_the_verdict_doubtful() -> None:
 
 
 def test_rows_that_clip_singly_count_by_their_light(transport: lm.LightTransport) -> None:
-    light = transport.dense_rows(np.arange(30))
+    light = transport.to_matrix(dense_background=True).toarray()
     brightest = light.max(axis=1)
     order = np.argsort(-brightest)
     shares = np.cumsum((light**2).sum(axis=1)[order]) / (light**2).sum()

@@ -1,28 +1,22 @@
-"""The documentation: the site builds without warnings, and the commands on its pages work."""
+"""The documentation: the site builds without warnings, and its lists are complete."""
 
 from __future__ import annotations
 
 import os
 import re
-import runpy
-import shlex
 import subprocess
 import sys
-from functools import partial
+from dataclasses import fields
 from pathlib import Path
 
-import numpy as np
 import pytest
 import typer
 from axe_playwright_python.sync_playwright import Axe
 from browser import opened
-from PIL import Image
 
 import lightmatrix as lm
-from lightmatrix.cli import main
 from lightmatrix.cli.app import STAGES, app
-from lightmatrix.simulation.procedural import ProceduralScene
-from lightmatrix.simulation.simulate import SimulatedCapture
+from lightmatrix.rig.devices.virtual import VirtualSettings
 
 ROOT = Path(__file__).parents[2]
 
@@ -87,78 +81,24 @@ def test_the_page_of_settings_is_up_to_date() -> None:
     assert subprocess.run(command).returncode == 0, "run python tools/settings_table.py"
 
 
-@pytest.mark.parametrize("name", ["report", "other-programs", "colour", "operator"])
-def test_the_commands_of_a_page_work(
-    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    # What the settings give is tested elsewhere. Coherent estimates take seconds, and so do checks
-    # of three colours, and of as many photographs as a report takes.
-    checked = name not in ("colour", "report")
-    quick = partial(lm.estimate, coherent=False, check=checked)
-    monkeypatch.setattr(lm, "estimate", quick)
-    monkeypatch.setattr(lm, "estimate_colour", partial(lm.estimate_colour, check=False))
-    truth = ProceduralScene((24, 32), (32, 32), seed=1).truth()
-    capture = lm.simulate(truth, lm.BernoulliPatterns((32, 32), 24))
-    capture.save("capture")
-    quick(capture, output="scene.zarr")
-    camera = np.array([[30.0, 0, 16, 0], [0, 30, 12, 0], [0, 0, 1, 0]])
-    projector = np.array([[30.0, 0, 16, -9], [0, 30, 16, 0], [0, 0, 1, 0]])
-    lm.RigGeometry(camera, projector, (24, 32), (32, 32)).save("geometry.json")
-    if name == "colour":
-        _in_colour(capture)
-        ProceduralScene((12, 12), (12, 12), seed=1).truth().save(Path("small.npz"))
-    # The commands run at smaller sizes, and on a fainter scene, which takes more exposure.
-    text = (ROOT / "docs" / f"{name}.md").read_text()
-    text = re.sub(r"(--size |\()64(, 64)?", lambda found: found[0].replace("64", "12"), text)
-    text = text.replace("-k 64", "-k 16").replace("l_objects", "small.npz")
-    text = text.replace("--exposure 0.4", "--exposure 2")
-    commands = re.findall(r"^ *(lightmatrix .*)$", text, flags=re.MULTILINE)
-    assert commands
-    for line in commands:
-        for colour in ("red", "green", "blue") if "$colour" in line else ("",):
-            words = line.replace("$colour", colour)
-            if " estimate " in words:
-                words += " --no-check" * (not checked) + " --no-coherent" * bool(colour)
-            assert main(shlex.split(words)[1:]) == 0, words
-    blocks = re.findall(r"```python\n(.*?)```", text, flags=re.DOTALL)
-    assert blocks
-    (tmp_path / "script.py").write_text("\n".join(blocks))
-    runpy.run_path("script.py")
+def test_links_lead_somewhere() -> None:
+    for document in [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]:
+        for target in re.findall(r"\]\(([^)#]+?)(?:#[^)]*)?\)", document.read_text()):
+            if not target.startswith("http"):
+                assert (document.parent / target).exists(), f"{document.name} links to {target}"
 
 
-@pytest.mark.usefixtures("small_scenes")
-def test_the_page_of_a_picture_on_a_wall(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """Its commands run at a smaller size, and the camera sees more of the picture each time."""
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(lm, "estimate", partial(lm.estimate, check=False, correct="none"))
-    colours = np.random.default_rng(0).integers(60, 255, (6, 8, 3), np.uint8)
-    Image.fromarray(np.kron(colours, np.ones((8, 8, 1), np.uint8))).save("picture.jpg")
-    text = (ROOT / "docs" / "picture-on-a-wall.md").read_text()
-    (block,) = re.findall(r"^RIG=(.*)$", text, flags=re.MULTILINE)
-    said = ""
-    for line in re.findall(r"^(lightmatrix .*)$", text, flags=re.MULTILINE):
-        words = line.replace("$RIG", f"{block},size=32,real=0").replace("-k 64", "-k 24")
-        assert main(shlex.split(words)[1:]) == 0, words
-        said += capsys.readouterr().out
-    before, after = map(float, re.findall(r"([0-9.]+) dB", said.split("photograph 0")[0]))
-    assert before > after + 5
-    assert "by the rig" in said
-    assert {path.name for path in Path().iterdir()} >= {"seen.png", "better.png", "wall.mpcdi"}
-
-
-def _in_colour(capture: SimulatedCapture) -> None:
-    """Replace the grey photographs by some of three channels."""
-    lm.write_patterns("patterns", capture.patterns)
-    for k in range(capture.count):
-        frame = capture.frame(k)
-        shown = np.stack([frame, frame // 2, frame // 3], axis=-1)
-        lm.write_image(f"photos/photo_{k:03d}.png", shown)
-    colourful = lm.Capture.from_folders("patterns", "photos")
-    lm.estimate(colourful, coherent=False, check=False, output="scene.zarr", overwrite=True)
-    lm.write_image("picture.png", np.random.default_rng(0).random((32, 32, 3)))
+def test_a_page_lists_every_option_of_a_virtual_rig() -> None:
+    page = (ROOT / "docs" / "first-capture.md").read_text()
+    table = dict(re.findall(r"^\| (`[a-z_`, ]+`) \|.*\| (.*) \|$", page, flags=re.MULTILINE))
+    defaults_by_name = {}
+    for names, defaults in table.items():
+        values = defaults.split(", ")
+        for name, value in zip(re.findall(r"`(\w+)`", names), values, strict=False):
+            defaults_by_name[name] = value
+    for field in fields(VirtualSettings):
+        if field.name != "scene":
+            assert float(defaults_by_name[field.name]) == field.default, field.name
 
 
 def test_tables_fit_a_telephone_and_a_page_is_accessible(site: Path) -> None:

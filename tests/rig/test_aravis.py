@@ -149,10 +149,11 @@ def test_a_capture_over_gige_vision_is_as_good_as_a_simulated_one(
     scene = ScreenRig(known.matrix, SIDES, cell, left, top, NOISE)
     served = GigECamera(scene, SIDES)
     address = Address.parse(served.address)
+    # The simulated camera misses one trigger in 20.
+    monkeypatch.setattr(AravisCamera, "patience", 0.2)
     try:
         window = open_window(Address("window"))
-        # The simulated camera misses one trigger in 20.
-        with Rig(window, open_aravis(address), lambda: open_aravis(address), patience=0.2) as rig:
+        with Rig(window, open_aravis(address), lambda: open_aravis(address)) as rig:
             capture = lm.take_capture(
                 "capture",
                 rig,

@@ -324,7 +324,6 @@ def test_a_capture_that_failed_at_once_leaves_nothing() -> None:
         (f"--rig {QUIET} --density 2", "density"),
         (f"--rig {QUIET} --exposure 50", "an exposure of 50 s"),
         (f"--rig {QUIET},room=1 --exposure 2", "a white picture looks like a black one"),
-        (f"--rig {QUIET} --patience 0", "a patience of 0"),
     ],
 )
 def test_wrong_options_are_refused(

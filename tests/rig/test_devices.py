@@ -11,6 +11,7 @@ import pytest
 from lightmatrix.cli import main
 from lightmatrix.errors import DeviceError, InputError, MissingExtraError
 from lightmatrix.rig.devices.base import Address
+from lightmatrix.rig.devices.folders import WatchedFolder
 from lightmatrix.rig.devices.registry import (
     CAMERAS,
     PROJECTORS,
@@ -115,7 +116,8 @@ def test_a_camera_that_gives_no_frames(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     devices = "--projector folder:show,size=6x8 --camera watch:.,exposure=0.01"
-    words = f"capture {devices} --patience 0.01 -o capture"
+    monkeypatch.setattr(WatchedFolder, "patience", 0.01)
+    words = f"capture {devices} -o capture"
     assert main(words.split()) == 2
     errors = capsys.readouterr().err
     assert "the camera gives no frames: watch:.,exposure=0.01: no frame within" in errors

@@ -1,4 +1,4 @@
-"""`lightmatrix simulate procedural`: a capture of any size, and which options go together."""
+"""`lightmatrix simulate procedural`: a capture of any size."""
 
 from __future__ import annotations
 
@@ -13,37 +13,21 @@ from benchmarks.procedural_captures import photograph
 from lightmatrix.cli import main
 from lightmatrix.errors import InputError
 
-SCENE = lm.ProceduralScene((12, 10), (8, 8))
+SCENE = lm.ProceduralScene((8, 8), (8, 8))
 PATTERNS = lm.BernoulliPatterns((8, 8), 24)
 
 
 def test_the_command_and_the_strips_of_the_benchmarks_give_the_same_frames(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    line = "simulate procedural --camera-size 12x10 --size 8x8 -k 24 -o {}/c.zarr --json"
+    lm.write_patterns(tmp_path / "p", PATTERNS)
+    line = "simulate procedural --patterns {0}/p -o {0}/c.zarr --json"
     assert main(line.format(tmp_path).split()) == 0
     assert json.loads(capsys.readouterr().out)["frames"] == 24
     photograph(tmp_path / "d.zarr", SCENE, PATTERNS)
     digest = lm.Capture.open(tmp_path / "c.zarr").digest
     assert lm.Capture.open(tmp_path / "d.zarr").digest == digest
     assert (lm.truth(tmp_path / "c.zarr").matrix != SCENE.truth().matrix).nnz == 0
-
-
-@pytest.mark.parametrize(
-    ("words", "message"),
-    [
-        ("procedural --patterns {}/p -k 8", "-k for patterns of a folder"),
-        ("metal --patterns {}/p --camera-size 8x8", "--camera-size for metal"),
-        ("metal", "--patterns is missing"),
-    ],
-)
-def test_conflicting_options_are_refused(
-    tmp_path: Path, words: str, message: str, capsys: pytest.CaptureFixture[str]
-) -> None:
-    lm.write_patterns(tmp_path / "p", PATTERNS)
-    line = f"simulate {words} -o {{}}/c.zarr".replace("{}", str(tmp_path))
-    assert main(line.split()) == 2
-    assert message in capsys.readouterr().err
 
 
 def test_a_truth_that_does_not_fit_is_refused_before_it_is_computed(

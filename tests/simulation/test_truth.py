@@ -97,10 +97,10 @@ def test_shapes_that_contradict_the_matrix_are_refused(truth: Truth, tmp_path: P
     with np.load(path) as file:
         content = dict(file)
     np.savez(path, **{**content, "camera_shape": np.array([5, 8])})
-    with pytest.raises(InputError, match="5 x 8"):
+    with pytest.raises(InputError, match=r"camera \(5, 8\)"):
         Truth.load(path)
     np.savez(path, **{**content, "projector_shape": np.array([6, 5])})
-    with pytest.raises(InputError, match="6 x 5"):
+    with pytest.raises(InputError, match=r"projector \(6, 5\)"):
         Truth.load(path)
     np.savez(path, **{**content, "lightmatrix_truth": np.array(99)})
     with pytest.raises(InputError, match="format version 99"):

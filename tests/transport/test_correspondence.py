@@ -54,14 +54,3 @@ def test_chunks_and_channels_make_no_difference(
     matches = lm.correspondence(colour)
     np.testing.assert_allclose(matches.confidence, whole.confidence, rtol=1e-5)
     np.testing.assert_array_equal(matches.pixel, whole.pixel)
-
-
-def test_faint_pixels_differ_from_dark_ones(
-    transport: lm.LightTransport,
-) -> None:
-    matches = lm.correspondence(transport)
-    levels = matches.levels()
-    assert levels.dtype == np.uint16
-    np.testing.assert_array_equal(levels[..., 2] > 0, matches.valid)
-    lit = matches.valid
-    np.testing.assert_array_equal(levels[lit][:, :2], matches.pixel[lit][:, ::-1])

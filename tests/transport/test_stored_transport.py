@@ -71,24 +71,26 @@ def test_parts_equal_those_of_the_whole_matrix(
 def test_a_region_is_a_matrix_of_its_own(tmp_path: Path) -> None:
     whole = transport()
     lm.save(tmp_path / "s.zarr", whole)
-    region = lm.StoredTransport.open(tmp_path / "s.zarr").region(slice(2, 5), slice(3, 8))
+    region = lm.StoredTransport.open(tmp_path / "s.zarr").crop((2, 3), (3, 5))
     rows = np.arange(72).reshape(9, 8)[2:5, 3:8].ravel()
     assert (region.sparse != whole.sparse[rows]).nnz == 0
     np.testing.assert_array_equal(region.background, whole.background[rows])
     np.testing.assert_array_equal(region.diagnostics["gap"], whole.diagnostics["gap"][rows])
     assert region.camera_shape == (3, 5)
-    with pytest.raises(InputError, match="a region of 2:5, 3:9 of a camera of 9 x 8"):
-        lm.StoredTransport.open(tmp_path / "s.zarr").region(slice(2, 5), slice(3, 9))
+    with pytest.raises(
+        InputError, match="a crop of 3 x 6 pixels from row 2, column 3, of photographs of 9 x 8"
+    ):
+        lm.StoredTransport.open(tmp_path / "s.zarr").crop((2, 3), (3, 6))
 
 
 def test_a_region_is_exported(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     whole = transport()
     lm.save(tmp_path / "s.zarr", whole)
-    line = f"export {tmp_path}/s.zarr {tmp_path}/T.npz --region"
-    assert main([*line.split(), "2:5,3:8"]) == 0
+    line = f"export {tmp_path}/s.zarr {tmp_path}/T.npz --crop"
+    assert main([*line.split(), "2,3:3x5"]) == 0
     rows = np.arange(72).reshape(9, 8)[2:5, 3:8].ravel()
     assert (scipy.sparse.load_npz(tmp_path / "T.npz") != whole.sparse[rows]).nnz == 0
-    for words, message in (("2-5", "a region of '2-5'"), ("2:5,3:9", "of a camera of 9 x 8")):
+    for words, message in (("2-5", "--crop '2-5'"), ("2,3:3x6", "of photographs of 9 x 8")):
         assert main([*line.split(), words, "--overwrite"]) == 2
         assert message in capsys.readouterr().err
 
@@ -237,10 +239,6 @@ def test_an_index_of_columns_gives_the_light_of_single_pixels(
         index.light(np.array([42]), np.ones(1))
     with pytest.raises(InputError, match="has an index already"):
         lm.index_columns(path)
-    lm.index_columns(path, overwrite=True)
-    # Leftovers of killed runs are removed.
-    (path / ".columns.part").mkdir()
-    (path / ".columns.part" / "half").touch()
     lm.index_columns(path, overwrite=True)
     # The matrix is the same, and may be replaced together with its index.
     assert (lm.open(path).sparse != whole.sparse).nnz == 0

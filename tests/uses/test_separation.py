@@ -226,7 +226,7 @@ def test_a_store_is_loaded_or_refused(tmp_path: Path, monkeypatch: pytest.Monkey
         lm.separate(stored)
     assert "region" in (refused.value.hint or "")
     # What the message advises works.
-    half = stored.region(slice(0, 64), slice(0, 32))
+    half = stored.crop((0, 0), (64, 32))
     assert lm.separate(half).direct.camera_shape == (64, 32)
 
 

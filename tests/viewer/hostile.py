@@ -105,7 +105,7 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as folder:
         store = Path(folder) / "scene.zarr"
         lm.save(store, running.scene(CAMERA, PROJECTOR))
-        with running.served(store, "--page-memory", "0MiB") as server:
+        with running.served(store, program=running.ON_DISK) as server:
             answered, refused, growth = attack(server, count)
     print(f"{answered} answered, {refused} refused; memory grew by {growth >> 10} KiB")
 

@@ -23,6 +23,14 @@ from lightmatrix.simulation.procedural import ProceduralScene
 
 PATIENCE_MS = 120_000
 VIEWER = "globalThis.lightmatrixViewer"
+COMMAND = ("-m", "lightmatrix", "view", "--no-browser")
+# The same with a page that may hold no matrix.
+ON_DISK = (
+    "-c",
+    "import functools, sys, lightmatrix as lm\n"
+    "ready = functools.partial(print, flush=True)\n"
+    "lm.serve_viewer(sys.argv[1], browser=False, page_bytes=0, ready=ready)",
+)
 
 
 @dataclass(frozen=True)
@@ -49,9 +57,9 @@ class Server:
 
 
 @contextmanager
-def served(store: Path, *words: str) -> Iterator[Server]:
-    """The command `view`, until the block ends."""
-    command = [sys.executable, "-m", "lightmatrix", "view", str(store), "--no-browser", *words]
+def served(store: Path, *words: str, program: tuple[str, ...] = COMMAND) -> Iterator[Server]:
+    """The command `view`, or another program of Python, until the block ends."""
+    command = [sys.executable, *program, str(store), *words]
     environment = {**os.environ, "OMP_NUM_THREADS": "1"}
     process = subprocess.Popen(
         command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=environment

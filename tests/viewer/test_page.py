@@ -251,7 +251,7 @@ def test_a_stroke_is_seen_before_it_ends(
     store = tmp_path / "scene.zarr"
     lm.save(store, transport)
     with (
-        running.served(store, "--page-memory", "0MiB") as server,
+        running.served(store, program=running.ON_DISK) as server,
         shown(browser, server.address) as page,
     ):
         page.evaluate(f"Object.defineProperty({VIEWER}.matrix, 'expects', {{ get: () => true }})")

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import contextlib
 import http.client
 import http.server
 import os
 import random
 import shutil
+import signal
 import socket
 import subprocess
 import sys
@@ -29,7 +29,7 @@ pytest.importorskip("uvicorn")
 websockets = pytest.importorskip("websockets.sync.client")
 # Mutated requests that are tried, and bytes by which memory may grow meanwhile: far less than one
 # kept request each.
-MUTATIONS, GROWTH = 1000, 20 << 20
+MUTATIONS, GROWTH = 300, 20 << 20
 
 
 @pytest.fixture(scope="module")
@@ -172,48 +172,18 @@ def test_hostile_requests_change_nothing(server: running.Server) -> None:
     assert process.memory_info().rss - before < GROWTH
 
 
-def test_idle_strangers_do_not_lock_the_owner_out(server: running.Server) -> None:
-    idle = [socket.create_connection(("127.0.0.1", server.port), timeout=60) for _ in range(130)]
-    assert ask(server, f"/{server.token}/").status == 200
-    for connection in idle:
-        # It is closed after two seconds.
-        assert connection.recv(1) == b""
-        connection.close()
-
-
-def test_pings_whose_answers_nobody_reads_are_not_kept(server: running.Server) -> None:
-    import psutil
-
-    request = (
-        f"GET /{server.token}/socket HTTP/1.1\r\nHost: {server.host}\r\nUpgrade: websocket\r\n"
-        f"Connection: Upgrade\r\nOrigin: http://{server.host}\r\nSec-WebSocket-Version: 13\r\n"
-        "Sec-WebSocket-Key: AAAAAAAAAAAAAAAAAAAAAA==\r\n\r\n"
-    )
-    pings = (b"\x89\xfd" + bytes(4 + 125)) * 1000
-    process = psutil.Process(server.process.pid)
-    with socket.create_connection(("127.0.0.1", server.port), timeout=120) as connection:
-        connection.sendall(request.encode())
-        assert connection.recv(12) == b"HTTP/1.1 101"
-        before = process.memory_info().rss
-        connection.settimeout(1)
-        with contextlib.suppress(TimeoutError):
-            for _ in range(500):
-                connection.sendall(pings)
-        assert process.memory_info().rss - before < GROWTH
-    assert ask(server, f"/{server.token}/").status == 200
-
-
 def test_hostile_messages_change_nothing(tmp_path: Path) -> None:
     # The server adds an index of columns to this store, which others would notice.
     store = tmp_path / "scene.zarr"
     lm.save(store, running.scene())
-    with running.served(store, "--page-memory", "0MiB") as server:
+    with running.served(store, program=running.ON_DISK) as server:
         # `python -m tests.viewer.hostile` sends 10,000.
         answered, refused, growth = hostile.attack(server, MUTATIONS // 5)
         assert min(answered, refused) > MUTATIONS / 100
         assert growth < GROWTH
         assert ask(server, f"/{server.token}/").status == 200
-        assert server.stop() == 130
+        # Python itself ends by the signal, as nothing of this program catches it.
+        assert server.stop() == -signal.SIGINT
 
 
 def test_a_page_of_another_site_cannot_connect(

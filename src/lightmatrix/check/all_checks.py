@@ -7,7 +7,6 @@ rig did in the course of the capture.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -20,7 +19,7 @@ from lightmatrix.capture.settings import ReadSettings
 from lightmatrix.check.code_order import CodeLattice, check_code_order
 from lightmatrix.check.finding import Finding
 from lightmatrix.check.frame_order import check_counts, check_order
-from lightmatrix.check.inverse_pairs import Pairs, check_gains, check_pairs, pair_gains
+from lightmatrix.check.inverse_pairs import check_pairs, find_pairs
 from lightmatrix.check.levels import (
     check_clip_level,
     check_jpeg,
@@ -39,7 +38,6 @@ from lightmatrix.check.wrong_frames import (
     wrong_frames,
 )
 from lightmatrix.errors import InputError
-from lightmatrix.files.extras import orientation
 from lightmatrix.files.stacks import ImageStack
 from lightmatrix.patterns.pattern_set import ImagePatterns, PatternSet
 from lightmatrix.patterns.stripes import is_separable
@@ -137,25 +135,7 @@ def check_capture(capture: Capture) -> list[Finding]:
     photographs.
     """
     with one_blas_thread():
-        return [_with_orientation(capture, finding) for finding in _check(capture)]
-
-
-def _with_orientation(capture: Capture, finding: Finding) -> Finding:
-    """The finding, with what differing orientation tags have to do with photographs that moved."""
-    frames = capture.whole.frames
-    if finding.kind not in ("motion", "order") or not isinstance(frames, ImageStack):
-        return finding
-    tags = [orientation(path) for path in frames.paths if isinstance(path, Path)]
-    turned = [k for k, tag in enumerate(tags) if tag != tags[0]]
-    if not turned:
-        return finding
-    advice = (
-        f"{finding.advice}; the EXIF orientation of {len(turned)} photographs, from "
-        f"{frames.paths[turned[0]].name} on, differs from that of the first: viewers turn them by "
-        "it, lightmatrix reads all pixels as they are stored; apply the tag to the pixels (such as "
-        "mogrify -auto-orient), or switch it off in the camera"
-    )
-    return replace(finding, advice=advice)
+        return _check(capture)
 
 
 def _check(capture: Capture) -> list[Finding]:
@@ -186,27 +166,26 @@ def _check_surveyed(survey: Survey, capture: Capture) -> list[Finding]:
     few = survey.count < _FEWEST_FRAMES or len(rows) < _FEWEST_ROWS
     if few or (displaced and not two_swapped):
         return of_light() + displaced
-    pairs = Pairs.find(survey.patterns)
 
     def of_order() -> list[Finding]:
-        ordered = pairs is not None or lattice is not None
-        return [] if ordered else check_order(survey, names.__getitem__)
+        return check_order(survey, names.__getitem__) if lattice is None else []
 
     # The longest first; each of them keeps about one core busy.
     disorder, findings, unrelated = side_by_side(
         [of_order, of_light, lambda: check_relation(survey)]
     )
-    of_frames = (
-        _check_by_prediction(survey, rows, names, disorder, unrelated)
-        if pairs is None
-        else _check_by_pairs(survey, rows, names, pairs, unrelated)
-    )
-    # One black or spoilt frame, and motion, make neighbours see as distant places as a swap does.
-    kinds = ("order", "motion", *(["frame"] if pairs else []))
+    pairs = find_pairs(survey.patterns)
+    if len(pairs):
+        disorder, displaced = disorder + displaced, []
+        of_frames = _check_by_pairs(survey, rows, names, pairs, disorder, unrelated)
+    else:
+        of_frames = _check_by_prediction(survey, rows, names, disorder, unrelated)
+    # Motion, and a black frame, make neighbours see as distant places as a swap does.
+    kinds = ("order", "motion")
     if displaced and not any(e.kind in kinds or "black" in e.message for e in of_frames):
         return findings + displaced
     # Photographs of another series or scene are no reason to measure the camera's curve.
-    if not any(each.kind in ("order", "unrelated", "motion") for each in of_frames):
+    if not any(each.kind in (*kinds, "unrelated") for each in of_frames):
         of_frames += check_two_levels(survey, rows)
     return findings + of_frames
 
@@ -271,18 +250,24 @@ def _check_by_pairs(
     survey: Survey,
     rows: NDArray[np.int64],
     names: Sequence[str],
-    pairs: Pairs,
+    pairs: NDArray[np.int64],
+    disorder: list[Finding],
     unrelated: list[Finding],
 ) -> list[Finding]:
     """Checks of patterns that come with their inverses."""
     if unrelated:
         return unrelated
     findings = check_plain_frames(survey, rows, names)
-    of_pairs, corrected, doubted = check_pairs(survey, rows, pairs, names)
-    findings += of_pairs
-    if any(each.kind == "motion" for each in of_pairs):
-        return findings
-    return findings + check_gains(*pair_gains(corrected, rows, pairs, doubted), names)
+    of_pairs = check_pairs(survey, rows, pairs, names)
+    # One black or spoilt frame, and motion, look like a swap. It is one if all is well without it.
+    if disorder and of_pairs and not any("black" in each.message for each in of_pairs):
+        order = np.arange(survey.count)
+        for each in disorder:
+            order[list(each.frames)] = each.frames[::-1]
+        exchanged = check_pairs(survey.select_frames(order), rows, pairs, names)
+        if not any(each.kind in ("frame", "motion") for each in exchanged):
+            return findings + disorder + exchanged
+    return findings + of_pairs
 
 
 def _check_by_prediction(

@@ -209,7 +209,7 @@ def check_code_order(lattice: CodeLattice, name: Name) -> list[Finding]:
 def _orders(count: int) -> Iterator[tuple[Order, Callable[[Name], list[Finding]]]]:
     """The frame that shows each pattern, in likely wrong orders, and how to describe each."""
     frames = np.arange(count)
-    for message, shown in likely_orders(count, turned=False):
+    for message, shown in likely_orders(count):
         finding = Finding("order", (), message, WRONG_ORDER)
         yield np.argsort(shown % count), partial(_itself, [finding])
     for a, b in itertools.combinations(range(count), 2):

@@ -30,7 +30,6 @@ from numpy.typing import NDArray
 
 from lightmatrix.check.code_order import CodeLattice, missing_of_code
 from lightmatrix.check.finding import WRONG_ORDER, Finding, order_findings
-from lightmatrix.check.inverse_pairs import Pairs, missing_of_pairs
 from lightmatrix.check.prediction import predict
 from lightmatrix.check.pursuit import (
     PROJECTOR_PIXELS,
@@ -468,9 +467,6 @@ def missing_places(survey: Survey) -> tuple[int, ...]:
     rows = high_variance_rows(replace(survey, patterns=patterns.subset(frames)))
     if len(rows) < 24:
         return ()
-    pairs = Pairs.find(patterns)
-    if pairs is not None:
-        return missing_of_pairs(survey, pairs, rows)
     rows = np.random.default_rng(0).permutation(rows)[:96]
     samples = survey.samples(rows[: _scanned_rows(patterns)])
     values = np.where(samples.clipped, np.nan, samples.values)

@@ -77,24 +77,14 @@ class FramePrediction:
             part=self.part[index],
         )
 
-    def frames(self, index: NDArray[np.integer]) -> FramePrediction:
-        """The prediction of some frames."""
-        return replace(
-            self,
-            observed=self.observed[:, index],
-            expected=self.expected[:, index],
-            trusted=self.trusted[:, index],
-        )
-
 
 def find_places(
     patterns: PatternSet,
     samples: Samples,
-    learned: NDArray[np.bool_] | None = None,
-    count: int = len(_PLACE_SCALES),
+    learned: NDArray[np.bool_],
 ) -> tuple[NDArray[np.int64], ...]:
     """The projector pixels that m rows follow most in their `learned` (m, K) samples, (m,) each."""
-    weight = (~samples.clipped if learned is None else learned).astype(np.float64)
+    weight = learned.astype(np.float64)
     total = np.maximum(weight.sum(axis=1, keepdims=True), 1)
     residual = weight * (samples.values - (weight * samples.values).sum(axis=1)[:, None] / total)
     places: list[NDArray[np.int64]] = []
@@ -103,7 +93,7 @@ def find_places(
         if best is None:
             best = best_pixels(patterns, column_scale(patterns), residual)
         places.append(best)
-        if len(places) == count:
+        if len(places) == len(_PLACE_SCALES):
             return tuple(places)
         column = patterns.columns(places[-1]).T.astype(np.float64)
         column = weight * (column - (weight * column).sum(axis=1)[:, None] / total)
@@ -114,19 +104,16 @@ def find_places(
 def predict(
     patterns: PatternSet,
     samples: Samples,
-    places: tuple[NDArray[np.int64], ...] | None = None,
     doubted: NDArray[np.bool_] | None = None,
 ) -> FramePrediction:
     """Predict every sample (m, K) from the row's other frames.
 
-    Nothing is learned from `doubted` frames (K,), but they are predicted too. `places` are those of
-    `find_places`, which is asked by default.
+    Nothing is learned from `doubted` frames (K,), but they are predicted too.
     """
     learned = ~samples.clipped
     if doubted is not None:
         learned = learned & ~doubted
-    if places is None:
-        places = find_places(patterns, samples, learned)
+    places = find_places(patterns, samples, learned)
     observed = np.asarray(samples.values, np.float64)
     level = np.broadcast_to(samples.clip_level, observed.shape)
     windows = [window_around(place, patterns.shape) for place in places]

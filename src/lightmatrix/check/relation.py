@@ -89,9 +89,17 @@ def check_relation(survey: Survey) -> list[Finding]:
     relation = None if few else Relation.of(survey)
     if relation is None:
         return []
-    explanation = relation.explanation()
-    if explanation is not None:
-        return [Finding("order", (), *explanation)]
+    tried = [
+        (relation.excess(order[: len(relation.frames)]), message)
+        for message, order in likely_orders(survey.count)
+    ]
+    score, message = max(tried)
+    if score > max(_LIMITS.explains, relation.as_they_are + _LIMITS.better):
+        advice = "put photographs and patterns in the same order, from one series"
+        return [Finding("order", (), message, advice)]
+    if relation.negative:
+        message = "the photographs are dark where their patterns are bright: one is a negative"
+        return [Finding("order", (), message, "invert the patterns, or the photographs")]
     if relation.parted:
         message = (
             "the photographs of the first half and those of the second each follow their patterns, "
@@ -143,16 +151,13 @@ class Relation:
     `samples` are those of the first K frames, of mean 0 and variance 1 in each camera pixel,
     (m, K). `features` are the cosines of the patterns through several blurs and in several parts of
     the projector, (F, K, K); `shown` some pixels of the patterns at each blur, (F', n, K),
-    standardised. `bands` tells of each camera pixel whether it lies in the upper half of the image,
-    and in an odd row, (2, m). `count` is the number of all frames, `pixels` that of the projector's
-    pixels once binned. `contrasted` tells whether the usual camera pixel varies by far more than
-    noise.
+    standardised. `count` is the number of all frames, `pixels` that of the projector's pixels once
+    binned. `contrasted` tells whether the usual camera pixel varies by far more than noise.
     """
 
     samples: Floats
     features: Floats
     shown: tuple[Floats, ...]
-    bands: NDArray[np.bool_]
     count: int
     pixels: int
     contrasted: bool
@@ -185,12 +190,9 @@ class Relation:
         for level in levels if 3 * len(levels) < count else ():
             values[:, exposures == level] = _standardised(values[:, exposures == level])
         samples = _standardised(values)
-        # Tiles hold an even number of rows, and come in their order from the top.
-        odd = rows // np.prod(survey.grid[2:]) % 2 == 1
-        bands = np.stack([rows < len(survey.raw) / 2, odd])
         features, shown = _pattern_cosines(_binned(survey.patterns, count, step))
         contrasted = bool(np.median(span - least) > 0)
-        return cls(samples, features, shown, bands, survey.count, pixels, contrasted)
+        return cls(samples, features, shown, survey.count, pixels, contrasted)
 
     @cached_property
     def frames(self) -> NDArray[np.int64]:
@@ -201,22 +203,20 @@ class Relation:
         """Sums of products of the standardised photographs, (K, K)."""
         return np.asarray(self.samples.T @ self.samples)
 
-    def excess(self, order: NDArray[np.int64], cosines: Floats | None = None) -> float:
+    def excess(self, order: NDArray[np.int64]) -> float:
         """By how many standard deviations frames follow the patterns better than chance.
 
-        Frame k shows pattern `order[k]`, or none if that is out of range. The `cosines` are those
-        of some camera pixels; by default of all.
+        Frame k shows pattern `order[k]`, or none if that is out of range.
         """
-        cosines = self.cosines if cosines is None else cosines
         known = np.flatnonzero((order >= 0) & (order < len(self.frames)))
         if len(known) < _LIMITS.frames - 1:
             return 0.0
         mean, deviation = self._chance
         # Fewer pairs of frames correlate more by chance.
         more = len(self.frames) / len(known)
-        return (self._match(cosines, known, order[known]) - mean * more) / (deviation * more)
+        return (self._match(known, order[known]) - mean * more) / (deviation * more)
 
-    def _match(self, cosines: Floats, known: NDArray[np.int64], shown: NDArray[np.int64]) -> float:
+    def _match(self, known: NDArray[np.int64], shown: NDArray[np.int64]) -> float:
         """The best correlation of the cosines of some frames with those of the patterns."""
         upper = np.triu_indices(len(known), 1)
         if len(known) == len(self.frames):
@@ -224,7 +224,7 @@ class Relation:
             known, features = np.argsort(shown), self._all_features
         else:
             features = _normalised(self.features[:, shown[upper[0]], shown[upper[1]]])
-        own = np.stack([each[upper] for each in _cosines_of(cosines[np.ix_(known, known)])])
+        own = np.stack([each[upper] for each in _cosines_of(self.cosines[np.ix_(known, known)])])
         return float((features @ _normalised(own).T).max())
 
     @cached_property
@@ -238,7 +238,7 @@ class Relation:
         """Mean and standard deviation of the matches of frames in 60 random orders."""
         generator = np.random.default_rng(1)
         shuffled = [generator.permutation(self.frames) for _ in range(60)]
-        reached = [self._match(self.cosines, self.frames, order) for order in shuffled]
+        reached = [self._match(self.frames, order) for order in shuffled]
         return float(np.mean(reached)), max(float(np.std(reached)), 1e-9)
 
     @cached_property
@@ -286,21 +286,6 @@ class Relation:
         least = _LIMITS.explains + _LIMITS.better
         return bool(certain > least and across.flat[within.argmax()] < 0.4 * within.max())
 
-    def _late_part(self) -> tuple[str, str] | None:
-        """What part of all photographs shows the pattern before or after that of the rest."""
-        for what, band in zip(("one half", "every other row"), self.bands, strict=True):
-            for part in (self.samples[band], self.samples[~band]):
-                cosines = np.asarray(part.T @ part)
-                least = max(_LIMITS.explains, self.excess(self.frames, cosines) + _LIMITS.better)
-                for step, when in ((-1, "late"), (1, "early")):
-                    if self.excess(self.frames + step, cosines) > least:
-                        return (
-                            f"{what} of each photograph comes a frame {when}",
-                            "wait longer between showing a pattern and taking its photograph, and "
-                            "use a global shutter",
-                        )
-        return None
-
     @cached_property
     def _agreement(self) -> float:
         """Correlation of the cosines by one half of the camera pixels with those by the other."""
@@ -311,30 +296,8 @@ class Relation:
         first, second = (_cosines_of(part.T @ part)[1][upper] for part in halves)
         return float(_normalised(first) @ _normalised(second))
 
-    def explanation(self) -> tuple[str, str] | None:
-        """What explains the photographs better than their order, and what to do."""
-        # Only if all frames are compared: where some are, the beginnings would be tried that leave
-        # few of them.
-        turned = self.count == len(self.frames) and self.as_they_are < _LIMITS.follows
-        tried = [
-            (self.excess(order[: len(self.frames)]), message)
-            for message, order in likely_orders(self.count, turned=turned)
-        ]
-        score, message = max(tried)
-        if score > max(_LIMITS.explains, self.as_they_are + _LIMITS.better):
-            return message, "put photographs and patterns in the same order, from one series"
-        late = self._late_part()
-        if late is not None:
-            return late
-        if self._negative:
-            return (
-                "the photographs are dark where their patterns are bright: one is a negative",
-                "invert the patterns, or the photographs",
-            )
-        return None
-
     @property
-    def _negative(self) -> bool:
+    def negative(self) -> bool:
         """Whether the photographs are negatives, or the patterns inverted."""
         drawn = np.random.default_rng(2).integers(0, len(self.frames), (3 * _LIMITS.triples, 3))
         drawn = np.unique(np.sort(drawn, axis=1), axis=0)
@@ -358,7 +321,7 @@ class Relation:
         return worst < -_LIMITS.explains
 
 
-def likely_orders(count: int, *, turned: bool) -> Iterator[tuple[str, NDArray[np.int64]]]:
+def likely_orders(count: int) -> Iterator[tuple[str, NDArray[np.int64]]]:
     """Orders that frames come in by mistake: which pattern each of K frames shows."""
     frames = np.arange(count)
     for first in (0, 1):
@@ -376,12 +339,6 @@ def likely_orders(count: int, *, turned: bool) -> Iterator[tuple[str, NDArray[np
     yield "each photograph shows the pattern after its own", frames + 1
     yield "each photograph shows the pattern before its own", frames - 1
     yield "the photographs are in the opposite order of the patterns", frames[::-1]
-    for first in range(2, count - 1) if turned else ():
-        yield (
-            f"the photographs begin with that of pattern {first} (from 0), and those before it "
-            "come last: did the counter of their names start again, as after 9999?",
-            np.roll(frames, -first),
-        )
 
 
 def _products(rows: Floats, triples: NDArray[np.int64]) -> NDArray[np.float64]:

@@ -100,12 +100,6 @@ class Survey:
         longest = float(np.max(decoder.exposure))
         return 1 / (span * longest) if self.raw.dtype.kind == "u" else 1e-6 / longest
 
-    @cached_property
-    def distinct_patterns(self) -> int:
-        """Number of distinct patterns: one that is shown again tells nothing new."""
-        sums, _ = random_sums(self.patterns)
-        return len(np.unique(np.round(sums, 4)))
-
     def select_frames(self, frames: NDArray[np.integer]) -> Survey:
         """The survey of some frames, in this order; the patterns stay."""
         return replace(self, decoder=self.decoder.select(frames), raw=self.raw[:, frames])
@@ -149,16 +143,6 @@ class Survey:
         """The rows of the survey that lie (down, right) of the given inner ones."""
         _, _, cols, channels = self.grid
         return np.asarray(rows + (shift[0] * cols + shift[1]) * channels)
-
-
-def random_sums(patterns: PatternSet) -> tuple[NDArray[np.floating], float]:
-    """Randomly weighted sums of the pixels of each pattern (K,), and that of a white one.
-
-    They are about 1 in size. Equal patterns have equal sums; those of inverses add up to white's.
-    """
-    weights = np.random.default_rng(0).standard_normal((1, patterns.pixels))
-    scale = np.sqrt(patterns.pixels)
-    return patterns.forward(weights)[0] / scale, float(weights.sum() / scale)
 
 
 def high_variance_rows(survey: Survey) -> NDArray[np.int64]:

@@ -25,7 +25,6 @@ import lightmatrix as lm
 from lightmatrix.cli.calibrate import calibrate
 from lightmatrix.cli.capture import capture
 from lightmatrix.cli.check import check
-from lightmatrix.cli.claims import outputs
 from lightmatrix.cli.compensate import compensate
 from lightmatrix.cli.convert import convert
 from lightmatrix.cli.decode import decode
@@ -144,7 +143,7 @@ def _invoke(arguments: list[str]) -> int:
             command.main(arguments, prog_name="lightmatrix", complete_var=COMPLETION)
         words = ["--help" if word == "--help-all" else word for word in arguments]
         every = words != arguments
-        with outputs, command.make_context("lightmatrix", words, obj=every) as context:
+        with command.make_context("lightmatrix", words, obj=every) as context:
             command.invoke(context)
     except typer.Exit as leaving:
         return leaving.exit_code

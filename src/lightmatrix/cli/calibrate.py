@@ -9,12 +9,10 @@ from typing import Annotated
 from typer import Argument, Option
 
 import lightmatrix as lm
-from lightmatrix.cli.claims import claim
 from lightmatrix.cli.options import Json, Overwrite, output_option, size
 from lightmatrix.cli.source import numbers
 from lightmatrix.cli.terminal import progress, say, show_json
 from lightmatrix.errors import InputError
-from lightmatrix.files.kinds import GEOMETRY
 
 
 def calibrate(
@@ -66,7 +64,6 @@ def calibrate(
         raise InputError("--focal does not go with --board", hint="leave one of them out")
     side, units = _length("--square", square)
     corners = size(board)
-    claim(output, GEOMETRY, overwrite=overwrite)
     with progress("reading poses", "poses") as step:
         measured = lm.calibrate_rig(
             poses, corners, side, units=units, output=output, overwrite=overwrite, progress=step
@@ -112,7 +109,6 @@ def _without_board(
             hint="give one T or one file of `decode`; or a board: --board 9x7 --square 24mm",
         )
     length, units = _length("--baseline", baseline)
-    claim(output, GEOMETRY, overwrite=overwrite)
     axis = None
     if principal is not None:
         given = numbers(principal, "--principal")

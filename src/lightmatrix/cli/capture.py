@@ -9,11 +9,11 @@ from typer import Option
 
 import lightmatrix as lm
 from lightmatrix.cli import options
-from lightmatrix.cli.claims import claim
 from lightmatrix.cli.options import described
 from lightmatrix.cli.terminal import Stages, progress, say, show_json
-from lightmatrix.defaults import MOST_FRAMES, RIG_FILE, USUAL_FRAMES, USUAL_PATIENCE
-from lightmatrix.files.kinds import LIVE_CAPTURE, STORE
+from lightmatrix.defaults import MOST_FRAMES, RIG_FILE, USUAL_FRAMES
+from lightmatrix.files.kinds import STORE
+from lightmatrix.files.writing import check_output
 
 
 @described(
@@ -57,7 +57,6 @@ def capture(
     exposure: float | None = None,
     settle: options.Settle = None,
     response: str = "linear",
-    patience: options.Patience = USUAL_PATIENCE,
     rig_file: options.RigFile = Path(RIG_FILE),
     check: bool = True,
     until: str | None = None,
@@ -71,21 +70,13 @@ def capture(
     The rig is measured first: settle time and flicker, which the rig file keeps, and the exposures
     that the scene needs. Frames that are late, torn, lost or copied are taken again.
     """
-    settings = lm.CaptureSettings(
-        cell=cell,
-        exposure=exposure,
-        settle=settle,
-        response=response,
-        check=check,
-        until=until,
-    )
+    settings = lm.CaptureSettings(cell, exposure, settle, response, check, until)
     if count is None:
         count = USUAL_FRAMES if until is None else MOST_FRAMES
-    claim(output, LIVE_CAPTURE, overwrite=overwrite, parts="frames")
     if store is not None:
-        claim(store, STORE, overwrite=overwrite, parts="tiles")
+        check_output(store, STORE, overwrite=overwrite)
     with (
-        lm.open_rig(rig, projector=projector, camera=camera, patience=patience) as opened,
+        lm.open_rig(rig, projector=projector, camera=camera) as opened,
         Stages() as shown,
     ):
         captured = lm.take_capture(

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from enum import StrEnum
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 from typer import Argument, Option
 
@@ -17,16 +16,8 @@ from lightmatrix.cli.terminal import (
     say,
     show_json,
 )
-from lightmatrix.defaults import RIG_FILE, USUAL_PATIENCE, VIDEOS
+from lightmatrix.defaults import RIG_FILE, VIDEOS
 from lightmatrix.errors import InputError
-
-
-class Fit(StrEnum):
-    """How a picture of another size is fitted to the camera."""
-
-    COVER = "cover"
-    CONTAIN = "contain"
-    STRETCH = "stretch"
 
 
 def compensate(
@@ -50,9 +41,9 @@ def compensate(
         ),
     ] = None,
     fit: Annotated[
-        Fit,
+        Literal["cover", "contain", "stretch"],
         Option(help="A picture of another size covers the camera, is seen whole, or is stretched."),
-    ] = Fit.COVER,
+    ] = "cover",
     black: Annotated[
         Path | None, Option(help="Photograph of a black pattern: the room's light.")
     ] = None,
@@ -76,8 +67,6 @@ def compensate(
             show_default="that of the rig's file or of T's capture, or gamma:2.2",
         ),
     ] = None,
-    green: options.Green = None,
-    blue: options.Blue = None,
     beside: Annotated[
         list[Path] | None,
         Option(
@@ -106,7 +95,6 @@ def compensate(
     projector: options.ProjectorName = None,
     camera: options.CameraName = None,
     settle: options.Settle = None,
-    patience: options.Patience = USUAL_PATIENCE,
     rig_file: options.RigFile = Path(RIG_FILE),
     overwrite: options.Overwrite = False,
     as_json: options.Json = False,
@@ -117,37 +105,28 @@ def compensate(
     reached are counted. With a rig, photographs of the pattern correct it.
     """
     with_rig = rig is not None or projector is not None or camera is not None
-    several = bool(green or blue or beside)
     video = wanted is not None and (wanted.is_dir() or wanted.suffix.lower() in VIDEOS)
+    of_rig: dict[str, object] = {"--refine": refine, "--live": live, "--settle": settle}
     if cancel_global:
-        other = several or video or with_rig or refine is not None or live or black or mask
-        if other or projector_mask or brightness is not None or gamma is not None:
-            raise InputError(
-                "--cancel-global with options of other compensations",
-                hint="it takes SCENE.zarr and, if not white, a pattern",
-            )
+        others: dict[str, object] = {
+            "--beside": beside,
+            "--black": black,
+            "--mask": mask,
+            "--brightness": brightness,
+        }
+        others |= {"--projector-mask": projector_mask, "--gamma": gamma, "a video": video}
+        options.refuse(of_rig | others | {"a rig": with_rig}, "--cancel-global")
     elif wanted is None:
         raise InputError("no picture", hint="give the wanted picture, or a folder of frames")
-    elif not with_rig and (refine is not None or live or settle is not None):
-        name = "refine" if refine is not None else "live" if live else "settle"
-        raise InputError(
-            f"--{name} without a rig",
-            hint="add --rig virtual:SCENE, or --projector and --camera",
-        )
-    elif several and (video or with_rig):
-        raise InputError(
-            "several matrices for a video or a rig",
-            hint="compensate single pictures with several projectors or in colour",
-        )
-    elif with_rig and (video or black is not None or projector_response is not None):
-        taken = "a video" if video else "--black" if black else "--projector-response"
-        raise InputError(
-            f"a rig and {taken}",
-            hint="a rig takes a picture, and measures black and its response by itself",
-        )
+    elif with_rig:
+        options.refuse({"--black": black, "--projector-response": projector_response}, "a rig")
+        options.refuse({"--beside": beside, "a video": video}, "a rig")
+    else:
+        options.refuse(of_rig, "a compensation without a rig")
+        options.refuse({"--beside": video and beside}, "a video")
     response: Any = projector_response
     source = "the rig" if with_rig else projector_response or "the capture of T"
-    if response is None and not with_rig and not several and rig_file.is_file():
+    if response is None and not with_rig and not beside and rig_file.is_file():
         response, source = lm.RigMeasurements.load(rig_file).response, str(rig_file)
     written: dict[str, Any] = {"output": output, "overwrite": overwrite}
     if not with_rig:
@@ -157,7 +136,7 @@ def compensate(
         "projector_mask": projector_mask,
         "brightness": brightness,
         "gamma": gamma,
-        "fit": fit.value,
+        "fit": fit,
     }
     found: Any
     if cancel_global:
@@ -167,7 +146,7 @@ def compensate(
         with progress("compensating", "frames") as report:
             found = lm.compensate_video(scene, wanted, ambient=black, progress=report, **common)
     elif with_rig:
-        opened = lm.open_rig(rig, projector=projector, camera=camera, patience=patience)
+        opened = lm.open_rig(rig, projector=projector, camera=camera)
         assert wanted is not None
         if live:
             common["live"] = _Live(refine, quiet=as_json)
@@ -177,9 +156,8 @@ def compensate(
             common |= {"keep": rig_file, "settle": settle, "measuring": shown.measured}
             found = lm.refine_compensation(opened, scene, wanted, **common)
     else:
-        matrices = [*(options.primaries(scene, green, blue) or (scene,)), *(beside or ())]
         assert wanted is not None
-        found = lm.compensate(matrices, wanted, ambient=black, **common)
+        found = lm.compensate([scene, *(beside or ())], wanted, ambient=black, **common)
     summary = {"output": output, **found.as_dict()}
     if as_json:
         show_json(summary)

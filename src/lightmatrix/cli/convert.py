@@ -8,10 +8,8 @@ from typing import Annotated, Literal
 from typer import Argument, Option
 
 import lightmatrix as lm
-from lightmatrix.cli.claims import claim
 from lightmatrix.cli.options import FIND_HELP, Json, Overwrite, output_option
 from lightmatrix.cli.terminal import progress, say, show_json
-from lightmatrix.files.kinds import CAPTURE
 
 
 def convert(
@@ -29,7 +27,6 @@ def convert(
     FOLDER is a setup of CompenNet's data (with cam/raw/train); SLStudio's frames and patterns
     (frameSeq_*, pat_*); or patterns/, numbered folders of photographs, and exposures.csv or .json.
     """
-    claim(output, CAPTURE, overwrite=overwrite)
     with progress("converting", "frames") as step:
         layout = lm.convert(
             folder, output, channel=channel, response=response, overwrite=overwrite, progress=step

@@ -8,11 +8,9 @@ from typing import Annotated
 from typer import Option
 
 import lightmatrix as lm
-from lightmatrix.cli.claims import claim
 from lightmatrix.cli.options import Json, Overwrite, output_option, size
 from lightmatrix.cli.source import Source, with_source
 from lightmatrix.cli.terminal import progress, say, show_json
-from lightmatrix.files.kinds import CORRESPONDENCE
 
 
 @with_source(crop=False)
@@ -37,7 +35,6 @@ def decode(
     order: the code is read from the patterns. Writes the projector pixel that each camera pixel
     sees, to fractions, with its uncertainty.
     """
-    claim(output, CORRESPONDENCE, overwrite=overwrite)
     capture = source.open().bin(projector=size(bin_projector))
     with progress("decoding", "samples") as step:
         matches = lm.decode(capture, output=output, overwrite=overwrite, check=check, progress=step)

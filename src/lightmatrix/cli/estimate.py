@@ -5,6 +5,7 @@ from __future__ import annotations
 import functools
 import time
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
@@ -13,14 +14,14 @@ from typer import Option
 
 import lightmatrix as lm
 from lightmatrix.check.finding import Finding
-from lightmatrix.cli.claims import claim
 from lightmatrix.cli.options import Json, Overwrite, Verbose, described, output_option, refuse, size
 from lightmatrix.cli.source import Source, refuse_unknown_projector, with_source
 from lightmatrix.cli.terminal import as_options, progress, say, show_json, show_table
 from lightmatrix.defaults import ADMM_ITERATIONS, COHERENT_UP_TO, PASSES
 from lightmatrix.errors import InputError
 from lightmatrix.files.colours import COLOURS
-from lightmatrix.files.kinds import COLOUR_STORES, REPORT, STORE
+from lightmatrix.files.kinds import REPORT
+from lightmatrix.files.writing import check_output
 from lightmatrix.reprs import labelled
 
 if TYPE_CHECKING:
@@ -159,20 +160,14 @@ def estimate(
     a matrix of each primary, in one go.
     """
     started = time.perf_counter()
+    # A regularization is auto, or a number.
+    number: str | float = regularization
+    with suppress(ValueError):
+        number = float(regularization)
     settings = lm.EstimateSettings(
-        solver=solver,
-        fidelity=fidelity,
-        regularization=_regularization(regularization),
-        coherent=coherent,
-        multi_scale=multi_scale,
-        background=background,
-        signed=signed,
-        iterations=iterations,
-        tile_rows=tile_rows,
-        memory=memory,
-        workers=workers,
-        cluster=cluster,
-    )
+        solver, fidelity, number, coherent, multi_scale, background,
+        signed, iterations, tile_rows, memory, workers, cluster,
+    )  # fmt: skip
     # A mistyped input is named first, whatever the output.
     capture = source.open(finds_projector=True)
     if isinstance(capture.patterns, lm.ColourPatterns):
@@ -186,13 +181,8 @@ def estimate(
                 f"{output} for patterns in colour, whose T is a folder of three stores",
                 hint=f"name a folder: -o {output.with_suffix('')}",
             )
-        claim(output, COLOUR_STORES, overwrite=overwrite)
     else:
-        _check_report(output, report, viewer, geometry)
-        if not dry_run:
-            claim(output, STORE, overwrite=overwrite, parts="tiles")
-            if report is not None:
-                claim(report, REPORT, overwrite=overwrite)
+        _check_report(output, report, viewer, geometry, overwrite=overwrite)
     capture = capture.bin(projector=size(bin_projector), camera=size(bin_camera))
     if isinstance(capture.patterns, lm.ColourPatterns):
         colour = lm.estimate_colour(capture, output=output, overwrite=overwrite, check=check)
@@ -256,8 +246,10 @@ def _refuse_settings(settings: EstimateSettings, others: Mapping[str, object]) -
     refuse(named, "patterns in colour")
 
 
-def _check_report(output: Path, report: Path | None, viewer: bool, geometry: Path | None) -> None:
-    """Refuse a viewer and a geometry without the report, and a report where the estimate goes."""
+def _check_report(
+    output: Path, report: Path | None, viewer: bool, geometry: Path | None, *, overwrite: bool
+) -> None:
+    """Refuse a viewer and a geometry without the report, and a report that cannot be written."""
     if viewer and report is None:
         hint = "add --report, or run `lightmatrix view --export` on the estimate"
         raise InputError("--viewer without --report", hint=hint)
@@ -271,6 +263,8 @@ def _check_report(output: Path, report: Path | None, viewer: bool, geometry: Pat
         raise InputError(
             f"{report}: is where the estimate goes", hint="choose another folder for the report"
         )
+    if report is not None:
+        check_output(report, REPORT, overwrite=overwrite)
 
 
 def _truth(folder: Path | None, transport: LightTransport) -> LightTransport | None:
@@ -316,11 +310,3 @@ def _show_resources(resources: ResourceEstimate, as_json: bool) -> None:
     say(f"the estimate takes {resources} ({free})", style=None if resources.fits else "yellow")
     if resources.advice:
         say(as_options(resources.advice))
-
-
-def _regularization(text: str) -> str | float:
-    """A number if the text is one, otherwise the text."""
-    try:
-        return float(text)
-    except ValueError:
-        return text

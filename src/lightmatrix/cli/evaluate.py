@@ -2,40 +2,32 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import lightmatrix as lm
-from lightmatrix.cli.options import Blue, Green, Json, Store, described, primaries
+from lightmatrix.cli.options import Json, Store, described
 from lightmatrix.cli.terminal import progress, show_json, show_table
-from lightmatrix.files.colours import COLOURS, holds_colour
+from lightmatrix.files.colours import holds_colour
 from lightmatrix.reprs import labelled
 
 
 @described(
-    truth="T.npz from `render` or `export`, a simulated capture, or a scene; with --green "
-    "and --blue a folder with the captures red, green and blue; for the folder of a colour "
-    "projector's T its simulated capture.",
+    truth="T.npz from `render` or `export`, a simulated capture, or a scene; of a colour "
+    "projector, also a folder with the captures red, green and blue.",
     exposure="Exposure of the capture; decides which rows clip under one projector pixel.",
 )
 def evaluate(
     scene: Store,
     truth: str,
-    green: Green = None,
-    blue: Blue = None,
     exposure: float = 1.0,
     as_json: Json = False,
 ) -> None:
     """Compare an estimate with the true T.
 
     Shows the errors of T, of relit images and of single responses, over all rows and some kinds of
-    rows. With --green and --blue, and for a folder of three stores, it compares the three matrices
-    of a colour projector.
+    rows. For a folder of three stores, it compares the three matrices of a colour projector.
     """
-    three = primaries(scene, green, blue)
     title = f"{scene} against {truth}"
-    if three is not None or holds_colour(scene):
-        known = [Path(truth) / colour for colour in COLOURS]
-        joint = lm.evaluate_colour(three or scene, truth if three is None else known, exposure)
+    if holds_colour(scene):
+        joint = lm.evaluate_colour(scene, truth, exposure)
         if as_json:
             show_json(joint.as_dict())
         else:

@@ -17,10 +17,9 @@ _VALUES = dict.fromkeys(("--size", "--camera-size", "--projector-size", "--block
 _VALUES |= dict.fromkeys(("--response", "--projector-response"), "NAME|FILE")
 _VALUES |= dict.fromkeys(("--bin-camera", "--bin-projector"), "N|NxN")
 _VALUES |= dict.fromkeys(("--projector", "--camera"), "ADDRESS")
-_VALUES |= dict.fromkeys(("--memory", "--page-memory"), "SIZE")
 _VALUES |= dict.fromkeys(("--exposure", "--levels", "--clip", "--black-level"), "X,...")
 _VALUES |= {"--black": "FILE|LEVEL", "--regularization": "auto|X", "--mix": "CELLS:SHARE,..."}
-_VALUES |= {"--truth": "T.npz|CAPTURE|SCENE"}
+_VALUES |= {"--truth": "T.npz|CAPTURE|SCENE", "--memory": "SIZE"}
 
 
 class Command(TyperCommand):

@@ -62,13 +62,6 @@ ResponseCurve = Annotated[
 ]
 Seed = Annotated[int, Option(help="Seed of the random numbers.", min=0)]
 Store = Annotated[Path, Argument(metavar="SCENE.zarr", help="A store of `estimate`, or a T.npz.")]
-Green = Annotated[
-    Path | None,
-    Option(
-        metavar="GREEN.zarr", help="T of a colour projector's green. SCENE is then T of its red."
-    ),
-]
-Blue = Annotated[Path | None, Option(metavar="BLUE.zarr", help="T of a colour projector's blue.")]
 RigName = Annotated[
     str | None,
     Option("--rig", metavar="virtual:SCENE", help="A virtual rig, which needs no hardware."),
@@ -79,18 +72,12 @@ Settle = Annotated[
     float | None,
     Option(help="Seconds to wait after showing a picture.", show_default="as measured"),
 ]
-# The heading of options that few need, which only --help-all shows.
-RARE = "Rarely needed"
-Patience = Annotated[
-    float, Option(rich_help_panel=RARE, help="Seconds to wait for a frame after its exposure.")
-]
 RigFile = Annotated[
     Path, Option("--rig-file", help="The file that keeps the measurements of the rig.")
 ]
 
 # Defaults as the texts of options.
 USUAL_SIZE = "x".join(map(str, defaults.USUAL_SIZE))
-USUAL_PAGE_MEMORY = f"{defaults.PAGE_BYTES >> 20}MiB"
 # Numbers of pixels fit into 32 bits.
 MOST_PIXELS = 2**31 - 1
 
@@ -114,15 +101,3 @@ def size(text: str) -> tuple[int, int]:
             f"a size of {text!r}", hint=f"use at least 1x1 and at most {MOST_PIXELS:,} pixels"
         )
     return rows, cols
-
-
-def primaries(red: Path, green: Path | None, blue: Path | None) -> tuple[Path, Path, Path] | None:
-    """The three matrices of a colour projector; None for a grey projector, which has only one."""
-    if green is None and blue is None:
-        return None
-    if green is None or blue is None:
-        raise InputError(
-            f"--{'blue' if blue is None else 'green'} is missing",
-            hint="a colour projector has three matrices: give red as the scene, --green and --blue",
-        )
-    return red, green, blue

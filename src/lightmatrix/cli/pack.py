@@ -6,11 +6,9 @@ from pathlib import Path
 from typing import Annotated
 
 import lightmatrix as lm
-from lightmatrix.cli.claims import claim
 from lightmatrix.cli.options import Json, Overwrite, output_option
 from lightmatrix.cli.source import Source, with_source
 from lightmatrix.cli.terminal import progress, say, show_json
-from lightmatrix.files.kinds import CAPTURE
 
 
 @with_source(crop=False)
@@ -26,7 +24,6 @@ def pack(
     Give a capture folder; or patterns and images, each as a folder or a stack. Commands read from
     the copy only the camera pixels that they need.
     """
-    claim(output, CAPTURE, overwrite=overwrite)
     # From a capture folder `pack` copies truth.npz too.
     packable = source.open() if source.folder is None else source.folder
     with progress("packing", "rows") as step:

@@ -8,12 +8,10 @@ from typing import TYPE_CHECKING, Annotated, Literal
 from typer import Argument, Option
 
 import lightmatrix as lm
-from lightmatrix.cli.claims import claim
 from lightmatrix.cli.options import Json, Overwrite, Seed, output_option, size
 from lightmatrix.cli.terminal import say, show_json
 from lightmatrix.defaults import FEWEST_MIXED, MIX_EXAMPLE, USUAL_COUNT
 from lightmatrix.errors import InputError
-from lightmatrix.files.kinds import PATTERNS
 
 if TYPE_CHECKING:
     from lightmatrix import PatternSet
@@ -77,7 +75,6 @@ def patterns(
     as_json: Json = False,
 ) -> None:
     """Write projection patterns as a folder of PNG files."""
-    claim(output, PATTERNS, overwrite=overwrite)
     if mix is not None and kind != "mix":
         raise InputError(f"--mix for {kind} patterns", hint="write `lightmatrix patterns mix`")
     in_colour = primary == "rgb"

@@ -10,7 +10,7 @@ from typer import Argument, Option
 import lightmatrix as lm
 from lightmatrix.cli import options
 from lightmatrix.cli.terminal import enter_was_pressed, say
-from lightmatrix.defaults import RIG_FILE, USUAL_PATIENCE
+from lightmatrix.defaults import RIG_FILE
 from lightmatrix.errors import InputError
 
 
@@ -40,7 +40,6 @@ def project(
             show_default="they hold grey values",
         ),
     ] = None,
-    patience: options.Patience = USUAL_PATIENCE,
     rig_file: options.RigFile = Path(RIG_FILE),
     overwrite: options.Overwrite = False,
 ) -> None:
@@ -57,7 +56,7 @@ def project(
     if rig is not None and photograph is None and seconds is None:
         raise InputError("nobody sees a virtual rig", hint="add -o PHOTOGRAPH.png")
     opened = (
-        lm.open_rig(rig, projector=projector, camera=camera, patience=patience)
+        lm.open_rig(rig, projector=projector, camera=camera)
         if with_camera
         else lm.open_projector(str(projector))
     )

@@ -9,7 +9,7 @@ from typing import Annotated
 from typer import Argument, Option
 
 import lightmatrix as lm
-from lightmatrix.cli.options import Blue, Green, Json, Overwrite, Store, output_option, primaries
+from lightmatrix.cli.options import Json, Overwrite, Store, output_option
 from lightmatrix.cli.terminal import say, show_json
 
 
@@ -17,12 +17,10 @@ def relight(
     scene: Store,
     pattern: Annotated[Path, Argument(metavar="PATTERN", help="An image of the projector's size.")],
     output: Annotated[Path, output_option("Image: .png, .tiff, .exr or .npy.")],
-    exposure: Annotated[float, Option(help="Exposure e, a factor; T is for exposure 1.")] = 1.0,
+    exposure: Annotated[float, Option(help="Brightness factor; 1 is the unit of T.")] = 1.0,
     gamma: Annotated[
         float | None, Option(help="Display gamma of a PNG; 1 keeps it linear.", show_default="2.2")
     ] = None,
-    green: Green = None,
-    blue: Blue = None,
     resize: Annotated[
         bool, Option("--resize", help="Resize the pattern to the projector.")
     ] = False,
@@ -31,11 +29,11 @@ def relight(
 ) -> None:
     """Compute the photograph under any pattern.
 
-    The photograph is c = T p. A PNG clips at full scale; TIFF, EXR and npy keep all values. For a
-    colour projector, give T of each primary (SCENE, --green, --blue) and a pattern in colour.
+    The photograph is c = T p. A PNG clips at full scale; TIFF, EXR and npy keep all values. Of a
+    colour projector, give the folder of red.zarr, green.zarr and blue.zarr.
     """
     image = lm.relight(
-        primaries(scene, green, blue) or scene,
+        scene,
         pattern,
         exposure=exposure,
         gamma=gamma,

@@ -8,11 +8,11 @@ from typing import Annotated
 from typer import Argument, Option
 
 import lightmatrix as lm
-from lightmatrix.cli.claims import claim
 from lightmatrix.cli.options import Json, Overwrite, Seed, output_option, size
 from lightmatrix.cli.terminal import progress, say, show_json
 from lightmatrix.defaults import USUAL_SAMPLES
 from lightmatrix.files.kinds import TRUTH
+from lightmatrix.files.writing import check_output
 
 
 def render(
@@ -40,7 +40,7 @@ def render(
 
     One pass of path tracing gives the whole matrix, with direct and global light apart.
     """
-    claim(output, TRUTH, overwrite=overwrite)
+    check_output(output, TRUTH, overwrite=overwrite)
     with progress(f"rendering {name}", "paths") as report:
         truth = lm.render(
             name,

@@ -14,13 +14,12 @@ from lightmatrix.cli.help import Command
 from lightmatrix.cli.options import (
     CameraName,
     Json,
-    Patience,
     ProjectorName,
     RigFile,
     RigName,
 )
 from lightmatrix.cli.terminal import Stages, say, show_json
-from lightmatrix.defaults import RIG_FILE, USUAL_PATIENCE
+from lightmatrix.defaults import RIG_FILE
 
 app = typer.Typer(
     help="Measure a projector and a camera.",
@@ -106,11 +105,10 @@ def _add_command(part: str) -> None:
         response: Annotated[
             str, typer.Option(help="Response of the camera: linear, gamma:2.2, srgb, FILE.")
         ] = "linear",
-        patience: Patience = USUAL_PATIENCE,
         rig_file: RigFile = Path(RIG_FILE),
         as_json: Json = False,
     ) -> None:
-        opened = lm.open_rig(rig, projector=projector, camera=camera, patience=patience)
+        opened = lm.open_rig(rig, projector=projector, camera=camera)
         with opened, Stages() as shown:
             known = lm.measure_rig(
                 opened,

@@ -8,10 +8,8 @@ from typing import Annotated
 from typer import Option
 
 import lightmatrix as lm
-from lightmatrix.cli.claims import claim
 from lightmatrix.cli.options import Json, Overwrite, Store, output_option
 from lightmatrix.cli.terminal import say, show_json
-from lightmatrix.files.kinds import SEPARATION
 
 
 def separate(
@@ -35,7 +33,6 @@ def separate(
     sum is T; direct.npy and global.npy, their images; separation.png, a picture of both;
     confidence.npy and parallax.npy.
     """
-    claim(output, SEPARATION, overwrite=overwrite)
     parts = lm.separate(
         scene,
         pattern=pattern,

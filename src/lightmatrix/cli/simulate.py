@@ -4,20 +4,17 @@ from __future__ import annotations
 
 from collections import Counter
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Literal
 
 import typer
 
 import lightmatrix as lm
-from lightmatrix.cli.claims import claim
-from lightmatrix.cli.options import USUAL_SIZE, Json, Overwrite, Seed, described, refuse, size
+from lightmatrix.cli.options import Json, Overwrite, Seed, described
 from lightmatrix.cli.terminal import progress, say, show_json
-from lightmatrix.defaults import EXPOSURES_EXAMPLE, PROCEDURAL, USUAL_COUNT, USUAL_NOISE
+from lightmatrix.defaults import EXPOSURES_EXAMPLE, USUAL_NOISE
 from lightmatrix.errors import InputError
 from lightmatrix.files.kinds import CAPTURE
-
-if TYPE_CHECKING:
-    from lightmatrix import PatternSet
+from lightmatrix.files.writing import check_output
 
 
 @described(
@@ -27,18 +24,13 @@ if TYPE_CHECKING:
     output=typer.Option(
         "-o", "--output", help="Capture folder to write; a packed capture if it ends in .zarr."
     ),
-    pattern_folder=typer.Option("--patterns", help="Folder made by `lightmatrix patterns`."),
-    camera=typer.Option("--camera-size", help="procedural: camera pixels, such as 1024x1024."),
-    projector=typer.Option("--size", help="procedural: projector pixels, such as 768x1024."),
-    count=typer.Option(
-        "-k", "--count", help="procedural: number of random patterns, in place of --patterns."
-    ),
+    patterns=typer.Option(help="Folder made by `lightmatrix patterns`."),
     exposure="Exposure e in sample = min(1, e T p); or several with their shares of the "
     f"frames, {EXPOSURES_EXAMPLE}.",
     bits="Bit depth: 8, 10, 12 or 16.",
     noise="Read noise, standard deviation as a share of the clip level.",
     shot_noise="Shot noise at the clip level, standard deviation as a share of it.",
-    black=typer.Option("--black-level", help="Raw level without light."),
+    black_level="Raw level without light.",
     blur="Defocus of the projector, standard deviation in pixels.",
     leak="Light of a black projector pixel, as a share of a white one.",
     ambient="Room light, as a share of the mean white image.",
@@ -57,15 +49,12 @@ if TYPE_CHECKING:
 def simulate(
     scene: str,
     output: Path,
-    pattern_folder: Path | None = None,
-    camera: str | None = None,
-    projector: str | None = None,
-    count: int | None = None,
+    patterns: Path,
     exposure: str = "0.8",
     bits: int = 8,
     noise: float = USUAL_NOISE,
     shot_noise: float = 0.0,
-    black: float = 0.0,
+    black_level: float = 0.0,
     blur: float = 0.0,
     leak: float = 0.0,
     ambient: float = 0.0,
@@ -78,31 +67,28 @@ def simulate(
 ) -> None:
     """Photograph a scene under patterns.
 
-    The command writes a capture folder, with the true T beside the frames as truth.npz. The scene
-    `procedural` has any --camera-size and --size that fit into memory.
+    The command writes a capture folder, with the true T beside the frames as truth.npz. Camera and
+    projector have the size of the patterns; the scene `procedural` has any that fits into memory.
     """
-    claim(output, CAPTURE, overwrite=overwrite)
-    common: dict[str, Any] = {
-        "exposure": exposure,
-        "bits": bits,
-        "noise": noise,
-        "shot_noise": shot_noise,
-        "black_level": black,
-        "seed": seed,
-    }
-    rig: dict[str, Any] = {"blur": blur, "leak": leak, "ambient": ambient, "vignetting": vignetting}
-    rig |= {"primary": primary, "faults": _amounts(fault or [])}
+    check_output(output, CAPTURE, overwrite=overwrite)
     with progress("simulating", "rows") as report:
-        if scene == PROCEDURAL:
-            patterns = _patterns(pattern_folder, projector, count, seed)
-            camera_shape = size(camera or projector or USUAL_SIZE)
-            truth = lm.ProceduralScene(camera_shape, patterns.shape, seed).truth()
-            capture = lm.simulate(truth, patterns, progress=report, **common, **rig)
-        else:
-            refuse({"--camera-size": camera, "--size": projector, "-k": count}, scene)
-            if pattern_folder is None:
-                raise InputError("--patterns is missing", hint="make some: lightmatrix patterns")
-            capture = lm.simulate(scene, pattern_folder, progress=report, **common, **rig)
+        capture = lm.simulate(
+            scene,
+            patterns,
+            exposure=exposure,
+            bits=bits,
+            noise=noise,
+            shot_noise=shot_noise,
+            black_level=black_level,
+            blur=blur,
+            leak=leak,
+            ambient=ambient,
+            vignetting=vignetting,
+            primary=primary,
+            faults=_amounts(fault or []),
+            seed=seed,
+            progress=report,
+        )
         capture.save(output, overwrite=overwrite)
     clipped = capture.raw_clipped_share
     if as_json:
@@ -132,15 +118,3 @@ def _amounts(faults: list[str]) -> dict[str, float]:
         if amounts.setdefault(name, number) != number:
             raise InputError(f"{name} twice", hint="give each fault once")
     return amounts
-
-
-def _patterns(
-    folder: Path | None, projector: str | None, count: int | None, seed: int
-) -> PatternSet:
-    """The patterns of a folder, or random ones of the projector's size."""
-    if folder is None:
-        return lm.BernoulliPatterns(
-            size(projector or USUAL_SIZE), USUAL_COUNT if count is None else count, seed=seed
-        )
-    refuse({"--size": projector, "-k": count}, "patterns of a folder")
-    return lm.read_patterns(folder)

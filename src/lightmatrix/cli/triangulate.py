@@ -8,10 +8,8 @@ from typing import Annotated
 from typer import Argument, Option
 
 import lightmatrix as lm
-from lightmatrix.cli.claims import claim
 from lightmatrix.cli.options import Json, Overwrite, output_option
 from lightmatrix.cli.terminal import say, show_json
-from lightmatrix.files.kinds import CLOUD, DEPTH, PICTURE
 
 
 def triangulate(
@@ -42,11 +40,6 @@ def triangulate(
     light beside it is taken; what bounced between surfaces lies elsewhere. Points come with
     normals, grey values and the uncertainty of their depth.
     """
-    claim(output, CLOUD, overwrite=overwrite)
-    if depth is not None:
-        claim(depth, DEPTH, overwrite=overwrite)
-    if picture is not None:
-        claim(picture, PICTURE, overwrite=overwrite)
     shape = lm.triangulate(
         scene,
         geometry,

@@ -10,10 +10,9 @@ from typing import Any
 from typer import Option
 
 import lightmatrix as lm
-from lightmatrix.cli.options import RARE, USUAL_PAGE_MEMORY, Overwrite, Store, described
+from lightmatrix.cli.options import Overwrite, Store, described
 from lightmatrix.cli.terminal import progress, say
 from lightmatrix.errors import InputError
-from lightmatrix.resources.memory import memory_bytes
 
 
 @described(
@@ -25,11 +24,6 @@ from lightmatrix.resources.memory import memory_bytes
     geometry=Option(metavar="GEOMETRY.json", help="The geometry of the rig, for a layer of depth."),
     port="Port on this machine; 0 for a free one.",
     browser=Option("--browser/--no-browser", help="Open the page in the browser."),
-    page_memory=Option(
-        rich_help_panel=RARE,
-        help="Largest matrix that the page itself holds, such as 512MiB. Larger ones stay on "
-        "disk, with an index of their columns, which is made if it is missing.",
-    ),
 )
 def view(
     scene: Store,
@@ -38,7 +32,6 @@ def view(
     geometry: Path | None = None,
     port: int = 0,
     browser: bool = True,
-    page_memory: str = USUAL_PAGE_MEMORY,
     overwrite: Overwrite = False,
 ) -> None:
     """Paint with light: show T in the browser.
@@ -68,7 +61,6 @@ def view(
             port=port,
             browser=browser,
             ready=ready,
-            page_bytes=memory_bytes(page_memory),
             progress=lambda *step: bar()(*step),
             capture=capture,
             geometry=geometry,

@@ -189,7 +189,7 @@ def claimed(path: str | Path, kind: OutputKind, *, overwrite: bool = False) -> I
 @contextmanager
 def atomic_file(path: str | Path, kind: OutputKind, *, overwrite: bool = False) -> Iterator[Path]:
     """Write a file at a temporary path with the same ending, which becomes `path` on success."""
-    with claimed(path, kind, overwrite=overwrite) as target, _temporary(path, target) as place:
+    with claimed(path, kind, overwrite=overwrite) as target, temporary(path, target) as place:
         # In lower case, for writers that choose the format by it or append their own.
         part = place / f"new{Path(path).suffix.lower()}"
         yield part
@@ -202,7 +202,7 @@ def atomic_file(path: str | Path, kind: OutputKind, *, overwrite: bool = False) 
 @contextmanager
 def atomic_folder(path: str | Path, kind: FolderKind, *, overwrite: bool = False) -> Iterator[Path]:
     """Fill and mark a temporary folder, which replaces the folder at `path` once it is whole."""
-    with claimed(path, kind, overwrite=overwrite) as target, _temporary(path, target) as place:
+    with claimed(path, kind, overwrite=overwrite) as target, temporary(path, target) as place:
         part = place / "new"
         part.mkdir()
         yield part
@@ -227,7 +227,7 @@ def as_output_error(output: str | Path) -> Iterator[None]:
 
 
 @contextmanager
-def _temporary(shown: str | Path, target: Path) -> Iterator[Path]:
+def temporary(shown: str | Path, target: Path) -> Iterator[Path]:
     """The temporary folder of an output, removed in any case."""
     place = _temporary_folder(target)
     with as_output_error(shown):

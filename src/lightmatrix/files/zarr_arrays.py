@@ -65,53 +65,26 @@ def create_array(
 def write_parts(
     group: zarr.Group,
     parts: Iterable[Mapping[str, NDArray[Any]]],
+    rows: int,
     chunk: int | None = None,
     blosc: BloscCodec = SMALL,
 ) -> None:
     """Write arrays of unknown lengths from parts that follow each other along the first axis.
 
-    Each part holds values of all arrays, by name. A chunk has about `chunk` values (None: CHUNK).
+    Each part holds values of all arrays, by name; most arrays have `rows` rows in the end. A chunk
+    has at most `chunk` values (None: CHUNK).
     """
-    arrays: dict[str, _GrowingArray] = {}
+    arrays: dict[str, zarr.Array[Any]] = {}
     for part in parts:
-        for name in set(part) - set(arrays):
-            arrays[name] = _GrowingArray(group, name, chunk or CHUNK, blosc)
+        for name, values in part.items():
+            if name not in arrays:
+                wide = tuple(max(1, n) for n in values.shape[1:])
+                most = max(1, (chunk or CHUNK) // math.prod(wide))
+                chunks = (min(most, max(rows, len(values))), *wide)
+                shape = (0, *values.shape[1:])
+                arrays[name] = create_array(group, name, shape, values.dtype, chunks, blosc)
         # Most of the time goes into compressing, which threads do side by side.
-        side_by_side([partial(arrays[name].add, values) for name, values in part.items()])
-    side_by_side([array.close for array in arrays.values()])
-
-
-class _GrowingArray:
-    """An array of unknown length, written in chunks of about `values` values as they fill."""
-
-    def __init__(self, group: zarr.Group, name: str, values: int, blosc: BloscCodec) -> None:
-        self._group, self._name, self._values, self._blosc = group, name, values, blosc
-        self._waiting: list[NDArray[Any]] = []
-        self._array: zarr.Array[Any] | None = None
-
-    def add(self, values: NDArray[Any]) -> None:
-        """Append values along the first axis."""
-        self._waiting.append(values)
-        chunk = max(1, self._values // max(1, int(np.prod(values.shape[1:]))))
-        if sum(map(len, self._waiting)) >= chunk:
-            self._write(chunk, last=False)
-
-    def close(self) -> None:
-        """Write the rest; something must have been added, even if only an empty array."""
-        self._write(max(1, sum(map(len, self._waiting))), last=True)
-
-    def _write(self, chunk: int, *, last: bool) -> None:
-        values = np.concatenate(self._waiting)
-        ready = len(values) if last else len(values) // chunk * chunk
-        shape = values.shape[1:]
-        if self._array is None:
-            chunks = (chunk, *(max(1, n) for n in shape))
-            self._array = create_array(
-                self._group, self._name, (0, *shape), values.dtype, chunks, self._blosc
-            )
-        if ready:
-            self._array.append(values[:ready])
-        self._waiting = [values[ready:]]
+        side_by_side([partial(arrays[name].append, part[name]) for name in part if len(part[name])])
 
 
 def _read_metadata(place: Path) -> dict[str, Any]:

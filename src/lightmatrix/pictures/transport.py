@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import io
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -52,6 +53,13 @@ class Picture(Figure):
         self.savefig(file, facecolor="white", dpi=150)
 
 
+@contextmanager
+def _picture(width: float, height: float) -> Iterator[Picture]:
+    """A figure of this size in inches, in the common style."""
+    with mpl.rc_context(STYLE):
+        yield Picture(figsize=(width, height), layout="constrained")
+
+
 def show_relit(
     transport: LightTransport, pattern: NDArray[Any], *, exposure: float | None = None
 ) -> Picture:
@@ -96,8 +104,7 @@ def show_relit(
         if clipped.any():
             shown = mark_clipped(shown, clipped)
             title += f": {100 * clipped.mean():.1f} % clip (red)"
-    with mpl.rc_context(STYLE):
-        drawing = Picture(figsize=(6.4, 3.4), layout="constrained")
+    with _picture(6.4, 3.4) as drawing:
         axes = drawing.subplots(1, 2)
         panel(axes[0], to_grey(np.asarray(pattern)) / 255, "Pattern")
         panel(axes[1], shown, title)
@@ -137,8 +144,7 @@ def _spot(
     first = [max(int(place) - 10, 0) for place in peak]
     last = [min(int(p) + 10, n - 1) for p, n in zip(peak, light.shape, strict=True)]
     top, left, bottom, right = first[0] - 0.5, first[1] - 0.5, last[0] + 0.5, last[1] + 0.5
-    with mpl.rc_context(STYLE):
-        drawing = Picture(figsize=(10.2, 3.4), layout="constrained")
+    with _picture(10.2, 3.4) as drawing:
         around, whole, near = drawing.subplots(1, 3)
         panel(around, display(_grey(scene), white_level(scene)), titles[0])
         around.plot(index[1], index[0], "o", mfc="none", mec=COLOURS[1], ms=10, mew=2)
@@ -154,8 +160,7 @@ def _spot(
 def draw_dual(transport: LightTransport) -> Picture:
     """The scene as the projector would photograph it, lit evenly from the camera."""
     image = transport.dual_image()
-    with mpl.rc_context(STYLE):
-        drawing = Picture(figsize=(3.6, 3.6), layout="constrained")
+    with _picture(3.6, 3.6) as drawing:
         title = "Dual image: seen from the projector"
         panel(drawing.subplots(), display(image, white_level(image)), title)
     return drawing
@@ -165,8 +170,7 @@ def draw_parts(images: Mapping[str, NDArray[Any]]) -> Picture:
     """Parts of one photograph by name, faint ones brightened by a power of two."""
     # The level is that of all parts together, since a black part has none of its own.
     whole = white_level(np.stack(list(images.values())))
-    with mpl.rc_context(STYLE):
-        drawing = Picture(figsize=(3.4 * len(images), 3.6), layout="constrained")
+    with _picture(3.4 * len(images), 3.6) as drawing:
         for axes, (name, image) in zip(
             drawing.subplots(1, len(images)), images.items(), strict=True
         ):
@@ -187,8 +191,7 @@ def draw_spectrum(transport: LightTransport) -> Picture:
     """The largest singular values of T, as shares of the largest."""
     values = spectrum(transport)["values"]
     shares = values / max(float(values[0]), np.finfo(float).tiny)
-    with mpl.rc_context(STYLE):
-        drawing = Picture(figsize=(4.2, 2.8), layout="constrained")
+    with _picture(4.2, 2.8) as drawing:
         axes = drawing.subplots()
         axes.plot(np.arange(1, len(shares) + 1), shares, "o-", color=COLOURS[0], markersize=3)
         axes.set_ylim(0, 1.05)
@@ -202,8 +205,7 @@ def draw_spectrum(transport: LightTransport) -> Picture:
 def draw_correspondence(transport: LightTransport) -> Picture:
     """The projector pixel that each camera pixel sees most, and how much light comes from it."""
     maps = correspondence_maps(correspondence(transport))
-    with mpl.rc_context(STYLE):
-        drawing = Picture(figsize=(10.2, 3.4), layout="constrained")
+    with _picture(10.2, 3.4) as drawing:
         for number, (axes, shown) in enumerate(zip(drawing.subplots(1, 3), maps, strict=True)):
             draw_into(drawing, axes, shown)
             # Lines of equal row or column, in eight bands, can be read without colour.
@@ -216,8 +218,7 @@ def draw_correspondence(transport: LightTransport) -> Picture:
 
 def draw_map(shown: Map) -> Picture:
     """A map with its title and the scale of its colours."""
-    with mpl.rc_context(STYLE):
-        drawing = Picture(figsize=(4.4, 3.6), layout="constrained")
+    with _picture(4.4, 3.6) as drawing:
         draw_into(drawing, drawing.subplots(), shown)
     return drawing
 

@@ -133,12 +133,7 @@ def _compensated(transport: LightTransport) -> tuple[Element, ...]:
         found = shared.solve(chart.ravel())
     except InputError as error:
         return (Text(f"No picture can be compensated: {error.message}."),)
-    # Without compensation, each projector pixel shows the mean of what it is to light.
-    weight = transport.dual(np.ones(transport.camera_shape, np.float32))
-    light = transport.dual(chart)
-    placed = np.divide(light, weight, out=np.zeros_like(light), where=weight > 0)
-    plain = transport.relight(np.clip(placed, 0, 1))
-    plain = plain * float(found.predicted.sum() / max(float(plain.sum()), 1e-12))
+    plain = shared.uncompensated(found, chart.ravel())
     level = float(np.quantile(found.target, 0.99))
     reached = float(found.reachable.mean())
     text = (
@@ -440,7 +435,7 @@ def transport_matrix(facts: Facts) -> Section:
     elements: list[Element] = [
         Text(
             "The projector pixel that each camera pixel sees most. `lightmatrix show SCENE.zarr "
-            "--correspondence -o map.npz` writes the numbers, to fractions of a pixel."
+            "correspondence -o map.npz` writes the numbers, to fractions of a pixel."
         ),
         Gallery(tuple(images)),
         Text(

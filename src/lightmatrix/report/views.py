@@ -95,7 +95,6 @@ def show(
     *index: int,
     geometry: RigGeometry | str | Path | None = None,
     output: str | Path | None = None,
-    raw: bool = False,
     overwrite: bool = False,
 ) -> Picture:
     """Draw a view of a light transport matrix, and write it or its numbers to a file.
@@ -119,9 +118,6 @@ def show(
         File to write: .png for the picture; .npz for its numbers (``values``, or ``pixel``,
         ``place`` and ``confidence`` of `Correspondence`); .tiff, .exr or .npy for its values as
         one image.
-    raw : bool
-        Whether a .png of a correspondence holds numbers instead of a picture: column, row and
-        confidence (0 to 65535) as red, green and blue of 16 bits.
     overwrite : bool
         Whether an existing file may be replaced.
 
@@ -166,11 +162,6 @@ def show(
         )
     if output is not None:
         suffix = Path(output).suffix.lower()
-        if raw and (suffix != ".png" or view != "correspondence"):
-            raise InputError(
-                f"raw numbers of the view {view} in {output}",
-                hint="only a correspondence has a raw PNG; write .npz for the numbers of any view",
-            )
         if view in ("correspondence", "spectrum") and suffix not in (".png", ".npz"):
             raise InputError(
                 f"a {view} in {output}",
@@ -205,8 +196,6 @@ def show(
         elif suffix != ".png":
             # A pixel may have no value, such as no depth.
             fill_image(part, VIEWS[view].numbers(shown, *index)["values"], missing=True)
-        elif raw:
-            fill_image(part, correspondence(shown).levels())
         else:
             drawing.draw_file(part)
     return drawing

@@ -82,7 +82,7 @@ class Photographer:
         camera.trigger()
         # No camera has buffers for 32 frames from before the pattern.
         for _ in range(32):
-            frame = camera.get_image(self.rig.patience + 2 * actual)
+            frame = camera.get_image(camera.patience + 2 * actual)
             last, self._last = self._last, frame
             if last is not None and frame.timestamp <= last.timestamp:
                 raise UntrustedFrameError("a frame was handed out twice")

@@ -11,11 +11,10 @@ from typing import Self, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from lightmatrix.defaults import PROCEDURAL, USUAL_PATIENCE
+from lightmatrix.defaults import PROCEDURAL
 from lightmatrix.errors import DeviceError, FrameTimeoutError, InputError, warn
 from lightmatrix.patterns.pattern_set import PatternSet, to_grey
 from lightmatrix.patterns.projector_curve import ProjectorResponse
-from lightmatrix.ranges import check_number
 from lightmatrix.rig.devices.base import Camera, Clock, Projector
 from lightmatrix.rig.devices.registry import open_camera, open_projector
 from lightmatrix.rig.devices.virtual import (
@@ -54,8 +53,6 @@ class Rig:
         The T that a virtual rig shows, at an exposure of `unit` seconds.
     unit : float
         Seconds.
-    patience : float
-        Seconds to wait for a frame, beyond its exposure.
 
     Examples
     --------
@@ -72,7 +69,6 @@ class Rig:
     clock: Clock = field(default_factory=Clock)
     truth: Truth | None = None
     unit: float = 1.0
-    patience: float = USUAL_PATIENCE
 
     def __repr__(self) -> str:
         return f"Rig({self.projector.info().get('name')}, {self.camera.info().get('name')})"
@@ -133,7 +129,6 @@ def open_rig(
     *,
     projector: str | None = None,
     camera: str | None = None,
-    patience: float = USUAL_PATIENCE,
 ) -> Rig:
     """Open a projector and a camera, or a virtual rig.
 
@@ -143,9 +138,6 @@ def open_rig(
         ``virtual:SCENE``, or ``virtual:SCENE,name=value,...``; see `VirtualSettings`.
     projector, camera : str, optional
         Instead: addresses of devices, such as ``window:1`` and ``aravis:ID``.
-    patience : float
-        Seconds to wait for a frame, beyond its exposure; cameras that store or send frames slowly
-        need more.
 
     Returns
     -------
@@ -167,7 +159,6 @@ def open_rig(
     >>> lm.open_rig("virtual:metal,delay=3,real=0")
     Rig(virtual:metal, virtual:metal)
     """
-    check_number("a patience", patience, most=3600, above=True, hint="give seconds, such as 10")
     if rig is None:
         if projector is None or camera is None:
             raise InputError(
@@ -178,7 +169,7 @@ def open_rig(
         # The camera comes first: if another program has it, no window flashes up.
         first = open_camera(camera)
         try:
-            opened = Rig(open_projector(projector), first, lambda: open_camera(camera))
+            return Rig(open_projector(projector), first, lambda: open_camera(camera))
         except BaseException:
             first.close()
             raise
@@ -187,10 +178,7 @@ def open_rig(
             "a rig and a projector or a camera",
             hint="a virtual rig has both; give one or the other",
         )
-    else:
-        opened = _virtual(rig if isinstance(rig, VirtualSettings) else parse_settings(rig))
-    opened.patience = patience
-    return opened
+    return _virtual(rig if isinstance(rig, VirtualSettings) else parse_settings(rig))
 
 
 def _virtual(settings: VirtualSettings) -> Rig:
@@ -249,10 +237,13 @@ class ProjectedPatterns:
             grey = self.response.grey_for(light)
         else:
             grey = to_grey(light)
-        grey = grey.repeat(self.cell, axis=0).repeat(self.cell, axis=1)
-        if grey.shape == self.screen:
-            return grey
-        whole = np.zeros(self.screen, np.uint8)
-        top, left = ((a - b) // 2 for a, b in zip(self.screen, grey.shape, strict=True))
-        whole[top : top + grey.shape[0], left : left + grey.shape[1]] = grey
-        return whole
+        return on_screen(grey, self.screen, self.cell)
+
+
+def on_screen(grey: NDArray[np.uint8], screen: tuple[int, int], cell: int) -> NDArray[np.uint8]:
+    """An image (rows, cols[, 3]), each pixel `cell` x `cell`, in the middle of a black screen."""
+    wide = grey.repeat(cell, axis=0).repeat(cell, axis=1)
+    whole = np.zeros((*screen, *wide.shape[2:]), np.uint8)
+    top, left = ((a - b) // 2 for a, b in zip(screen, wide.shape, strict=False))
+    whole[top : top + wide.shape[0], left : left + wide.shape[1]] = wide
+    return whole

@@ -135,11 +135,11 @@ def _watch(
     rig.camera.flush()
     seen: list[tuple[float, float]] = []
     # Even the last frame may be lost, and may come late.
-    latest = since + seconds + 1 + rig.patience
+    latest = since + seconds + 1 + rig.camera.patience
     while rig.clock.now() < latest and (not seen or seen[-1][0] < since + seconds):
         rig.camera.trigger()
         with suppress(FrameTimeoutError):
-            frame = rig.camera.get_image(rig.patience)
+            frame = rig.camera.get_image(rig.camera.patience)
             seen.append((frame.timestamp - rig.camera.exposure, whites.level(frame.data)))
     return seen
 
@@ -184,7 +184,7 @@ def measure_flicker(rig: Rig, whites: WhiteAndBlack, settle: float, report: _Rep
             rig.clock.sleep(float(generator.random()) * 0.012)
             camera.trigger()
             with suppress(FrameTimeoutError):
-                frame = camera.get_image(rig.patience)
+                frame = camera.get_image(camera.patience)
                 seen[frame.timestamp] = float(frame.data[lit].mean(dtype=np.float64))
             if not same_exposure(camera.exposure, exposure):
                 # Another program has changed it.

@@ -91,9 +91,11 @@ class CaptureRecord:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
-        if kind is not None and not self.state.frames:
+    def __exit__(self, kind: object, error: BaseException | None, *_: object) -> None:
+        if error is not None and not self.state.frames:
             self.discard()
+        elif error is not None:
+            error.add_note("finished frames are kept, run again to continue")
 
     def keep(self, frame: int, data: NDArray[Any], seconds: float) -> None:
         """Write a frame whole or not at all, and its exposure."""

@@ -22,7 +22,7 @@ from lightmatrix.patterns.projector_curve import ProjectorResponse
 from lightmatrix.ranges import check_number, check_whole
 from lightmatrix.rig.devices.base import Clock, Projector, size_in_words
 from lightmatrix.rig.photograph import Photographer, find_white_and_black, take_average
-from lightmatrix.rig.rig import Rig
+from lightmatrix.rig.rig import Rig, on_screen
 from lightmatrix.rig.rig_measurements import measure_rig
 
 
@@ -144,18 +144,14 @@ def _on_screen(
 ) -> NDArray[np.uint8]:
     """A picture as grey values, in the middle of a black screen."""
     grey = to_grey(np.clip(picture, 0, 1)) if curve is None else curve.grey_for(picture)
-    grey = grey.repeat(cell, axis=0).repeat(cell, axis=1)
-    spare = [own - size for own, size in zip(screen, grey.shape, strict=False)]
-    if min(spare) < 0:
+    size = (cell * grey.shape[0], cell * grey.shape[1])
+    if size[0] > screen[0] or size[1] > screen[1]:
         raise InputError(
-            f"a picture of {size_in_words(grey.shape)} pixels, for a projector of "
+            f"a picture of {size_in_words(size)} pixels, for a projector of "
             f"{size_in_words(screen)}",
             hint="make one of the projector's size, such as by `compensate`",
         )
-    whole = np.zeros((*screen, *grey.shape[2:]), np.uint8)
-    top, left = (n // 2 for n in spare)
-    whole[top : top + grey.shape[0], left : left + grey.shape[1]] = grey
-    return whole
+    return on_screen(grey, screen, cell)
 
 
 def _photographed(

@@ -163,11 +163,11 @@ class StereoFit:
     geometry: RigGeometry
     # (poses, 3): the normal of each board in the camera's frame.
     normals: NDArray[np.float64]
-    # (n, 2) of each pose, in pixels; NaN where a corner has no projector pixel.
-    camera_errors: list[NDArray[np.float64]]
-    projector_errors: list[NDArray[np.float64]]
-    # (n,) of each pose: the corners that count.
-    used: list[NDArray[np.bool_]]
+    # (poses, n, 2) in pixels; NaN where a corner has no projector pixel.
+    camera_errors: NDArray[np.float64]
+    projector_errors: NDArray[np.float64]
+    # (poses, n): the corners that count.
+    used: NDArray[np.bool_]
 
 
 def board_points(board: Shape, square: float) -> NDArray[np.float64]:
@@ -184,23 +184,19 @@ def fit_stereo(
     projector_shape: Shape,
 ) -> StereoFit:
     """Fit both devices to all poses, and leave out corners that are far off."""
-    used = [pose.lit for pose in poses]
+    used = np.stack([pose.lit for pose in poses])
     fit = _fit(poses, points, used, camera_shape, projector_shape)
     # On real boards four rounds were enough.
     for _ in range(8):
-        errors = [
-            np.hypot(np.linalg.norm(seen, axis=1), np.linalg.norm(lit, axis=1))
-            for seen, lit in zip(fit.camera_errors, fit.projector_errors, strict=True)
-        ]
-        counted = [each[use] for each, use in zip(errors, used, strict=True)]
+        both = np.concatenate([fit.camera_errors, fit.projector_errors], axis=2)
+        errors = np.linalg.norm(both, axis=2)
         # Random errors reach five times the median once in 10^10; where a board is bent or glares,
         # corners are off by more. On the five poses of a real board, whose corner is bent, this
         # leaves 304 of 315 corners, and all others within 0.6 pixels.
-        most = 5 * float(np.median(np.concatenate(counted)))
-        kept = [use & (each <= most) for each, use in zip(errors, used, strict=True)]
+        kept = used & (errors <= 5 * float(np.median(errors[used])))
         # A pose needs four corners to be placed at all.
-        kept = [keep if keep.sum() >= 4 else use for keep, use in zip(kept, used, strict=True)]
-        if all(np.array_equal(keep, use) for keep, use in zip(kept, used, strict=True)):
+        kept = np.where(kept.sum(axis=1, keepdims=True) >= 4, kept, used)
+        if np.array_equal(kept, used):
             break
         used = kept
         fit = _fit(poses, points, used, camera_shape, projector_shape)
@@ -210,7 +206,7 @@ def fit_stereo(
 def _fit(
     poses: Sequence[BoardCorners],
     points: NDArray[np.float64],
-    used: list[NDArray[np.bool_]],
+    used: NDArray[np.bool_],
     camera_shape: Shape,
     projector_shape: Shape,
 ) -> StereoFit:
@@ -274,7 +270,8 @@ def _fit(
     # A wild fit is judged by its residuals.
     matrices = camera @ np.eye(3, 4), projector @ np.column_stack([turn, shift])
     geometry = RigGeometry(*matrices, camera_shape, projector_shape, camera_lens, projector_lens)
-    return StereoFit(geometry, np.array(normals), camera_errors, projector_errors, used)
+    residuals = np.array(camera_errors), np.array(projector_errors)
+    return StereoFit(geometry, np.array(normals), *residuals, used)
 
 
 def projector_start(
@@ -497,9 +494,8 @@ def calibrate_rig(
             f"the poses are nearly parallel: their largest angle is {turn:.1f} degrees",
             hint="add poses with the board tilted by 20 to 40 degrees to the left, right, up, down",
         )
-    seen = [error[use] for error, use in zip(fit.camera_errors, fit.used, strict=True)]
-    lit = [error[use] for error, use in zip(fit.projector_errors, fit.used, strict=True)]
-    rms = {"camera": _rms(np.concatenate(seen)), "projector": _rms(np.concatenate(lit))}
+    seen, lit = fit.camera_errors, fit.projector_errors
+    rms = {"camera": _rms(seen[fit.used]), "projector": _rms(lit[fit.used])}
     rms["stereo"] = float(np.sqrt((rms["camera"] ** 2 + rms["projector"] ** 2) / 2))
     # Good calibrations reach 0.1 to 0.5 pixels.
     worst = max(rms["camera"], rms["projector"])
@@ -521,7 +517,7 @@ def calibrate_rig(
         )
     geometry = replace(fit.geometry, units=units, rms=rms, projector_mirrored=mirrored)
     used_poses = tuple(
-        BoardPose(name, corner.camera, corner.projector, use, _rms(a), _rms(b))
+        BoardPose(name, corner.camera, corner.projector, use, _rms(a[use]), _rms(b[use]))
         for name, corner, use, a, b in zip(names, shown, fit.used, seen, lit, strict=True)
     )
     for name, reason in left_out.items():

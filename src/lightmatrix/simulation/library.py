@@ -13,11 +13,12 @@ import platformdirs
 from scipy.sparse import csr_array
 
 from lightmatrix.capture.settings import TRUTH
-from lightmatrix.defaults import USUAL_SAMPLES
+from lightmatrix.defaults import PROCEDURAL, USUAL_SAMPLES
 from lightmatrix.errors import InputError, OutputError, warn
 from lightmatrix.files.numpy_files import read_npz
 from lightmatrix.paths import as_path
 from lightmatrix.reprs import html_table
+from lightmatrix.simulation.procedural import ProceduralScene
 from lightmatrix.simulation.renderer import Progress, render
 from lightmatrix.simulation.scenes import Scene, names, scene
 from lightmatrix.simulation.truth import Truth, view_geometry
@@ -67,8 +68,9 @@ def truth(
     Parameters
     ----------
     name : str, Path or Truth
-        A scene that `scenes` lists: bundled, cached, or rendered now and then cached. Or a truth
-        file, T.npz; or a simulated capture, packed or not. A truth is returned unchanged.
+        A scene that `scenes` lists: bundled, cached, or rendered now and then cached; or
+        "procedural", which needs no renderer. Or a truth file, T.npz; or a simulated capture. A
+        truth is returned unchanged.
     size : (rows, cols)
         Camera and projector size of a scene. Bundled scenes have 64 x 64.
     samples : int, optional
@@ -109,6 +111,8 @@ def truth(
             hint="give a T.npz file, a capture made by `lightmatrix simulate`, or a scene",
         )
     name = str(name)
+    if name == PROCEDURAL:
+        return ProceduralScene(size, size, seed).truth()
     built = scene(name)
     if name in BUNDLED and size == BUNDLED_SIZE and samples is None and seed == 0:
         with as_file(files("lightmatrix.simulation") / "data" / f"{name}.npz") as path:

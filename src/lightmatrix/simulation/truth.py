@@ -20,14 +20,16 @@ from lightmatrix.capture.settings import GEOMETRY as GEOMETRY_NAME
 from lightmatrix.capture.settings import TRUTH as TRUTH_NAME
 from lightmatrix.errors import InputError
 from lightmatrix.files.kinds import TRUTH
+from lightmatrix.files.reading import parse_json
 from lightmatrix.files.writing import atomic_file
-from lightmatrix.geometry.rig_geometry import RigGeometry, binned_matrix
+from lightmatrix.geometry.rig_geometry import RigGeometry, binned_matrix, checked_fields
 from lightmatrix.regions import Region
 from lightmatrix.reprs import short_repr
 from lightmatrix.simulation.scenes import Scene, names, scene
 from lightmatrix.simulation.shapes import Mesh, merge
 from lightmatrix.transport.matrix import LightTransport
-from lightmatrix.transport.npz import VERSION, read_sparse_npz
+from lightmatrix.transport.npz import VERSION, read_transport, text_of
+from lightmatrix.transport.sparse_rows import checked_float32
 
 # The surface that each camera pixel of a scene sees: exact depth and normals, without a renderer.
 #
@@ -315,26 +317,30 @@ class Truth:
             If the file is missing, damaged, no npz file, of a later format version, or lacks the
             shapes that lightmatrix adds.
         """
-        content = read_sparse_npz(path)
-        if content.camera_shape is None or content.projector_shape is None:
-            raise InputError(
-                f"{path} does not hold the shapes of camera and projector",
-                hint="give a T.npz file from `lightmatrix render` or `lightmatrix export`",
-            )
-        if content.background is not None and content.background.any():
+        known, content = read_transport(path)
+        if known.background.any():
             raise InputError(
                 f"{path} holds its background separately, so its matrix is not the whole of T",
                 hint="export it with dense_background=True",
             )
-        direct = content.direct_data
-        return cls(
-            content.matrix,
-            np.zeros_like(content.matrix.data) if direct is None else direct,
-            content.camera_shape,
-            content.projector_shape,
-            dict(content.metadata),
-            content.geometry,
-        )
+        matrix, geometry = known.sparse, None
+        if "geometry" in content:
+            fields = parse_json(text_of(content["geometry"]), f"{path}: geometry")
+            geometry = RigGeometry(**checked_fields(fields, str(path)))
+        try:
+            direct = content.get("direct_data", np.zeros_like(matrix.data))
+            direct = checked_float32(direct, "the direct part")
+            if direct.shape != matrix.data.shape:
+                raise ValueError(f"{direct.shape} direct parts for {matrix.nnz} entries")
+            sizes = known.camera_shape[:2], known.projector_shape
+            if geometry and (geometry.camera_shape, geometry.projector_shape) != sizes:
+                raise ValueError("its geometry has other image sizes")
+        except ValueError as error:
+            raise InputError(
+                f"{path}: contradicts itself: {error}", hint="the file is damaged; write it again"
+            ) from error
+        shapes = known.camera_shape, known.projector_shape
+        return cls(matrix, direct, *shapes, dict(known.provenance), geometry)
 
 
 def binned(truth: Truth, camera_factor: int, projector_factor: int | None = None) -> Truth:

@@ -23,17 +23,16 @@ from scipy.sparse import csr_array, hstack
 
 from lightmatrix.errors import InputError
 from lightmatrix.files.kinds import STORE
-from lightmatrix.files.writing import as_output_error, claimed, final_target, locked
-from lightmatrix.files.zarr_arrays import QUICK, read_attributes
+from lightmatrix.files.writing import claimed, temporary
+from lightmatrix.files.zarr_arrays import QUICK
 from lightmatrix.patterns.pattern_set import grid_cells
 from lightmatrix.reprs import short_repr
 from lightmatrix.resources.disk import check_disk_space
 from lightmatrix.transport.sparse_rows import row_blocks
 from lightmatrix.transport.store import StoredTransport, fill_store
 
-# The folder of an index within a store, and that of one that is not whole yet. The next run removes
-# what a killed run left there.
-COLUMNS, _PART = "columns", ".columns.part"
+# The folder of an index within a store.
+COLUMNS = "columns"
 # Entries that are transposed at once. Each takes 8 bytes, and 8 more while they are joined.
 _PASS_ENTRIES = 1 << 26
 # Rows and columns of projector pixels whose columns stand together, and are read together.
@@ -78,33 +77,15 @@ def index_columns(
     (64, 64)
     """
     matrix = StoredTransport.open(path, memory=0)
-    with locked(target := final_target(path)):
-        _remove_leftovers(target)
-    with claimed(path, STORE, overwrite=True) as target, as_output_error(path):
+    with claimed(path, STORE, overwrite=True) as target, temporary(path, target) as place:
         if (target / COLUMNS).exists() and not overwrite:
             raise InputError(f"{path}: has an index already", hint="pass overwrite=True")
         background = 2 * matrix.arrays["background"].bytes
         check_disk_space(target, 8 * matrix.entries + 8 * matrix.shape[1] + background, path)
-        part = target / _PART
-        shutil.rmtree(part, ignore_errors=True)
-        try:
-            _write_index(part, matrix, progress or (lambda done, total: None))
-            shutil.rmtree(target / COLUMNS, ignore_errors=True)
-            os.rename(part, target / COLUMNS)
-        finally:
-            shutil.rmtree(part, ignore_errors=True)
+        _write_index(place / "new", matrix, progress or (lambda done, total: None))
+        shutil.rmtree(target / COLUMNS, ignore_errors=True)
+        os.rename(place / "new", target / COLUMNS)
         STORE.mark(target)
-
-
-def _remove_leftovers(target: Path) -> None:
-    """Remove what a killed run left, which would otherwise count as somebody else's file."""
-    marker = read_attributes(target).get("output")
-    listed = marker.get("files") if isinstance(marker, dict) else None
-    finished = isinstance(listed, dict) and any(name.startswith(f"{COLUMNS}/") for name in listed)
-    with as_output_error(target):
-        for name in (_PART, *(() if finished else (COLUMNS,))):
-            if (target / name).is_dir() and not (target / name).is_symlink():
-                shutil.rmtree(target / name)
 
 
 def tile_places(pixels: NDArray[np.integer], projector_shape: tuple[int, int]) -> NDArray[np.int64]:

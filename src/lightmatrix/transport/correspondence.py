@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, fields
 from typing import Any
 
@@ -13,7 +15,7 @@ from lightmatrix.errors import InputError
 from lightmatrix.ranges import check_sides, check_type, real_array
 from lightmatrix.reprs import short_repr
 from lightmatrix.transport.matrix import LightTransport
-from lightmatrix.transport.operator import HOW_TO_GIVE
+from lightmatrix.transport.operator import HOW_TO_GIVE, TransportOperator
 
 # Half width, in projector pixels, of the window around the strongest pixel. It is wide enough for a
 # slightly defocused lens and narrow enough to exclude light that arrives by other paths. Chosen by
@@ -84,28 +86,14 @@ class Correspondence:
         # Codes of columns only leave all rows unknown.
         return np.asarray((self.pixel >= 0).any(axis=-1))
 
-    def levels(self) -> NDArray[np.uint16]:
-        """The correspondence as a 16-bit picture, (rows, cols, 3).
 
-        The channels hold column and row of the strongest projector pixel, counted from 0, and the
-        confidence from 0 to 65535, which is 0 only where a camera pixel sees no projector pixel.
-        """
-        picture = np.zeros((*self.confidence.shape, 3), np.uint16)
-        picture[..., 0] = np.maximum(self.pixel[..., 1], 0)
-        picture[..., 1] = np.maximum(self.pixel[..., 0], 0)
-        picture[..., 2] = np.rint(self.confidence.clip(0, 1) * 65535)
-        # The smallest confidence rounds to 1, since 0 means that there is no light.
-        picture[..., 2] = np.maximum(picture[..., 2], self.valid)
-        return picture
-
-
-def correspondence(transport: LightTransport) -> Correspondence:
+def correspondence(transport: TransportOperator) -> Correspondence:
     """Find the projector pixel that each camera pixel sees most, with a confidence.
 
     Parameters
     ----------
-    transport : LightTransport
-        T; the channels of a colour camera are added.
+    transport : LightTransport or StoredTransport
+        T; the channels of a colour camera are added. A store is read block by block.
 
     Returns
     -------
@@ -119,10 +107,17 @@ def correspondence(transport: LightTransport) -> Correspondence:
     >>> [round(float(place), 1) for place in matches.place[20, 30]]
     [20.1, 29.8]
     """
-    check_type("a light transport matrix", transport, LightTransport, hint=HOW_TO_GIVE)
-    matrix, background = pixel_rows(transport)
-    camera, projector = transport.camera_shape, transport.projector_shape
-    return strongest_places(matrix, background, (camera[0], camera[1]), projector)
+    check_type("a light transport matrix", transport, TransportOperator, hint=HOW_TO_GIVE)
+    camera, projector = transport.image_shapes
+    channels = math.prod(camera[2:])
+    parts: list[tuple[NDArray[Any], ...]] = []
+    # Of a matrix on disk, the rows of so many pixels are read at a time.
+    step = channels << 16
+    for start in range(0, transport.shape[0], step):
+        rows = transport.some_rows(start, min(start + step, transport.shape[0]))
+        matrix, background = _of_pixels(rows.coefficients, rows.background, channels)
+        parts += _strongest(matrix, background, projector[1], REACH)
+    return _joined(parts, camera, projector)
 
 
 def strongest_places(
@@ -137,39 +132,55 @@ def strongest_places(
     Rows are the pixels of a device of `shape`, `background` (rows,) is light of each that has no
     place, and the window around the strongest pixel has 2 `reach` + 1 pixels along a side.
     """
-    width = other_shape[1]
-    step = max(1, _ENTRIES // max(1, matrix.nnz // len(background)))
-    blocks = [slice(start, start + step) for start in range(0, len(background), step)]
-    parts = (_strongest(csr_array(matrix[rows]), background[rows], width, reach) for rows in blocks)
+    return _joined(_strongest(matrix, background, other_shape[1], reach), shape, other_shape)
+
+
+def _joined(
+    parts: Iterable[tuple[NDArray[Any], ...]], shape: tuple[int, ...], other_shape: tuple[int, ...]
+) -> Correspondence:
+    """The correspondence of a device of `shape` from what `_strongest` found of its rows."""
     pixel, place, confidence, light = map(np.concatenate, zip(*parts, strict=True))
     return Correspondence(
-        pixel.reshape(*shape, 2),
-        place.reshape(*shape, 2),
-        confidence.reshape(shape),
-        light=light.reshape(shape),
-        projector_shape=other_shape,
+        pixel.reshape(*shape[:2], 2),
+        place.reshape(*shape[:2], 2),
+        confidence.reshape(shape[:2]),
+        light=light.reshape(shape[:2]),
+        projector_shape=(other_shape[0], other_shape[1]),
     )
 
 
 def pixel_rows(transport: LightTransport) -> tuple[csr_array, NDArray[np.float64]]:
     """The sparse part of each camera pixel and the light of its background; channels are added."""
-    background = transport.background.sum(axis=1, dtype=np.float64)
-    if len(transport.camera_shape) == 2:
-        return transport.sparse, background
-    channels = transport.camera_shape[2]
-    pixels = len(background) // channels
-    samples = np.arange(len(background))
-    adding = csr_array(
-        (np.ones(len(samples), np.float32), (samples // channels, samples)),
-        shape=(pixels, len(samples)),
-    )
-    return csr_array(adding @ transport.sparse), background.reshape(pixels, channels).sum(axis=1)
+    channels = math.prod(transport.camera_shape[2:])
+    return _of_pixels(transport.sparse, transport.background, channels)
+
+
+def _of_pixels(
+    sparse: csr_array, background: NDArray[Any], channels: int
+) -> tuple[csr_array, NDArray[np.float64]]:
+    faint = background.sum(axis=1, dtype=np.float64)
+    if channels == 1:
+        return sparse, faint
+    samples = np.arange(len(faint))
+    ones = np.ones(len(samples), np.float32)
+    adding = csr_array((ones, (samples // channels, samples)))
+    return csr_array(adding @ sparse), faint.reshape(-1, channels).sum(axis=1)
 
 
 def _strongest(
     matrix: csr_array, background: NDArray[np.float64], width: int, reach: int
+) -> Iterator[tuple[NDArray[Any], ...]]:
+    """The strongest pixel, its place, its confidence and the light around it, of some rows each."""
+    step = max(1, _ENTRIES // max(1, matrix.nnz // len(background)))
+    for start in range(0, len(background), step):
+        rows = slice(start, start + step)
+        yield _strongest_of_some(csr_array(matrix[rows]), background[rows], width, reach)
+
+
+def _strongest_of_some(
+    matrix: csr_array, background: NDArray[np.float64], width: int, reach: int
 ) -> tuple[NDArray[Any], ...]:
-    """The strongest pixel, its place, its confidence and the light around it, for some rows."""
+    """What `_strongest` yields, of all rows at once."""
     count = int(matrix.shape[0])
     owner = np.repeat(np.arange(count), np.diff(matrix.indptr))
     # Some estimates allow negative light, which does not count.

@@ -194,24 +194,6 @@ class LightTransport(TransportOperator):
         """Some rows without their diagnostics."""
         return SparseRows(csr_array(self.sparse[start:stop]), self.background[start:stop])
 
-    def dual_image(self) -> NDArray[np.float32]:
-        """The scene seen from the projector, lit evenly from the camera.
-
-        (rows, cols), or (rows, cols, channels) with a colour camera.
-        """
-        if len(self.camera_shape) == 2:
-            return self.dual(np.ones(self.camera_shape, np.float32))
-        channels = range(self.camera_shape[2])
-        lights = np.zeros((len(channels), *self.camera_shape), np.float32)
-        for channel in channels:
-            lights[channel, ..., channel] = 1
-        return np.stack([self.dual(light) for light in lights], axis=-1)
-
-    def dense_rows(self, index: NDArray[np.integer]) -> NDArray[np.float32]:
-        """Some rows of T, with background: (len(index), N) float32."""
-        values = self.sparse[index].toarray() + self.background[index] @ self.pooling
-        return np.asarray(values, np.float32)
-
     def crop(self, region: Region) -> LightTransport:
         """The light transport of a rectangle of camera pixels."""
         rows = region.samples(self.camera_shape)

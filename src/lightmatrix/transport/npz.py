@@ -1,13 +1,11 @@
 """Files of other programs: T as npz that SciPy loads or mat for MATLAB, and correspondences as npz.
 
-`import_npz` reads exports, rendered truths, and sparse matrices that SciPy saved as CSR.
+`import_npz` reads exports and rendered truths.
 """
 
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -15,20 +13,18 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 from scipy.io import savemat
-from scipy.sparse import csr_array
 
 from lightmatrix.errors import InputError, OutputError
 from lightmatrix.files import kinds
 from lightmatrix.files.numpy_files import read_npz
-from lightmatrix.files.reading import check_version, parse_json
+from lightmatrix.files.reading import check_version, errors_naming, parse_json
 from lightmatrix.files.writing import atomic_file, check_output
-from lightmatrix.geometry.rig_geometry import RigGeometry, checked_fields
 from lightmatrix.paths import as_path
 from lightmatrix.ranges import check_type
 from lightmatrix.transport.correspondence import Correspondence
 from lightmatrix.transport.matrix import LightTransport
 from lightmatrix.transport.operator import HOW_TO_GIVE
-from lightmatrix.transport.sparse_rows import checked_float32, checked_matrix, checked_shape
+from lightmatrix.transport.sparse_rows import checked_matrix, checked_shape
 
 # The version of exports, truth files and correspondences. Files of another one are refused.
 VERSION = 1
@@ -132,116 +128,58 @@ def export(
             )
 
 
-@dataclass(frozen=True, eq=False)
-class SparseFile:
-    """The checked content of an npz file."""
-
-    # (M, N) float32; where the file holds the shapes, M and N are their products.
-    matrix: csr_array
-    # The direct part of each entry, (nnz,).
-    direct_data: NDArray[np.float32] | None
-    # What the matrix leaves out, (M, rows * cols) of the grid.
-    background: NDArray[np.float32] | None
-    background_grid: tuple[int, int]
-    camera_shape: tuple[int, ...] | None
-    projector_shape: tuple[int, int] | None
-    metadata: Mapping[str, Any]
-    # Of the rig, in a truth file of a rendered scene.
-    geometry: RigGeometry | None
+def import_npz(path: str | Path) -> LightTransport:
+    """Read T from npz: an export, a truth, or a CSR matrix of SciPy with the shapes beside it."""
+    return read_transport(path)[0]
 
 
-def import_npz(
-    path: str | Path,
-    camera_shape: tuple[int, ...] | None = None,
-    projector_shape: tuple[int, int] | None = None,
-) -> LightTransport:
-    """Read T from npz: an export, a truth, or a SciPy matrix, whose shapes must be known."""
-    content = read_sparse_npz(path)
-    camera = camera_shape or content.camera_shape
-    projector = projector_shape or content.projector_shape
-    if camera is None or projector is None:
-        raise InputError(
-            f"{path}: does not say the shapes of camera and projector",
-            hint="give camera_shape and projector_shape",
-        )
-    background = content.background
-    if background is None:
-        background = np.zeros((content.matrix.shape[0], 1), np.float32)
-    return LightTransport(
-        content.matrix,
-        background,
-        camera,
-        projector,
-        content.background_grid,
-        provenance=dict(content.metadata),
-    )
-
-
-def read_sparse_npz(path: str | Path) -> SparseFile:
-    """Read a sparse matrix in the form CSR."""
+def read_transport(path: str | Path) -> tuple[LightTransport, dict[str, NDArray[Any]]]:
+    """T of an npz file, and all arrays of the file."""
     file = as_path(path)
     content = read_npz(file)
     for name in (kinds.TRANSPORT_MARK, kinds.TRUTH_MARK):
         if name in content:
             _check_version(file, content[name])
+    needed = ("format", "shape", "data", "indices", "indptr")
+    if lacking := [name for name in needed if name not in content]:
+        raise InputError(
+            f"{file}: no sparse matrix: {', '.join(lacking)} missing",
+            hint="give a file from `lightmatrix export` or `render`",
+        )
+    if not {"camera_shape", "projector_shape"} <= set(content):
+        raise InputError(
+            f"{file}: does not say the shapes of camera and projector",
+            hint="use lm.LightTransport.from_matrix(matrix, camera_shape, projector_shape)",
+        )
     try:
-        return _checked(file, content)
+        if (form := text_of(content["format"])) != "csr":
+            raise ValueError(f"a matrix in the form {form[:20]!r}; save it as csr (matrix.tocsr())")
+        rows, cols = checked_shape(content["shape"], (2,), "the matrix", pixels=max)
+        data, indices, indptr = (content[name] for name in needed[2:])
+        matrix = checked_matrix(data, indices, indptr, (rows, cols))
+        metadata: Any = {}
+        if "metadata" in content:
+            name = f"{file}: metadata"
+            metadata = parse_json(text_of(content["metadata"]), name, finite=False)
+        camera = checked_shape(content["camera_shape"], (2, 3), "camera_shape")
+        tall, wide = checked_shape(content["projector_shape"], (2,), "projector_shape")
+        grid = checked_shape(content.get("background_grid", np.ones(2, int)), (2,), "grid")
     except ValueError as error:
         raise InputError(
             f"{file}: contradicts itself: {error}", hint="the file is damaged; write it again"
         ) from error
-
-
-def _checked(file: Path, content: Mapping[str, NDArray[Any]]) -> SparseFile:
-    needed = ("format", "shape", "data", "indices", "indptr")
-    if lacking := [name for name in needed if name not in content]:
-        raise ValueError(f"no sparse matrix: {', '.join(lacking)} missing")
-    rows, cols = checked_shape(content["shape"], (2,), "the matrix", pixels=max)
-    form = _text(content["format"])
-    if form != "csr":
-        raise ValueError(f"a matrix in the form {form[:20]!r}; save it as csr (matrix.tocsr())")
-    matrix = checked_matrix(content["data"], content["indices"], content["indptr"], (rows, cols))
-
-    def shape_of(name: str, *lengths: int) -> Any:
-        """A shape that the file states; None if it does not."""
-        return checked_shape(content[name], lengths, name) if name in content else None
-
-    camera, projector = shape_of("camera_shape", 2, 3), shape_of("projector_shape", 2)
-    grid = shape_of("background_grid", 2) or (1, 1)
-    for name, shape, length in (("camera", camera, rows), ("projector", projector, cols)):
-        if shape is not None and np.prod(shape) != length:
-            raise ValueError(
-                f"its {name} has {' x '.join(map(str, shape))} pixels, its matrix has {length}"
-            )
-    background = content.get("background")
-    if background is not None:
-        if background.shape != (rows, grid[0] * grid[1]):
-            raise ValueError(f"a background of {background.shape}")
-        background = checked_float32(background, "the background")
-    direct = content.get("direct_data")
-    if direct is not None:
-        if direct.shape != matrix.data.shape:
-            raise ValueError(f"{direct.shape} direct parts for {matrix.nnz} entries")
-        direct = checked_float32(direct, "the direct part")
-    metadata: Any = {}
-    if "metadata" in content:
-        metadata = parse_json(_text(content["metadata"]), f"{file}: metadata", finite=False)
-        if not isinstance(metadata, dict):
-            raise ValueError("its metadata is not an object")
-    geometry = None
-    if "geometry" in content:
-        fields = parse_json(_text(content["geometry"]), f"{file}: geometry")
-        geometry = RigGeometry(**checked_fields(fields, str(file)))
-        if (geometry.camera_shape, geometry.projector_shape) != ((camera or ())[:2], projector):
-            raise ValueError("its geometry has other image sizes")
-    return SparseFile(matrix, direct, background, grid, camera, projector, metadata, geometry)
+    background = content.get("background", np.zeros((rows, 1), np.float32))
+    cells = (grid[0], grid[1])
+    with errors_naming(file):
+        transport = LightTransport(matrix, background, camera, (tall, wide), cells, {}, metadata)
+    return transport, content
 
 
 def _check_version(file: Path, stored: NDArray[Any]) -> None:
     check_version(file, stored.item() if stored.size == 1 else None, VERSION)
 
 
-def _text(value: NDArray[Any]) -> str:
+def text_of(value: NDArray[Any]) -> str:
     """The text of an array that holds a single value."""
     if value.size != 1:
         return "nothing"

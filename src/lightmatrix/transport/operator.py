@@ -233,6 +233,17 @@ class TransportOperator(Operator):
         image = self.multiplied_transposed(light.ravel())
         return np.asarray(image, np.float32).reshape(projector)
 
+    def dual_image(self) -> NDArray[np.float32]:
+        """The scene seen from the projector, lit evenly from the camera.
+
+        (rows, cols), or (rows, cols, channels) with a colour camera.
+        """
+        camera, projector = self.image_shapes
+        lights = np.tile(
+            np.eye(math.prod(camera[2:]), dtype=np.float32), (camera[0] * camera[1], 1)
+        )
+        return self.multiplied_transposed(lights).reshape(*projector, *camera[2:])
+
     def column(self, row: int, col: int) -> NDArray[np.float32]:
         """One column of T as a camera image: the response to one lit projector pixel.
 

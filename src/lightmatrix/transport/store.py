@@ -39,6 +39,7 @@ from lightmatrix.files.zarr_arrays import (
 )
 from lightmatrix.paths import as_path
 from lightmatrix.ranges import check_type
+from lightmatrix.regions import Region
 from lightmatrix.resources.memory import check_memory
 from lightmatrix.transport.correspondence import Correspondence
 from lightmatrix.transport.matrix import ColourTransport, LightTransport
@@ -137,7 +138,7 @@ def fill_store(
     """Write a matrix into an empty folder, from parts of its arrays as `write_parts` takes them."""
     group = zarr.open_group(folder, mode="w", zarr_format=3)
     group.create_group("diagnostics")
-    write_parts(group, arrays, chunk, blosc)
+    write_parts(group, arrays, math.prod(shapes["camera_shape"]), chunk, blosc)
     stated = json.loads(json.dumps(dict(provenance), default=str))
     group.attrs.update({"format": FORMAT, "version": VERSION, **shapes, "provenance": stated})
     seal(folder)
@@ -320,7 +321,7 @@ class StoredTransport(TransportOperator):
     >>> stored = lm.StoredTransport.open("lazy.zarr")
     >>> stored.relight(np.ones(stored.projector_shape)).shape, stored.row(20, 30).shape
     ((64, 64), (64, 64))
-    >>> stored.region(slice(8, 16), slice(0, 64))
+    >>> stored.crop((8, 0), (8, 64))
     LightTransport(camera 8 x 64, projector 64 x 64, 214586 entries, metal)
     """
 
@@ -463,13 +464,13 @@ class StoredTransport(TransportOperator):
         for start, stop in zip(self._cuts[:-1], self._cuts[1:], strict=True):
             yield int(start), self._block(int(start), int(stop))
 
-    def region(self, rows: slice, cols: slice) -> LightTransport:
-        """A rectangle of the camera's pixels as a matrix in memory.
+    def crop(self, corner: tuple[int, int], shape: tuple[int, int]) -> LightTransport:
+        """A rectangle of the camera's pixels, of which no others are read.
 
         Parameters
         ----------
-        rows, cols : slice
-            With start and stop within the camera and without step.
+        corner, shape : (int, int)
+            Row and column of its first pixel; its rows and columns.
 
         Raises
         ------
@@ -477,20 +478,13 @@ class StoredTransport(TransportOperator):
             If it is empty or leaves the camera.
         """
         height, width, *channels = self.camera_shape
-        for part, size in ((rows, height), (cols, width)):
-            if part.step not in (None, 1) or not 0 <= part.start < part.stop <= size:
-                raise InputError(
-                    f"a region of {rows.start}:{rows.stop}, {cols.start}:{cols.stop} of a camera "
-                    f"of {height} x {width}",
-                    hint="name rows and columns that it has",
-                )
+        Region(corner, shape, (height, width))  # Refuses what leaves the camera.
         depth = math.prod(channels)
-        lines = [
-            self.rows((r * width + cols.start) * depth, (r * width + cols.stop) * depth)
-            for r in range(rows.start, rows.stop)
-        ]
-        shape = (rows.stop - rows.start, cols.stop - cols.start, *channels)
-        return self._in_memory(SparseRows.joined(lines), shape)
+        starts = (
+            (row * width + corner[1]) * depth for row in range(corner[0], corner[0] + shape[0])
+        )
+        lines = [self.rows(start, start + shape[1] * depth) for start in starts]
+        return self._in_memory(SparseRows.joined(lines), (*shape, *channels))
 
     def load(self) -> LightTransport:
         """All of it in memory, as `lightmatrix.open` returns it."""
@@ -528,7 +522,8 @@ class StoredTransport(TransportOperator):
         block = self.some_rows(start, stop)
         # The first blocks stay: going through all blocks in order, replacing the oldest would
         # always remove the one that is needed next.
-        if sum(map(_bytes, self._kept.values())) + _bytes(block) <= self.memory:
+        # A list, since other threads may add blocks meanwhile.
+        if sum(map(_bytes, list(self._kept.values()))) + _bytes(block) <= self.memory:
             self._kept[start] = block
         return block
 

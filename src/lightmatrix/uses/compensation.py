@@ -433,16 +433,14 @@ class Compensator:
         # On the bundled scenes half of this share costs 20 to 45 % of the brightness.
         return float(np.quantile(room, 0.02))
 
-    def uncompensated(self, found: Compensation, wanted: NDArray[np.float32]) -> Compensation:
-        """A compensation that also says how the wanted light (M,), shown as it is, would look.
-
-        The whole is as bright as suits the target best.
-        """
+    def uncompensated(
+        self, found: Compensation, wanted: NDArray[np.float32]
+    ) -> NDArray[np.float32]:
+        """The photograph of the wanted light (M,), shown as it is, as bright as suits best."""
         seen, aim = self.light.forward(self._means(self.lit * wanted)), found.target.ravel()
         factor = seen[self.lit] @ (aim - self.ambient)[self.lit] / max(seen @ seen, 1e-30)
         photograph = np.float32(max(factor, 0)) * seen + self.ambient
-        psnr = found.psnr_of(photograph.reshape(found.target.shape))
-        return replace(found, uncompensated_psnr=psnr)
+        return photograph.reshape(found.target.shape)
 
     def start(self, target: NDArray[np.float32]) -> NDArray[np.float32]:
         """The pattern by gains of single pixels, (N,): what inverse methods without T do.
@@ -614,8 +612,9 @@ def compensate(
     shared = compensator(transport, ambient=ambient, mask=mask, projector_mask=projector_mask)
     samples = wanted_samples(wanted, shared.light.camera_shape, gamma=gamma, fit=fit)
     found = shared.solve(samples, brightness, iterations=iterations)
-    found = shared.uncompensated(found, samples)
-    found = replace(found, encoding=encoding_of(projector_response, shared.light))
+    plain = found.psnr_of(shared.uncompensated(found, samples))
+    encoding = encoding_of(projector_response, shared.light)
+    found = replace(found, uncompensated_psnr=plain, encoding=encoding)
     if output is not None:
         write_shown(output, found.encoded, overwrite=overwrite)
     return found

@@ -38,7 +38,7 @@ def loaded(source: Transport, times: float) -> LightTransport:
         raise InputError(
             f"{source.place}: takes {needed / 2**30:.3g} GiB of memory, "
             f"{free / 2**30:.3g} GiB are free, and all of the matrix is needed at once",
-            hint="take a part of the camera (lm.StoredTransport.open(...).region), estimate with "
+            hint="take a part of the camera (lm.StoredTransport.open(...).crop), estimate with "
             "the camera's pixels binned, or use a machine with more memory",
         )
     return source.load()

@@ -68,8 +68,6 @@ def matrix_data(transport: LightTransport) -> bytes:
 # The most entries of a matrix that is separated, and with which pictures are compensated for, on
 # request. 3 million take 1.6 s of a core.
 COMPUTED_ENTRIES = 1 << 22
-# Rows of T whose correspondences are found at a time, of a matrix on disk.
-_ROWS = 1 << 16
 
 
 class LayerSource:
@@ -79,8 +77,9 @@ class LayerSource:
         self, matrix: LightTransport | Light, geometry: RigGeometry | str | Path | None = None
     ) -> None:
         self.matrix = matrix
+        self.whole = matrix if isinstance(matrix, LightTransport) else matrix.matrix
         self.geometry = geometry
-        self.facts = matrix if isinstance(matrix, LightTransport) else matrix.facts()
+        self.facts = matrix if isinstance(matrix, LightTransport) else matrix.facts
         # The colour scales that the page itself uses.
         self.colours = {
             "false": _colours(colormaps["viridis"]),
@@ -110,25 +109,7 @@ class LayerSource:
     @cached_property
     def correspondence(self) -> Correspondence:
         """The projector pixel that each camera pixel sees most."""
-        if isinstance(self.matrix, LightTransport):
-            return correspondence(self.matrix)
-        light, matrix = self.matrix, self.matrix.matrix
-        step, parts = _ROWS * light.channels, []
-        for start in range(0, matrix.shape[0], step):
-            with light.lock:
-                rows = light.rows(start, min(start + step, matrix.shape[0]))
-            shape = (rows.count // light.channels, 1, *matrix.camera_shape[2:])
-            grid = matrix.background_grid
-            part = LightTransport(
-                rows.coefficients, rows.background, shape, matrix.projector_shape, grid
-            )
-            parts.append(correspondence(part))
-        size = matrix.camera_shape[:2]
-        pixel, place, confidence = (
-            np.concatenate([getattr(part, name) for part in parts]).reshape(*size, *rest)
-            for name, rest in (("pixel", (2,)), ("place", (2,)), ("confidence", ()))
-        )
-        return Correspondence(pixel, place, confidence)
+        return correspondence(self.whole)
 
     @cached_property
     def separation(self) -> Separation:
@@ -143,20 +124,6 @@ class LayerSource:
         if not isinstance(matrix, LightTransport) or matrix.sparse.nnz > COMPUTED_ENTRIES:
             return False
         return min(matrix.sparse.data.min(initial=0), matrix.background.min(initial=0)) >= 0
-
-    def dual_image(self) -> NDArray[np.float32]:
-        """The scene seen from the projector, lit evenly from the camera."""
-        if isinstance(self.matrix, LightTransport):
-            return self.matrix.dual_image()
-        light, matrix = self.matrix, self.matrix.matrix
-        samples = np.arange(matrix.shape[0]) % light.channels
-        image = np.zeros((matrix.shape[1], light.channels))
-        for start, block in light.blocks():
-            lights = np.eye(light.channels)[samples[start : start + block.count]]
-            image += block.coefficients.T @ lights
-            image += matrix.pooling.T @ (block.background.T @ lights)
-        shape = (*matrix.projector_shape, *matrix.camera_shape[2:])
-        return image.reshape(shape).astype(np.float32)
 
 
 @dataclass(frozen=True)
@@ -188,7 +155,7 @@ def packed_map(shown: maps.Map) -> bytes:
 
 
 def _dual(source: LayerSource) -> bytes:
-    image = source.dual_image()
+    image = source.whole.dual_image()
     header = {"title": "Dual image: seen from the projector", "white": white_level(image)}
     return packed(header, {"values": image})
 

@@ -32,12 +32,9 @@ _SAMPLED_GROUPS, _GROUP_ROWS = 16, 4096
 
 
 class Light(ABC):
-    """T as a session asks for it. Only one thread at a time reads."""
+    """T as a session asks for it; several threads may."""
 
     matrix: LightTransport | StoredTransport
-
-    def __init__(self) -> None:
-        self.lock = threading.Lock()
 
     @abstractmethod
     def columns(
@@ -46,22 +43,8 @@ class Light(ABC):
         """The light of some projector pixels that get brighter, of the camera's shape."""
 
     @abstractmethod
-    def _blocks(self) -> Iterator[tuple[int, SparseRows]]:
-        """All rows in blocks: (first row, rows)."""
-
     def blocks(self) -> Iterator[tuple[int, SparseRows]]:
-        """All rows in blocks: (first row, rows). Others may read between two blocks."""
-        blocks = self._blocks()
-        while True:
-            with self.lock:
-                block = next(blocks, None)
-            if block is None:
-                return
-            yield block
-
-    @abstractmethod
-    def rows(self, start: int, stop: int) -> SparseRows:
-        """Some rows, with diagnostics."""
+        """All rows in blocks: (first row, rows)."""
 
     @property
     def channels(self) -> int:
@@ -71,8 +54,7 @@ class Light(ABC):
     def row(self, row: int, col: int) -> NDArray[np.float32]:
         """The row of a camera pixel, its channels added, of the projector's shape."""
         first = (row * self.matrix.camera_shape[1] + col) * self.channels
-        with self.lock:
-            rows = self.rows(first, first + self.channels)
+        rows = self.matrix.some_rows(first, first + self.channels)
         light = np.asarray(rows.coefficients.sum(axis=0)) + rows.background.sum(axis=0) @ (
             self.matrix.pooling
         )
@@ -81,35 +63,27 @@ class Light(ABC):
     def white_samples(self) -> NDArray[np.float32]:
         """What some camera samples, spread over the camera, see of a white pattern."""
         count = self.matrix.shape[0]
-        starts = np.linspace(0, count, _SAMPLED_GROUPS, endpoint=False).astype(int)
+        starts = np.linspace(0, count, _SAMPLED_GROUPS, endpoint=False).astype(int).tolist()
         parts = []
-        for start, following in zip(starts, [*starts[1:], count], strict=True):
-            with self.lock:
-                rows = self.rows(int(start), int(min(start + _GROUP_ROWS, following)))
+        for start, following in itertools.pairwise([*starts, count]):
+            rows = self.matrix.some_rows(start, min(start + _GROUP_ROWS, following))
             parts.append(rows.coefficients.sum(axis=1) + rows.background.sum(axis=1))
         return np.concatenate(parts).astype(np.float32)
 
+    @property
+    @abstractmethod
     def facts(self) -> LightTransport:
-        """The diagnostics of T, with a sparse part that is empty."""
-        matrix, diagnostics = self.matrix, {}
-        if isinstance(matrix, LightTransport):
-            diagnostics = dict(matrix.diagnostics)
-        else:
-            with self.lock:
-                diagnostics = matrix.diagnostics(0, matrix.shape[0])
-        empty = csr_array(matrix.shape, dtype=np.float32)
-        return LightTransport.from_matrix(
-            empty, matrix.camera_shape, matrix.projector_shape, diagnostics=diagnostics
-        )
+        """A matrix with the diagnostics of T, whose sparse part may be empty."""
 
 
 class StoredLight(Light):
     """T on disk, with an index of its columns."""
 
     def __init__(self, matrix: StoredTransport) -> None:
-        super().__init__()
         self.matrix: StoredTransport = matrix
         self._index = ColumnIndex.open(matrix.place)
+        # The index keeps what it has read.
+        self._lock = threading.Lock()
 
     @classmethod
     def open(cls, path: str | Path, progress: Progress | None = None) -> StoredLight:
@@ -128,21 +102,25 @@ class StoredLight(Light):
     def columns(
         self, pixels: NDArray[np.integer], change: NDArray[np.floating]
     ) -> NDArray[np.float32]:
-        with self.lock:
+        with self._lock:
             return self._index.light(pixels, change)
 
-    def _blocks(self) -> Iterator[tuple[int, SparseRows]]:
+    def blocks(self) -> Iterator[tuple[int, SparseRows]]:
         return self.matrix.blocks()
 
-    def rows(self, start: int, stop: int) -> SparseRows:
-        return self.matrix.rows(start, stop)
+    @property
+    def facts(self) -> LightTransport:
+        matrix = self.matrix
+        empty = csr_array(matrix.shape, dtype=np.float32)
+        known = matrix.diagnostics(0, matrix.shape[0])
+        camera, projector = matrix.camera_shape, matrix.projector_shape
+        return LightTransport.from_matrix(empty, camera, projector, diagnostics=known)
 
 
 class MemoryLight(Light):
     """T in memory, which is copied column by column."""
 
     def __init__(self, matrix: LightTransport) -> None:
-        super().__init__()
         self.matrix: LightTransport = matrix
         self._by_columns = csc_array(matrix.sparse)
         self._cells = grid_cells(matrix.projector_shape, matrix.background_grid)
@@ -157,16 +135,14 @@ class MemoryLight(Light):
         light = light + self.matrix.background @ means.astype(np.float32)
         return np.asarray(light, np.float32).reshape(self.matrix.camera_shape)
 
-    def _blocks(self) -> Iterator[tuple[int, SparseRows]]:
+    def blocks(self) -> Iterator[tuple[int, SparseRows]]:
         cuts = row_blocks(self.matrix.sparse.indptr, _BLOCK_ENTRIES)
-        for start, stop in zip(cuts[:-1].tolist(), cuts[1:].tolist(), strict=True):
-            yield start, self.rows(start, stop)
+        for start, stop in itertools.pairwise(cuts.tolist()):
+            yield start, self.matrix.some_rows(start, stop)
 
-    def rows(self, start: int, stop: int) -> SparseRows:
-        part = slice(start, stop)
-        diagnostics = {name: values[part] for name, values in self.matrix.diagnostics.items()}
-        sparse = csr_array(self.matrix.sparse[part])
-        return SparseRows(sparse, self.matrix.background[part], diagnostics)
+    @property
+    def facts(self) -> LightTransport:
+        return self.matrix
 
 
 # A coarse T, by which a whole pattern is relit at once while the fine one takes its time.

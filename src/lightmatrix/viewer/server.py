@@ -307,7 +307,6 @@ def serve_viewer(
         # The socket listens already, so that whoever opens the page now is answered.
         if ready is not None:
             ready(guard.address)
-        http, ws = _protocols()
         config = uvicorn.Config(
             Answers(scene, guard),
             lifespan="off",
@@ -315,8 +314,7 @@ def serve_viewer(
             access_log=False,
             server_header=False,
             proxy_headers=False,
-            http=http,
-            ws=ws,
+            ws="websockets-sansio",
             timeout_keep_alive=2,
             ws_max_size=scene.most_message,
             ws_per_message_deflate=False,
@@ -327,36 +325,6 @@ def serve_viewer(
             uvicorn.Server(config).run(sockets=[listening])
     # Only Ctrl-C ends the server. The event loop may have swallowed its KeyboardInterrupt.
     raise KeyboardInterrupt
-
-
-def _protocols() -> tuple[type, type]:
-    """What uvicorn speaks with clients, so that none of them costs the server much."""
-    from uvicorn.protocols.http.h11_impl import H11Protocol
-    from uvicorn.protocols.websockets.websockets_sansio_impl import WebSocketsSansIOProtocol
-
-    class Http(H11Protocol):
-        """Closes connections that ask for nothing, as it does after each answer."""
-
-        def connection_made(self, transport: Any) -> None:
-            super().connection_made(transport)
-            self.timeout_keep_alive_task = self.loop.call_later(
-                self.timeout_keep_alive, self.timeout_keep_alive_handler
-            )
-
-    class WebSocket(WebSocketsSansIOProtocol):
-        """Reads nothing more from a client that does not read its answers, such as pongs."""
-
-        def data_received(self, data: bytes) -> None:
-            super().data_received(data)
-            if not self.writable.is_set() and not self.transport.is_closing():
-                self.transport.pause_reading()
-
-        def resume_writing(self) -> None:
-            super().resume_writing()
-            if not self.read_paused:
-                self.transport.resume_reading()
-
-    return Http, WebSocket
 
 
 def _bound(port: int) -> socket.socket:

@@ -199,6 +199,8 @@ class Camera(ABC):
     """Takes photographs. Subclasses have a kind, open the device and set the attributes below."""
 
     kind: ClassVar[str]
+    # Seconds to wait for a frame beyond its exposure.
+    patience = 2.0
 
     def __init__(self, address: Address) -> None:
         self._address = address

@@ -26,6 +26,8 @@ class DSLRCamera(Camera):
     """A digital camera; made by `open_dslr`. Each frame is asked for by `trigger`."""
 
     kind = "dslr"
+    # It stores a frame before it sends it.
+    patience = 30.0
 
     def __init__(self, gphoto2: Any, camera: Any, name: str, address: Address) -> None:
         super().__init__(address)

@@ -74,6 +74,7 @@ class WatchedFolder(Camera):
     """Reads the files that appear in a folder; made by `open_watched`."""
 
     kind = "watch"
+    patience = 30.0
 
     def __init__(self, address: Address, folder: Path, exposure: float, clip: float | None) -> None:
         super().__init__(address)
