@@ -152,7 +152,8 @@ class Relation:
     (m, K). `features` are the cosines of the patterns through several blurs and in several parts of
     the projector, (F, K, K); `shown` some pixels of the patterns at each blur, (F', n, K),
     standardised. `count` is the number of all frames, `pixels` that of the projector's pixels once
-    binned. `contrasted` tells whether the usual camera pixel varies by far more than noise.
+    binned. `contrasted` tells whether the usual camera pixel varies by far more than noise, and
+    `same` which pairs of frames were standardised together, (K, K).
     """
 
     samples: Floats
@@ -161,6 +162,7 @@ class Relation:
     count: int
     pixels: int
     contrasted: bool
+    same: NDArray[np.bool_]
 
     @classmethod
     def of(cls, survey: Survey) -> Relation | None:
@@ -186,13 +188,15 @@ class Relation:
         # Under a curve that is not declared, frames differ most by their exposure. The frames of
         # each exposure are therefore standardised by themselves first.
         exposures = np.broadcast_to(survey.decoder.exposure, survey.count)[:count]
-        levels = np.unique(exposures)
-        for level in levels if 3 * len(levels) < count else ():
+        if 3 * len(np.unique(exposures)) >= count:
+            exposures = np.zeros(count)
+        for level in np.unique(exposures):
             values[:, exposures == level] = _standardised(values[:, exposures == level])
         samples = _standardised(values)
         features, shown = _pattern_cosines(_binned(survey.patterns, count, step))
         contrasted = bool(np.median(span - least) > 0)
-        return cls(samples, features, shown, survey.count, pixels, contrasted)
+        same = exposures[:, None] == exposures
+        return cls(samples, features, shown, survey.count, pixels, contrasted, same)
 
     @cached_property
     def frames(self) -> NDArray[np.int64]:
@@ -225,6 +229,10 @@ class Relation:
         else:
             features = _normalised(self.features[:, shown[upper[0]], shown[upper[1]]])
         own = np.stack([each[upper] for each in _cosines_of(self.cosines[np.ix_(known, known)])])
+        # Frames of one exposure have a mean of 0, so that their cosines are lower than others.
+        same = self.same[np.ix_(known, known)][upper]
+        for pairs in (same, ~same) if not same.all() else ():
+            own[:, pairs] -= own[:, pairs].mean(axis=1, keepdims=True)
         return float((features @ _normalised(own).T).max())
 
     @cached_property
