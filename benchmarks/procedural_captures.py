@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from lightmatrix.capture.packing import write_packed
+from lightmatrix.capture.capture import Capture
+from lightmatrix.capture.packing import pack
 from lightmatrix.capture.sensor import Sensor
 from lightmatrix.patterns.pattern_set import PatternSet
 from lightmatrix.simulation.irradiance import irradiance
@@ -20,25 +22,43 @@ from lightmatrix.transport.sparse_rows import stack_rows
 def photograph(output: Path, scene: ProceduralScene, patterns: PatternSet) -> None:
     """Write the capture that `lm.simulate` would make of the scene's truth."""
     sensor = Sensor(0.8, read_noise=0.003, bits=8)
-    height, width = scene.camera_shape
+    frames = _Photographs(scene, patterns, sensor)
+    provenance = {"scene": "procedural", "seed": scene.seed}
+    pack(Capture(patterns, frames, sensor.decoder(), provenance=provenance), output)
 
-    def strips(rows: int) -> Iterator[NDArray[Any]]:
-        # About four million samples at a time.
-        step = rows * max(1, (1 << 22) // (rows * width * max(64, patterns.count)))
-        for top in range(0, height, step):
-            start, stop = top * width, min(top + step, height) * width
-            parts = [scene.rows(k, min(k + 8192, stop))[0] for k in range(start, stop, 8192)]
-            light = irradiance(stack_rows(parts), patterns)
-            levels = sensor.expose(light, first_row=start)
-            yield np.ascontiguousarray(levels.T).reshape(patterns.count, -1, width)
 
-    write_packed(
-        output,
-        patterns,
-        strips,
-        decoder=sensor.decoder(),
-        shape=scene.camera_shape,
-        dtype=sensor.dtype,
-        names=[f"image_{k:04d}" for k in range(patterns.count)],
-        provenance={"scene": "procedural", "seed": scene.seed},
-    )
+@dataclass(frozen=True)
+class _Photographs:
+    """Photographs that are taken as they are read, some camera pixels at a time."""
+
+    scene: ProceduralScene
+    patterns: PatternSet
+    sensor: Sensor
+
+    @property
+    def count(self) -> int:
+        return self.patterns.count
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        return self.scene.camera_shape
+
+    @property
+    def dtype(self) -> np.dtype[Any]:
+        return self.sensor.dtype
+
+    def levels(self, start: int, stop: int) -> NDArray[Any]:
+        parts = [self.scene.rows(k, min(k + 8192, stop))[0] for k in range(start, stop, 8192)]
+        return self.sensor.expose(irradiance(stack_rows(parts), self.patterns), first_row=start)
+
+    def name(self, index: int) -> str:
+        return f"image_{index:04d}"
+
+    def read(self, index: int) -> NDArray[Any]:
+        raise NotImplementedError
+
+    def select(self, index: Sequence[int]) -> _Photographs:
+        raise NotImplementedError
+
+    def part(self, rows: slice, cols: slice) -> _Photographs:
+        raise NotImplementedError

@@ -19,6 +19,7 @@ from experiments import (
     fig6,
     fig7,
     harness,
+    layers,
     mapping,
     responses,
     rigs,
@@ -40,6 +41,7 @@ EXPERIMENTS: dict[str, harness.Experiment[Any]] = {
         responses.RESPONSES_EXPERIMENT,
         uses.USES_EXPERIMENT,
         shape.SHAPE_EXPERIMENT,
+        layers.LAYERS_EXPERIMENT,
         mapping.MAPPING,
     )
 }

@@ -10,7 +10,6 @@ from .patterns.bits import (
 )
 from .patterns.blocks import (
     BlockPatterns as BlockPatterns,
-    one_pixel_patterns as one_pixel_patterns,
 )
 from .patterns.colour import (
     ColourPatterns as ColourPatterns,
@@ -143,12 +142,12 @@ from .uses.probing import (
 )
 from .report.views import (
     show as show,
-    write_pictures as write_pictures,
 )
 from .shape.triangulation import (
     geometry_of as geometry_of,
     triangulate as triangulate,
 )
+from .shape.layers import layers as layers
 from .uses.separation import separate as separate
 from .judgement.judgement import (
     Verdicts as Verdicts,

@@ -54,6 +54,9 @@ _LABELS = {
 }
 # Values between 0 and 1 that are shown in per cent.
 _SHARES = {
+    "gap_median",
+    "gap_max",
+    "response_rmse",
     "background_share",
     "clipped_samples",
     "rows_half_clipped",
@@ -100,6 +103,8 @@ def shown_value(value: Any) -> str:
 def percent(share: float) -> str:
     """A share in per cent, rounded to two digits or to whole per cent."""
     value = 100 * share
+    if 0 < value < 0.001:
+        return "below 0.001 %"
     digits = "0" if value == 0 else f"{value:.0f}" if value >= 9.95 else f"{value:.2g}"
     return f"{digits} %"
 
@@ -116,8 +121,9 @@ def _short(value: Any) -> str:
         return f"<{_size(value.shape)} {value.dtype}>"
     if isinstance(value, Mapping):
         return f"<{len(value)} entries>" if value else "{}"
-    if isinstance(value, tuple) and hasattr(value, "_fields"):
-        return f"{type(value).__name__}({', '.join(_short(item) for item in value)})"
+    if isinstance(value, tuple):
+        name = type(value).__name__ if hasattr(value, "_fields") else ""
+        return f"{name}({', '.join(_short(item) for item in value)})"
     text = repr(value)
     return text if len(text) <= _LONGEST else f"{text[: _LONGEST - 3]}..."
 

@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 from PIL import Image
 
 import lightmatrix as lm
@@ -19,7 +18,6 @@ from lightmatrix.capture.capture import Capture
 from lightmatrix.capture.decoder import Decoder
 from lightmatrix.capture.folder import check_depth, write_capture
 from lightmatrix.capture.frames import in_memory
-from lightmatrix.capture.samples import Samples
 from lightmatrix.capture.sensor import Sensor
 from lightmatrix.capture.settings import KEYS, ReadSettings
 from lightmatrix.check.refusals import refuse_unusable
@@ -29,7 +27,6 @@ from lightmatrix.patterns.bits import BernoulliPatterns
 from lightmatrix.patterns.folder import read_patterns, write_patterns
 from lightmatrix.patterns.pattern_set import ImagePatterns, PatternSet
 from lightmatrix.resources import disk
-from lightmatrix.solvers.problem import Problem
 from tests.helpers.captures import (
     COUNT,
     SETS,
@@ -121,14 +118,6 @@ def test_a_written_capture_comes_back(
     np.testing.assert_array_equal(capture.frame(3), frames[3])
 
 
-def test_samples_fit_a_problem() -> None:
-    sensor = Sensor(np.linspace(0.5, 1.5, COUNT))
-    capture = Capture.from_arrays(SETS[0], photographs(SETS[0], sensor), sensor)
-    s = capture.samples(3, 9)
-    problem = Problem(capture.patterns, Samples(s.values, s.clipped, s.clip_level, s.weights), 0.3)
-    assert problem.rows == 6
-
-
 def test_plain_folders_in_natural_order(tmp_path: Path) -> None:
     sensor = Sensor()
     frames = photographs(SETS[3], sensor)
@@ -177,14 +166,6 @@ def test_options_of_plain_folders(tmp_path: Path) -> None:
     np.testing.assert_allclose(
         samples.values[kept, :-1], expected.samples().values[kept], atol=1e-6
     )
-
-
-def test_gamma_is_undone(tmp_path: Path) -> None:
-    linear = photographs(SETS[3], Sensor(bits=16)) / 65535
-    encoded = np.rint(255 * linear ** (1 / 2.2)).astype(np.uint8)
-    patterns, photos = write_folders(tmp_path, SETS[3], encoded)
-    samples = Capture.from_folders(patterns, photos, ReadSettings(response="gamma:2.2")).samples()
-    np.testing.assert_allclose(samples.values, linear.reshape(COUNT, -1).T, atol=0.01)
 
 
 @given(st.integers(0, 5), st.integers(0, 40), st.sampled_from([(1, 1), (2, 3), (4, 4)]))
@@ -380,32 +361,6 @@ def test_jpeg_without_a_response_is_warned_about(tmp_path: Path) -> None:
         Capture.from_folders(SETS[0], tmp_path / "photos", ReadSettings(response=response))
 
 
-def test_unusable_captures_are_refused() -> None:
-    sensor = Sensor()
-    frames = photographs(SETS[0], sensor)
-    grey = np.linspace(0, 1, COUNT, dtype=np.float32)[:, None, None]
-    constant = ImagePatterns(np.tile(grey, (1, *SHAPE)))
-    alike = ImagePatterns(np.repeat(SETS[3].images(0, 1), COUNT, axis=0))
-    dot = ImagePatterns(grey)
-    cases: list[tuple[PatternSet, NDArray[Any], str]] = [
-        (SETS[0], frames[:-1], "9 patterns, but 8 images"),
-        (SETS[0], np.zeros_like(frames), "all images are dark"),
-        (SETS[0], np.minimum(frames, 2), "all images are dark"),
-        (SETS[0], np.full_like(frames, 255), "100.0 % of the samples are clipped"),
-        (constant, frames, "no pattern varies"),
-        (alike, frames, "all patterns are the same"),
-        (dot, frames, "the projector has 1 x 1 pixels"),
-        (BernoulliPatterns(SHAPE, 1), frames[:1], "1 frame only"),
-    ]
-    for patterns, stack, message in cases:
-        with pytest.raises(InputError, match=message):
-            refuse_unusable(Capture.from_arrays(patterns, stack, sensor))
-    with pytest.raises(InputError, match="all camera pixels are masked"):
-        refuse_unusable(Capture.from_arrays(SETS[0], frames, sensor, mask=np.zeros((5, 7), bool)))
-    with pytest.raises(InputError, match="a mask of shape"):
-        Capture.from_arrays(SETS[0], frames, sensor, mask=np.zeros((7, 5), bool))
-
-
 def test_patterns_that_binning_makes_constant_are_no_error_unless_all_are() -> None:
     sensor = Sensor()
     frames = photographs(SETS[0], sensor)
@@ -426,30 +381,6 @@ def test_the_documented_description_is_the_one_that_is_read() -> None:
     assert set(example) == set(KEYS)
     for key in set(example) - {"format", "version"}:
         assert f"`{key}`" in page
-
-
-def test_the_description_of_a_capture() -> None:
-    patterns, sensor = SETS[0], Sensor(1.5, 0.0, bits=8)
-    frames = photographs(patterns, sensor)
-    plain = Capture.from_arrays(patterns, frames, sensor)
-    mask = np.ones((5, 7), bool)
-    mask[2, 3] = False
-    dark = Decoder(255.0, 255.0, exposure=1.5, black_frame=np.zeros(35, np.uint8))
-    masked = Capture.from_arrays(patterns, frames, dark, mask=mask)
-    assert plain.description == {
-        "camera_shape": [5, 7],
-        "projector_shape": [6, 8],
-        "frames": 9,
-        "bin_camera": [1, 1],
-        "bin_projector": [1, 1],
-        "clip": 255,
-        "black_level": 0,
-        "black_frame": False,
-        "exposure": 1.5,
-        "response": "linear",
-        "masked": 0,
-    }
-    assert masked.description == {**plain.description, "black_frame": True, "masked": 1}
 
 
 def test_grey_saved_as_equal_colours_is_grey_for_the_black_frame_too(tmp_path: Path) -> None:

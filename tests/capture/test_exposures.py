@@ -143,14 +143,6 @@ def test_exposures_and_black_frame_are_written_down(mixed: Path) -> None:
     assert content["black"]["exposure"] == 4
 
 
-def test_a_wrong_number_of_exposures_is_refused(mixed: Path, tmp_path: Path) -> None:
-    capture = Capture.open(mixed / "capture")
-    decoder = replace(capture.decoder, exposure=np.ones(47))
-    raw = np.stack([capture.frame(k) for k in range(48)])
-    with pytest.raises(InputError, match="exposure has 47 values for 48 frames"):
-        Capture.from_arrays(capture.patterns, raw, decoder)
-
-
 def _capture(patterns: PatternSet, known: Truth, exposure: object, *, order: bool) -> Capture:
     sensor = Sensor(exposure, read_noise=0.003)  # type: ignore[arg-type]
     frames = sensor.expose(irradiance(known.matrix, patterns), seed=1)
@@ -191,18 +183,6 @@ def test_a_quarter_of_short_frames_lowers_the_error(scene: str) -> None:
     one, two = np.array(errors)
     assert two[0] < 0.75 * one[0]
     assert two[1] < one[1]
-
-
-def test_short_frames_weigh_less_but_not_by_noise_alone() -> None:
-    known = ProceduralScene((4, 4), (4, 4)).truth()
-    exposures = np.array([1.0, 0.25, 1 / 64, 1.0])
-    capture = _capture(BernoulliPatterns((4, 4), 4), known, exposures, order=False)
-    weights = capture.samples().weights
-    assert weights is not None
-    assert weights[0] == weights[3] == 1
-    assert 0.8 < weights[1] < 1
-    # Far below the misfit's weight, noise decides: e^2.
-    assert 1 / 64**2 < weights[2] < 0.05
 
 
 def test_dark_and_clipped_samples_are_not_lit() -> None:

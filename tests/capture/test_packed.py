@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import shutil
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +11,6 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 
 import lightmatrix as lm
 from lightmatrix.capture import packing
@@ -211,19 +209,6 @@ def test_a_packed_capture_replaces_the_folder_everywhere(folder: Path, name: str
     assert one.provenance == other.provenance
 
 
-def test_info_describes_both(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    summaries = []
-    for name in ("capture", "packed.zarr"):
-        assert main(["info", str(folder / name), "--json"]) == 0
-        summaries.append(json.loads(capsys.readouterr().out))
-        assert main(["info", str(folder / name)]) == 0
-        assert "16 x 16" in capsys.readouterr().out
-        assert main(["info", str(folder / name), "--pictures", str(folder / "p")]) == 2
-        assert "is a capture" in capsys.readouterr().err
-    assert summaries[0] == summaries[1]
-    assert summaries[0]["frames"] == 24
-
-
 def test_the_command_packs_plain_folders(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     plain = f"--patterns {folder}/capture/patterns --images {folder}/capture/images --black 3"
     assert main(f"pack {plain} -o {folder}/plain.zarr --json".split()) == 0
@@ -304,29 +289,6 @@ def test_disk_space_is_checked_before_a_frame_is_read(
         lm.pack(original, tmp_path / "c.zarr")
     assert not read
     assert not list(tmp_path.iterdir())
-
-
-def test_a_failed_packing_leaves_nothing(tmp_path: Path) -> None:
-    original = capture()
-    broken = replace(original, frames=_Broken(original.frames))
-    with pytest.raises(InputError, match="frame 3 is gone"):
-        lm.pack(broken, tmp_path / "c.zarr")
-    assert not list(tmp_path.iterdir())
-
-
-class _Broken:
-    """Frames of which the fourth cannot be read."""
-
-    def __init__(self, frames: Any) -> None:
-        self.frames = frames
-        self.count, self.shape, self.dtype = frames.count, frames.shape, frames.dtype
-        self.name, self.select = frames.name, frames.select
-
-    def read(self, index: int) -> NDArray[Any]:
-        if index == 3:
-            raise InputError("frame 3 is gone")
-        frame: NDArray[Any] = self.frames.read(index)
-        return frame
 
 
 def test_black_and_white_images_give_the_estimate_of_the_generated_set(

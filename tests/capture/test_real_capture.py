@@ -13,7 +13,6 @@ from typing import Any
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from scipy.sparse import csr_array
 
 from benchmarks.gray_decoding import BLACK, CLIP, COLUMN_BITS, ROW_BITS, WHITE, decoded, strongest
 from lightmatrix.capture.capture import Capture
@@ -72,14 +71,6 @@ def estimate(capture: Capture, rows: NDArray[np.int64], regularization: float = 
         regularization * capture.reference_level,
     )
     return ActiveSet().solve(problem)
-
-
-def test_the_strongest_entries_are_the_largest_of_their_rows() -> None:
-    dense = np.random.default_rng(0).random((40, 6), np.float32)
-    dense[[0, 17, 39]] = 0
-    expected = np.where(dense.any(axis=1), dense.argmax(axis=1), -1)
-    np.testing.assert_array_equal(strongest(csr_array(dense)), expected)
-    assert (strongest(csr_array((3, 6))) == -1).all()
 
 
 @pytest.mark.parametrize("coherent", [False, True])

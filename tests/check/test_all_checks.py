@@ -20,7 +20,7 @@ from lightmatrix.check.all_checks import (
     check_distinguishable,
     check_interchanged,
 )
-from lightmatrix.check.finding import KINDS, join_names
+from lightmatrix.check.finding import KINDS
 from lightmatrix.check.survey import Survey
 from lightmatrix.cli import main
 from lightmatrix.files.images import decode_image, encode_image
@@ -97,13 +97,6 @@ def coded(frames: Frames) -> Frames:
 )
 def test_faults_are_named(fault: Callable[[Frames], Frames], expected: Found) -> None:
     assert found(fault(photographs(PATTERNS))) == expected
-
-
-def test_a_lost_frame_displaces_the_rest() -> None:
-    ((kind, frames),) = found(lost(photographs(PATTERNS)))
-    assert kind == "order"
-    assert abs(frames[0] - 12) <= 1
-    assert frames == tuple(range(frames[0], 31))
 
 
 def test_light_that_changes() -> None:
@@ -184,14 +177,6 @@ def test_several_exposures_of_a_bundled_scene_are_left_alone() -> None:
     assert lm.check(capture) == []
 
 
-def test_names_in_words() -> None:
-    assert join_names(list("ab")) == "a and b"
-    assert join_names(list("abc")) == "a, b and c"
-    assert join_names(["a"]) == "a"
-    assert join_names(list("abcde")) == "a, b, c, d and e"
-    assert join_names(list("abcdefg")) == "a, b, c, d, e and 2 more"
-
-
 MICRO = MicroPhasePatterns((64, 64))
 
 
@@ -261,11 +246,6 @@ def test_stripes_in_both_directions_do_not() -> None:
     assert "along rows or along columns only" in message(both)
     both[5, 3, 3] += 0.02
     assert "along rows or along columns only" not in message(both)
-
-
-def test_pixels_that_few_random_patterns_leave_alike_are_no_fault() -> None:
-    assert check_distinguishable(lm.BernoulliPatterns((128, 128), 16)) == []
-    assert check_distinguishable(lm.BernoulliPatterns((128, 128), 12)) != []
 
 
 def test_a_fifth_of_the_pixels_may_be_alike() -> None:

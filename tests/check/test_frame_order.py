@@ -20,7 +20,7 @@ from lightmatrix.check.refusals import refuse_unordered, refuse_unusable
 from lightmatrix.check.survey import Survey
 from lightmatrix.errors import InputError
 from lightmatrix.patterns.bits import BernoulliPatterns
-from lightmatrix.patterns.blocks import one_pixel_patterns
+from lightmatrix.patterns.blocks import BlockPatterns
 from lightmatrix.patterns.hadamard import HadamardPatterns
 from lightmatrix.patterns.pattern_set import ImagePatterns, PatternSet
 from tests.check.test_inverse_pairs import gray_code
@@ -72,7 +72,7 @@ def test_good_captures_pass(count: int, exposure: float, seed: int) -> None:
         HadamardPatterns(PROJECTOR, 64, "sequency"),
         HadamardPatterns(PROJECTOR, 64, "natural"),
         gray_code(),
-        one_pixel_patterns(PROJECTOR),
+        BlockPatterns(PROJECTOR),
         ImagePatterns(np.repeat(gray_code().stack, 2, axis=0)),
     ],
     ids=["hadamard", "sequency", "natural", "gray code", "one-pixel", "each pattern twice"],

@@ -54,17 +54,6 @@ def test_what_a_part_holds_does_not_predict_it(patterns: lm.PatternSet) -> None:
     assert np.abs(before[:, 1:60:3] - after[:, 1:60:3]).max() > 0.1
 
 
-def test_the_scale_of_a_pixel_is_one_over_its_deviation() -> None:
-    images = np.random.default_rng(3).random((COUNT, 3, 5), np.float32)
-    images[:, 1, 2] = 0.7
-    images[:, 2, 2] = 0.7 + 0.0005 * images[:, 0, 0]
-    scale = column_scale(lm.ImagePatterns(images)).reshape(3, 5)
-    assert scale[1, 2] == scale[2, 2] == 0
-    varied = scale > 0
-    assert varied.sum() == 13
-    np.testing.assert_allclose(scale[varied], 1 / images.std(axis=0)[varied], rtol=1e-4)
-
-
 def test_the_best_pixel_correlates_most(
     patterns: lm.PatternSet, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -13,7 +13,6 @@ import lightmatrix as lm
 from lightmatrix.check import refusals
 from lightmatrix.check.finding import Finding
 from lightmatrix.check.refusals import refuse_unordered, refuse_unusable
-from lightmatrix.patterns.bits import BernoulliPatterns
 from lightmatrix.patterns.pattern_set import ImagePatterns
 
 K = 6
@@ -108,8 +107,3 @@ def test_only_what_does_not_follow_the_patterns_is_refused(
     with pytest.raises(lm.InputError, match="look swapped") as caught:
         refuse_unordered(capture())
     assert caught.value.hint == "swap them; check=False takes them as they are"
-
-
-def test_bits_are_patterns_too() -> None:
-    camera = lm.Decoder(clip=255, full_scale=255)
-    refuse_unusable(lm.Capture.from_arrays(BernoulliPatterns((4, 5), K), FRAMES, camera))

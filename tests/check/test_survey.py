@@ -27,16 +27,6 @@ def random_frames(*shape: int) -> NDArray[np.uint8]:
     return np.random.default_rng(0).integers(0, 255, (K, *shape)).astype(np.uint8)
 
 
-def test_small_frames_are_looked_at_whole() -> None:
-    frames = random_frames(20, 30)
-    whole = survey(frames)
-    assert whole.grid == (1, 20, 30, 1)
-    assert whole.count == K
-    np.testing.assert_array_equal(whole.raw, frames.reshape(K, -1).T)
-    colour = survey(random_frames(20, 30, 3))
-    assert colour.grid == (1, 20, 30, 3)
-
-
 def test_large_frames_are_looked_at_in_whole_blocks_of_jpeg(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
@@ -75,21 +65,6 @@ def test_cropped_frames_keep_the_blocks_of_jpeg() -> None:
     np.testing.assert_array_equal(taken.raw[0], frames[:, 8, 8])
 
 
-def test_statistics() -> None:
-    frames = random_frames(10, 10)
-    frames[:, 0, 0] = [255, 255, 255, *[10] * 8, 20]
-    taken = survey(frames)
-    known = taken.statistics
-    values = frames.reshape(K, -1).T / 255
-    np.testing.assert_allclose(known.spread, values.std(axis=1), atol=1e-6)
-    np.testing.assert_allclose(known.lowest, values.min(axis=1), atol=1e-6)
-    np.testing.assert_allclose(known.highest, values.max(axis=1), atol=1e-6)
-    np.testing.assert_allclose(known.first, values[:, :4].max(axis=1), atol=1e-6)
-    np.testing.assert_allclose(known.last, values[:, 8:].max(axis=1), atol=1e-6)
-    assert known.clipped[0] == 0.25
-    assert known.clipped[1:].max() == 0
-
-
 def test_masked_hot_and_dark_samples_do_not_count() -> None:
     frames = random_frames(10, 10)
     mask = np.ones((10, 10), bool)
@@ -104,17 +79,6 @@ def test_masked_hot_and_dark_samples_do_not_count() -> None:
         taken.samples(np.array([50, 4])).values,
         np.stack([frames[:, 5, 0] - 50.0, frames[:, 0, 4] - 4.0]) / 255,
         atol=0.01,
-    )
-
-
-def test_frames_can_be_selected_with_their_exposures() -> None:
-    exposure = np.linspace(0.1, 1, K)
-    frames = random_frames(10, 10)
-    taken = survey(frames, lm.Decoder(clip=255, full_scale=255, exposure=exposure))
-    swapped = taken.select_frames(np.array([3, 1]))
-    assert swapped.count == 2
-    np.testing.assert_array_equal(
-        swapped.samples(np.arange(5)).values, taken.samples(np.arange(5)).values[:, [3, 1]]
     )
 
 

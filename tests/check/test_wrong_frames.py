@@ -55,15 +55,6 @@ def test_a_frame_that_misses_much_of_its_variation_is_wrong(share: float, wrong:
     assert np.flatnonzero(wrong_frames(off(5, share))).tolist() == [5] * wrong
 
 
-def test_a_frame_must_miss_more_than_the_others() -> None:
-    noisy = off(5, 0.35)
-    sign = np.where(np.arange(M) % 2, 1.0, -1.0)[:, None]
-    for usual, wrong in ((0.08, True), (0.1, False)):
-        usual_misses = noisy.expected + sign * np.sqrt(usual)
-        observed = np.where(np.arange(K) == 5, noisy.observed, usual_misses)
-        assert wrong_frames(replace(noisy, observed=observed))[5] == wrong
-
-
 def test_light_that_is_smooth_over_the_projector_accuses_nobody() -> None:
     example = off(5, 0.01)
     part = np.arange(M) // 15
@@ -71,15 +62,6 @@ def test_light_that_is_smooth_over_the_projector_accuses_nobody() -> None:
     missed = replace(example, observed=example.observed + 0.9 * smooth, part=part)
     assert not wrong_frames(missed).any()
     assert wrong_frames(replace(missed, part=np.arange(M)))[5]
-
-
-def test_too_few_rows_accuse_nobody() -> None:
-    assert not wrong_frames(off(5, 2.0, rows=19)).any()
-    assert wrong_frames(off(5, 2.0, rows=20))[5]
-    example = off(5, 2.0)
-    trusted = example.trusted.copy()
-    trusted[19:, 5] = False
-    assert not wrong_frames(replace(example, trusted=trusted)).any()
 
 
 def test_dark_frames_are_wrong_only_where_light_is_expected() -> None:
@@ -92,13 +74,6 @@ def test_dark_frames_are_wrong_only_where_light_is_expected() -> None:
     expected[:, 5] = 0.075
     observed[:, 5] = 0.02
     assert wrong_frames(replace(example, expected=expected, observed=observed))[5]
-
-
-def test_no_row_decides_alone() -> None:
-    example = off(5, 0.01, rows=120)
-    observed = example.observed.copy()
-    observed[0, 5] += 8
-    assert not wrong_frames(replace(example, observed=observed))[5]
 
 
 def test_black_frames_and_others() -> None:

@@ -98,11 +98,6 @@ def same_patterns(folder: Path) -> None:
         shutil.copy(files[0], file)
 
 
-def one_pixel_projector(folder: Path) -> None:
-    for k, file in enumerate(sorted((folder / "patterns").glob("*.png"))):
-        write_image(file, np.full((1, 1), 5 * k, np.uint8), overwrite=True)
-
-
 def only_the_first(folder: Path) -> None:
     for where in ("patterns", "images"):
         for file in sorted((folder / where).glob("*.png"))[1:]:
@@ -111,14 +106,6 @@ def only_the_first(folder: Path) -> None:
 
 def resize(name: str) -> Fault:
     return lambda folder: write_image(folder / name, np.zeros((4, 4), np.uint8), overwrite=True)
-
-
-def deepen(name: str) -> Fault:
-    def fault(folder: Path) -> None:
-        pixels = read_image(folder / name).astype(np.uint16)
-        write_image(folder / name, pixels, overwrite=True)
-
-    return fault
 
 
 def text(name: str) -> Fault:
@@ -174,35 +161,22 @@ FAULTS: dict[str, tuple[Fault, str, str]] = {
         "the images do not follow the patterns: each image shows the pattern after its own",
     ),
     "images of two sizes": (resize(image(9)), ESTIMATE, "is 4 x 4, but image_0000.png is 18 x 22"),
-    "images of two bit depths": (deepen(image(9)), ESTIMATE, "is uint16, but image_0000.png is"),
     "not a number": (nan, ESTIMATE, "image_0007.npy: the value at (2, 5) is nan"),
-    "two formats": (text("images/a.tif"), ESTIMATE, "images of several formats (.png, .tif)"),
     "all dark": (fill(1), ESTIMATE, "all images are dark"),
     "all clipped": (fill(255), ESTIMATE, "100.0 % of the samples are clipped"),
     "one frame": (only_the_first, ESTIMATE, "the capture has 1 frame only"),
     # ---- its patterns
     "no pattern varies": (grey_patterns, ESTIMATE, "no pattern varies"),
     "patterns all alike": (same_patterns, ESTIMATE, "all patterns are the same"),
-    "patterns of 1 x 1": (one_pixel_projector, ESTIMATE, "the projector has 1 x 1 pixels"),
     "projector binned to 1 x 1": (
         nothing,
         f"{ESTIMATE} --bin-projector 100",
         "the projector has 1 x 1 pixels",
     ),
-    "patterns of two sizes": (
-        resize("patterns/pattern_0005.png"),
-        ESTIMATE,
-        "pattern_0005.png: is 4 x 4, but pattern_0000.png is 16 x 20",
-    ),
     "a coloured pattern": (
         colour_pattern,
         ESTIMATE,
         "pattern_0003.png: is 16 x 20 with 3 channels, but pattern_0000.png is 16 x 20",
-    ),
-    "a folder without images": (
-        lambda folder: (folder / "other").mkdir(),
-        "estimate --patterns other --images images -o scene.zarr",
-        "other: holds no images",
     ),
     # ---- how they are to be read
     "black frame of another size": (
@@ -210,31 +184,16 @@ FAULTS: dict[str, tuple[Fault, str, str]] = {
         f"{ESTIMATE} --black black.png",
         "black.png: the black frame has shape (4, 4), the images (18, 22)",
     ),
-    "white frame of another size": (
-        resize("white.png"),
-        f"{ESTIMATE} --white white.png",
-        "white.png: is 4 x 4, but image_0000.png is 18 x 22",
-    ),
     "everything masked": (
         lambda folder: write_image(folder / "mask.png", np.zeros(CAMERA, np.uint8)),
         f"{ESTIMATE} --mask mask.png",
         "all camera pixels are masked",
     ),
     # ---- capture folders
-    "file for a capture folder": (
-        text("file"),
-        "estimate file -o scene.zarr",
-        "file: is a file, not a capture folder",
-    ),
     "capture without images": (
         lambda folder: shutil.rmtree(folder / "capture" / "images"),
         "estimate capture -o scene.zarr",
         "capture: has no folder images/",
-    ),
-    "two sources": (
-        nothing,
-        "estimate capture --patterns patterns -o scene.zarr",
-        "a capture folder and --patterns were given",
     ),
     "no source": (nothing, "estimate -o scene.zarr", "no capture is given"),
     "no patterns": (nothing, "estimate --images images", "--patterns is missing"),
@@ -242,25 +201,17 @@ FAULTS: dict[str, tuple[Fault, str, str]] = {
     # ---- outputs
     "output of the wrong kind": (nothing, "estimate capture -o scene.h5", "ends in .h5"),
     # ---- matrices
-    "no matrix": (nothing, "info nothing.zarr", "nothing.zarr: no such file"),
-    "no matrix but a folder": (nothing, "info images", "images: is not a light transport matrix"),
     "relight to an unknown format": (
         nothing,
         "relight T.zarr patterns/pattern_0000.png -o out.gif",
         "ends in .gif",
     ),
-    "export to an unknown format": (nothing, "export T.zarr T.csv", "ends in .csv"),
     "a truth without its background": (
         nothing,
         "evaluate T.zarr --truth T.npz",
         "T.npz holds its background separately",
     ),
     "a truth of another rig": (nothing, "evaluate T.zarr --truth wall", "18 x 22"),
-    "a truth that is no scene": (
-        nothing,
-        "evaluate T.zarr --truth l_object",
-        "there is no scene called 'l_object'",
-    ),
 }
 
 

@@ -38,7 +38,7 @@ def photographed(exposure: float, count: int = 64, noise: float = 0.0) -> Captur
 def test_a_capture_that_clips_reaches_its_clip_level() -> None:
     capture = photographed(5.0)
     assert reached_level(capture) == pytest.approx(1)
-    expected = default_regularization(capture.patterns, 1.0)
+    expected = default_regularization(capture.patterns, 1.0, 0.003)
     assert automatic_regularization(capture) == pytest.approx(expected)
 
 
@@ -63,7 +63,7 @@ def test_black_frames_still_have_one() -> None:
 def test_dark_captures_are_shrunk_less_than_by_their_clip_level() -> None:
     known, exposure = TRUTH.transport(), 0.2
     capture = photographed(exposure, 128)
-    by_clip_level = default_regularization(capture.patterns, 1.0)
+    by_clip_level = default_regularization(capture.patterns, 1.0, 0.003)
     errors = []
     for regularization in (None, by_clip_level):
         estimate = PlainEstimator(ActiveSet(), regularization).estimate(capture)

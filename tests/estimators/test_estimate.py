@@ -7,7 +7,6 @@ import json
 import os
 import shutil
 import sys
-from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -113,15 +112,6 @@ def test_interrupted_runs_go_on(
     assert abs(stored.sparse - expected.sparse).max() == 0
     assert stored.provenance["solver"] == "SaturationADMM"
     assert stored.provenance["pattern_digest"] == capture.patterns.digest
-
-
-def test_regularization_defaults_to_the_rule(rig: tuple[Path, Truth]) -> None:
-    capture = Capture.open(rig[0])
-    estimate = PlainEstimator(SaturationADMM(max_iterations=1)).estimate(capture)
-    # This capture clips, so its samples reach the clip level.
-    assert estimate.provenance["regularization"] == pytest.approx(0.16 / EXPOSURE)
-    chosen = replace(PlainEstimator(SaturationADMM(max_iterations=1)), regularization=0.7)
-    assert chosen.estimate(capture).provenance["regularization"] == 0.7
 
 
 def test_a_disk_that_is_too_small_is_said_before_anything_is_solved(

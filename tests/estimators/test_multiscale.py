@@ -7,15 +7,13 @@ from typing import Any
 
 import numpy as np
 import pytest
-from scipy.ndimage import binary_dilation
-from scipy.sparse import csr_array
 
 from lightmatrix.capture.capture import Capture
 from lightmatrix.capture.samples import Samples
 from lightmatrix.capture.sensor import Sensor
 from lightmatrix.cli import main
 from lightmatrix.estimators import multiscale
-from lightmatrix.estimators.multiscale import MultiScaleEstimator, active_blocks, scales, split
+from lightmatrix.estimators.multiscale import MultiScaleEstimator
 from lightmatrix.estimators.plain import PlainEstimator
 from lightmatrix.judgement.metrics import relative_error
 from lightmatrix.patterns.bits import BernoulliPatterns
@@ -110,41 +108,6 @@ def test_nothing_is_found_outside_the_candidates(capture: Capture) -> None:
     np.testing.assert_array_equal(estimate.sparse.toarray(), again.sparse.toarray())
 
 
-def test_the_strongest_blocks_and_their_neighbours_stay() -> None:
-    coefficients = np.zeros((3, 40))
-    coefficients[0, 5] = 100.0
-    coefficients[1, [5, 17]] = [0.1, 0.05]
-    coefficients[2, :20] = 1e-3
-    candidates = np.arange(0, 120, 3)
-    active = active_blocks(csr_array(coefficients), candidates, (10, 12), 0.04)
-    expected = np.zeros((10, 12), bool)
-    scores = (coefficients / coefficients.sum(axis=1, keepdims=True)).sum(axis=0)
-    expected.ravel()[candidates[np.argsort(-scores, kind="stable")[:8]]] = True
-    np.testing.assert_array_equal(active, binary_dilation(expected, np.ones((3, 3))))
-    assert active[divmod(15, 12)]
-    assert active[divmod(51, 12)]
-    dark = active_blocks(csr_array((3, 40)), candidates, (10, 12), 0.05)
-    assert dark.ravel()[candidates].all()
-
-
-def test_blocks_split_into_the_pixels_they_cover() -> None:
-    active = np.zeros((3, 2), bool)
-    active[2, 1] = active[0, 0] = True
-    estimate = split(active, (5, 3))
-    np.testing.assert_array_equal(estimate, [0, 1, 3, 4, 4 * 3 + 2])
-
-
-def test_scales_end_at_single_pixels_and_keep_their_distance_to_noise() -> None:
-    patterns = BernoulliPatterns((64, 48), 200)
-    made = scales(patterns, 8, 0.3)
-    assert [scale.block for scale in made] == [8, 4, 2, 1]
-    assert made[-1].patterns is patterns
-    for scale in made:
-        assert scale.regularization == pytest.approx(0.3 / scale.block, rel=0.05)
-    assert [scale.block for scale in scales(BernoulliPatterns((9, 40), 5), 8, 1.0)] == [2, 1]
-    assert [scale.block for scale in scales(BernoulliPatterns((3, 3), 5), 8, 1.0)] == [1]
-
-
 @pytest.mark.parametrize("solver", SOLVERS, ids=lambda solver: type(solver).__name__)
 def test_problems_on_some_pixels_keep_the_means_of_whole_patterns(solver: Any) -> None:
     """What the solvers compute of such a set is what its definition says."""
@@ -182,52 +145,6 @@ def test_problems_on_some_pixels_keep_the_means_of_whole_patterns(solver: Any) -
         np.testing.assert_allclose(result.background, 0.4, atol=0.01)
 
 
-def test_wide_systems_of_restricted_patterns() -> None:
-    whole = BernoulliPatterns((8, 8), 12)
-    patterns = ImagePatterns(whole.columns(np.arange(0, 60))[:, None, :])
-    system = System(patterns, 0.3, whole.means)
-    matrix = np.column_stack([patterns.matrix - whole.means[:, None], system.scale * whole.means])
-    random = np.random.default_rng(0)
-    target, point = random.random((2, 12)), random.random((2, 61))
-    x, prediction = system.solve(target, point)
-    np.testing.assert_allclose(prediction, x @ matrix.T, atol=1e-5)
-    gradient = (prediction - target) @ matrix + 0.3 * (x - point)
-    np.testing.assert_allclose(gradient, 0, atol=1e-5)
-
-
-def test_interrupted_runs_go_on(
-    capture: Capture, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    estimator = MultiScaleEstimator(ActiveSet(), 0.05)
-    expected = estimator.estimate(capture)
-    calls: list[int] = []
-
-    def interrupted(problem: Any, solver: Any) -> Any:
-        calls.append(problem.rows)
-        if len(calls) == 9:
-            raise KeyboardInterrupt
-        return solve(problem, solver)
-
-    output = tmp_path / "scene.zarr"
-    monkeypatch.setattr(multiscale, "solve", interrupted)
-    with pytest.raises(KeyboardInterrupt):
-        estimator.estimate(capture, output=output)
-    assert not output.exists()
-    calls[:] = [0] * 20
-    seen: list[tuple[int, int]] = []
-    estimate = estimator.estimate(
-        capture, output=output, progress=lambda done, total: seen.append((done, total))
-    )
-    assert seen[0] == (8 * 13 + 8 * 8, 18 * 13)
-    assert seen[-1] == (18 * 13, 18 * 13)
-    assert abs(estimate.sparse - expected.sparse).max() == 0
-    stored = store.open(output)
-    assert abs(stored.sparse - expected.sparse).max() == 0
-    assert stored.provenance["estimator"] == "multi-scale"
-    assert stored.provenance["solver"] == "ActiveSet"
-    assert stored.diagnostics["candidates"].shape == (18 * 13,)
-
-
 def test_colour_channels_of_a_pixel_share_their_block(truth: Truth) -> None:
     grey = photographed(truth, 2.5, 64)
     frames = np.stack([grey.frames.read(k) for k in range(64)])
@@ -256,12 +173,3 @@ def test_the_command_line_estimates_by_scales(
     for wrong in ("--coherent", "--tile-rows=8"):
         assert main(["estimate", capture, "-o", scene, "--multi-scale", "--overwrite", wrong]) == 2
         assert wrong.split("=")[0].strip("-").replace("-", " ") in capsys.readouterr().err
-
-
-def test_a_coarsest_scale_of_one_pixel_is_the_plain_estimate(
-    capture: Capture, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(multiscale, "_BLOCK", 1)
-    estimate = MultiScaleEstimator(ActiveSet(), 0.05).estimate(capture)
-    plain = PlainEstimator(ActiveSet(), 0.05).estimate(capture)
-    np.testing.assert_allclose(estimate.sparse.toarray(), plain.sparse.toarray(), atol=2e-3)

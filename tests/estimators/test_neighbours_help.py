@@ -7,9 +7,8 @@ import pytest
 
 import lightmatrix as lm
 from benchmarks.synthetic_captures import draw
-from lightmatrix.estimators import choice, plain
+from lightmatrix.estimators import choice
 from lightmatrix.estimators.choice import choose_estimator
-from lightmatrix.estimators.coherent import rounds
 from lightmatrix.estimators.coherent.estimator import CoherentEstimator
 from lightmatrix.estimators.plain import PlainEstimator
 from lightmatrix.judgement.metrics import relative_error
@@ -22,7 +21,7 @@ def test_independent_speckle_is_estimated_row_by_row() -> None:
     with pytest.warns(lm.LightMatrixWarning, match="estimating row by row"):
         chosen = lm.estimate(drawn.capture, progress=False, check=False)
     coherent = lm.estimate(drawn.capture, coherent=True, progress=False, check=False)
-    assert chosen.provenance["estimator"] == "plain"
+    assert chosen.provenance["estimator"] == "row by row"
     assert coherent.provenance["estimator"] == "coherent"
     assert relative_error(chosen, drawn.truth) < 0.5 * relative_error(coherent, drawn.truth)
 
@@ -56,16 +55,6 @@ def test_what_is_only_compared_has_the_same_light(
     # Neither goes on with the tiles of the other.
     plans = (replace(whole, judged=False).plan(capture), whole.plan(capture))
     assert plans[0].fingerprint != plans[1].fingerprint
-
-
-def test_what_is_tried_is_not_judged(monkeypatch: pytest.MonkeyPatch) -> None:
-    def refused(*_: object) -> None:
-        raise AssertionError("judged")
-
-    for module in (plain, rounds):
-        monkeypatch.setattr(module, "with_certainty", refused)
-    capture = draw("speckle", "random", "none", SIZE, seed=3).capture
-    assert isinstance(choose_estimator(capture), PlainEstimator)
 
 
 def test_the_middle_of_the_light_stands_for_a_larger_camera(

@@ -10,7 +10,6 @@ from scipy.sparse import csr_array
 import lightmatrix as lm
 from benchmarks.synthetic_captures import draw
 from lightmatrix.capture.samples import Samples
-from lightmatrix.estimators.coherent import row_errors
 from lightmatrix.estimators.coherent.row_errors import (
     HeldOut,
     Predicted,
@@ -20,7 +19,6 @@ from lightmatrix.estimators.coherent.row_errors import (
     only_bounded,
     smooth_misfit,
     squared_misfit,
-    squared_residual,
     without,
 )
 from lightmatrix.judgement.judgement import OwnError
@@ -34,10 +32,6 @@ def test_some_frames_all_over_are_held_out(count: int) -> None:
     assert len(held) == len(set(held)) == max(2, count // 8)
     assert held.min() >= 0
     assert held.max() < count
-
-
-def test_of_few_frames_none_is() -> None:
-    assert not len(held_out_frames(7))
 
 
 def test_the_misfit_measures_the_error_of_the_row() -> None:
@@ -137,19 +131,6 @@ def test_light_that_does_not_follow_the_patterns_is_constant() -> None:
     assert not constant_light(seen, predicted(0 * mean)).any()
 
 
-def test_patterns_of_one_brightness_show_it_by_halos() -> None:
-    local = SHOWN[:, :8].mean(axis=1)
-    taken = Predicted(
-        DIRECT.astype(np.float32),
-        np.broadcast_to(0.1 * local / local.mean(), DIRECT.shape).astype(np.float32),
-        np.full(COUNT, 0.5),
-    )
-    seen = samples(DIRECT + 0.1)
-    np.testing.assert_allclose(
-        constant_light(seen, taken), 0.1 / seen.values.mean(axis=1), rtol=1e-3
-    )
-
-
 @pytest.mark.parametrize("gamma", [1.0, 1.5, 2.2])
 def test_residuals_bend_under_a_curve(gamma: float) -> None:
     generator = np.random.default_rng(1)
@@ -177,14 +158,6 @@ def test_rows_are_bounded_if_their_strongest_pixel_always_clips() -> None:
     assert not only_bounded(seen, csr_array((3, 64)), PATTERNS).any()
 
 
-def test_the_residual_ignores_clipped_samples() -> None:
-    seen = samples(np.where(np.arange(COUNT) < 32, 2.0, 0.3) * np.ones((2, 1)))
-    taken = Predicted(
-        np.full((2, COUNT), 0.1, np.float32), np.zeros((2, COUNT), np.float32), np.ones(COUNT)
-    )
-    np.testing.assert_allclose(squared_residual(seen, taken), 0.04, rtol=1e-5)
-
-
 # ---- which frames are held out
 
 BASE = lm.BernoulliPatterns((16, 16), 16, seed=1).rows(0, 16).reshape(16, 16, 16)
@@ -192,13 +165,6 @@ BASE = lm.BernoulliPatterns((16, 16), 16, seed=1).rows(0, 16).reshape(16, 16, 16
 
 def images(stack: NDArray[np.float32]) -> lm.ImagePatterns:
     return lm.ImagePatterns(np.asarray(stack, np.float32))
-
-
-@pytest.mark.parametrize("count", [8, 16, 33, 64, 255])
-def test_random_frames_are_held_out_as_ever(count: int) -> None:
-    held = HeldOut.choose(lm.BernoulliPatterns((16, 16), count, seed=2))
-    np.testing.assert_array_equal(held.frames, held_out_frames(count))
-    np.testing.assert_array_equal(held.judged, held.frames)
 
 
 @pytest.mark.parametrize("times", [2, 4, 8])
@@ -225,22 +191,6 @@ def test_nothing_is_held_out_where_that_tests_nothing() -> None:
         held = HeldOut.choose(patterns)
         assert not len(held.frames)
         assert not len(held.judged)
-
-
-@pytest.mark.parametrize("count", [16, 40, 48, 56, 64, 200])
-def test_as_few_are_judged_as_asked(count: int) -> None:
-    held = HeldOut.choose(lm.BernoulliPatterns((16, 16), count, seed=2), judged=4)
-    assert len(held.judged) == min(4, count // 8)
-    assert set(held.judged) <= set(held_out_frames(count))
-
-
-def test_of_many_frames_the_twins_are_still_found(monkeypatch: pytest.MonkeyPatch) -> None:
-    base = lm.BernoulliPatterns((16, 16), 64, seed=1).rows(0, 64).reshape(64, 16, 16)
-    many = images(np.concatenate([base, base]))
-    monkeypatch.setattr(row_errors, "_COMPARED", 32)
-    held = HeldOut.choose(many, judged=4)
-    assert len(held.frames) == 2 * len(held.judged) == 4
-    assert set(held.frames % 64) == set(held.judged % 64)
 
 
 @pytest.mark.parametrize("patterns", ["shown twice", "shown four times", "with inverses"])

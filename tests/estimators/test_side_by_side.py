@@ -63,27 +63,6 @@ def test_every_tile_is_kept_and_progress_never_falls(together: int) -> None:
     assert threads == {threading.get_ident()}
 
 
-def test_two_tiles_are_solved_at_a_time() -> None:
-    meeting = threading.Barrier(2, timeout=120)
-
-    def meet(start: int, stop: int, progress: Progress) -> SparseRows:
-        meeting.wait()
-        return rows(start, stop, progress)
-
-    solve_tiles(meet, SPANS[:4], 2)
-
-
-def test_one_tile_is_solved_by_the_thread_that_asks() -> None:
-    threads = list[int]()
-
-    def solve(start: int, stop: int, progress: Progress) -> SparseRows:
-        threads.append(threading.get_ident())
-        return rows(start, stop, progress)
-
-    solve_tiles(solve, SPANS[:1], 2)
-    assert threads == [threading.get_ident()]
-
-
 @pytest.mark.parametrize("together", [1, 2])
 def test_after_an_error_finished_tiles_are_kept_and_running_ones_end(together: int) -> None:
     kept, ended = TilesInMemory(), list[int]()

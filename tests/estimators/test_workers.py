@@ -330,25 +330,6 @@ def test_workers_share_memory(capture: lm.Capture) -> None:
     assert "(2 workers)" in str(two)
 
 
-def test_workers_started_here_have_their_threads_and_the_usual_malloc(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    monkeypatch.setenv("RAYON_NUM_THREADS", "2")
-    monkeypatch.setenv("OMP_NUM_THREADS", "7")
-    monkeypatch.delenv("MKL_NUM_THREADS", raising=False)
-    # Other tests start workers through Dask, which sets the variable.
-    monkeypatch.delenv("MALLOC_TRIM_THRESHOLD_", raising=False)
-    # Dask leaves variables of its own.
-    threads = ["RAYON_NUM_THREADS", *workers_module._BLAS_THREADS]
-    names = [*threads, "MALLOC_TRIM_THRESHOLD_"]
-    before = [os.environ.get(name) for name in names]
-    with dask_pool(1) as workers:
-        (there,) = workers.client.run(lambda: dict(os.environ)).values()
-    assert [there[name] for name in threads] == ["2"] * 4
-    assert "MALLOC_TRIM_THRESHOLD_" not in there
-    assert [os.environ.get(name) for name in names] == before
-
-
 @given(st.integers(0, 9000), st.integers(1, 9000), st.integers(1, 40))
 def test_tiles_of_a_step(rows: int, most: int, parts: int) -> None:
     spans = list(cut_rows(rows, most, parts))

@@ -67,13 +67,3 @@ def prints(*phrases: str) -> Check:
 def holds(name: str) -> Check:
     """A file or folder must be there."""
     return lambda folder, ran: None if (folder / name).exists() else f"{name} is missing"
-
-
-def is_link(name: str) -> Check:
-    """A symbolic link must still be one."""
-    return lambda folder, ran: None if (folder / name).is_symlink() else f"{name} is no link"
-
-
-def every(*checks: Check) -> Check:
-    """All of several checks."""
-    return lambda folder, ran: next((words for one in checks if (words := one(folder, ran))), None)

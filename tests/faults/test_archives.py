@@ -27,59 +27,18 @@ BIG = np.array((10**9, 10**9))
 # Keys changed, and what they become.
 CHANGES: dict[str, dict[str, Any]] = {
     "an index of N": {"indices": with_item(5, 64)},
-    "an index below 0": {"indices": with_item(5, -1)},
-    "an index far out": {"indices": with_item(5, 2**31 - 1)},
-    "indices of float": {"indices": lambda held: held.astype(float) + 0.5},
-    "indices of text": {"indices": lambda held: held.astype(str)},
-    "indices of two dimensions": {"indices": lambda held: held.reshape(2, -1)},
-    "one index too few": {"indices": lambda held: held[:-1]},
     "row ends that go down": {"indptr": with_item(3, 10**6)},
-    "row ends below 0": {"indptr": with_item(3, -5)},
-    "row ends too few": {"indptr": lambda held: held[:-1]},
-    "row ends without a dimension": {"indptr": np.array(5)},
-    "nan": {"data": with_item(7, np.nan)},
     "infinity": {"data": with_item(7, np.inf)},
-    "values of 1e300": {"data": lambda held: held.astype(float) * 1e300},
     "values of complex numbers": {"data": lambda held: held * 1j},
-    "values of text": {"data": lambda held: held.astype(str)},
-    "values of dates": {"data": lambda held: held.astype("i8").astype("M8[s]")},
-    "values without a dimension": {"data": np.array(1.0)},
     "values below 0": {"data": lambda held: -held},
-    "values too few": {"data": lambda held: held[:-1]},
-    "a shape without a dimension": {"shape": np.array(64)},
-    "a shape of one number": {"shape": np.array([64])},
-    "a shape of three": {"shape": np.array([64, 64, 1])},
     "a shape of 10^9": {"shape": BIG},
-    "a shape below 0": {"shape": np.array([-64, -64])},
-    "a shape of text": {"shape": np.array("64x64")},
-    "a camera without a dimension": {"camera_shape": np.array(64)},
     "a camera of another size": {"camera_shape": np.array([8, 9])},
-    "a camera of size 0": {"camera_shape": np.array([0, 0])},
-    "a camera of none": {"camera_shape": np.array([], int)},
-    "a camera of text": {"camera_shape": np.array(["8", "a"])},
-    "a camera of nan": {"camera_shape": np.array([8, np.nan])},
-    "a camera below 0": {"camera_shape": np.array([-8, -8])},
     "a camera whose size overflows": {"camera_shape": np.array([2**62, 4])},
-    "a projector without a dimension": {"projector_shape": np.array(64)},
-    "a projector of one number": {"projector_shape": np.array([64])},
-    "a projector of three": {"projector_shape": np.array([8, 8, 1])},
-    "a projector of another size": {"projector_shape": np.array([4, 8])},
-    "direct parts without a dimension": {"direct_data": np.array(1.0)},
-    "direct parts too few": {"direct_data": lambda held: held[:-1]},
     "direct parts of text": {"direct_data": lambda held: held.astype(str)},
     "direct parts of nan": {"direct_data": with_item(3, np.nan)},
-    "words that are no JSON": {"metadata": np.array("{scene")},
-    "words that are a list": {"metadata": np.array("[1]")},
-    "words that are a number": {"metadata": np.array(5.0)},
-    "words that are many": {"metadata": np.array(["{}", "{}"])},
     "words nested 100,000 deep": {"metadata": np.array(DEEP)},
     "a version of the future": {"lightmatrix_truth": np.array(99)},
-    "a version of text": {"lightmatrix_truth": np.array("one")},
-    "a version of many": {"lightmatrix_truth": np.array([1, 1])},
-    "a format of columns": {"format": np.array(b"csc")},
-    "no row ends": {"indptr": None},
     "no shapes": {"camera_shape": None, "projector_shape": None},
-    "no values": {"data": None},
 }
 
 
@@ -87,7 +46,7 @@ def _changes() -> list[Case]:
     cases = []
     for words, changed in CHANGES.items():
         possible = words == "values below 0"  # as a signed estimate has them
-        everywhere = words.startswith(("an index", "row ends", "nan", "infinity"))
+        everywhere = words == "an index of N"
         for reader in READERS if everywhere else ("simulate",):
             line, says = READERS[reader], "" if possible else "T.npz"
             code = (0, 2) if possible else (2,)

@@ -79,7 +79,6 @@ CALLS: dict[str, tuple[Callable[[Any], Any], tuple[Any, ...]]] = {
     "phase shape": (lambda v: lm.make_patterns("phase", v), SHAPES),
     "block": (lambda v: lm.BlockPatterns(SIZE, v), SHAPES),
     "blocks selected": (lambda v: lm.BlockPatterns(SIZE, (4, 4), v), ARRAYS[1:]),
-    "one_pixel_patterns": (lambda v: lm.one_pixel_patterns(SIZE, v), ARRAYS[1:]),
     "make_patterns count": (lambda v: lm.make_patterns("bernoulli", SIZE, v), WHOLE[1:]),
     "hadamard count": (lambda v: lm.make_patterns("hadamard", SIZE, v), WHOLE[1:]),
     "mix count": (lambda v: lm.make_patterns("mix", SIZE, v), WHOLE[1:]),

@@ -15,7 +15,7 @@ from lightmatrix.files.images import decode_image, encode_image
 
 from .case import Case, Check, Prepare, bear
 from .checks import if_accepted, whole_matrix
-from .put import array, both, chunk, copy, cut, endless_zeros, flip, pipe, png, text
+from .put import both, chunk, copy, cut, endless_zeros, pipe, png, text
 from .run import Limits, Ran, run
 from .work import matrix
 
@@ -134,45 +134,6 @@ def _kinds() -> list[Case]:
     ]
 
 
-def _damaged() -> list[Case]:
-    cases = []
-    for words, (depth, colour, channels) in {
-        "8": (8, 0, 1),
-        "16": (16, 0, 1),
-        "16 colour": (16, 2, 3),
-    }.items():
-        put = _png("a.png", depth, colour, channels)
-        for share in (0.35, 0.5, 0.65, 0.8):
-            flipped = both(put, flip("a.png", share, 5))
-            cases.append(_case(f"PNG of {words} bits, a bit flipped at {share}", "a.png", flipped))
-        short = both(put, cut("a.png", len(png((8, 8), depth, colour, b"")) + 10))
-        cases.append(_case(f"PNG of {words} bits cut off", "a.png", short, 2))
-    pixels = _scanned(BYTES)
-    sound = png((8, 8), 8, 0, pixels)
-    second = chunk(b"IHDR", struct.pack(">IIBBBBB", 4, 4, 8, 0, 0, 0, 0))
-    contents: dict[str, tuple[bytes, int | tuple[int, ...]]] = {
-        "with a wrong checksum": (sound[:-13] + bytes([sound[-13] ^ 1]) + sound[-12:], 2),
-        "with two headers": (sound[:33] + second + sound[33:], (0, 2)),
-        "without its end": (sound[:-12], (0, 2)),
-        "with too few rows": (png((8, 8), 8, 0, pixels[:36]), 2),
-        "with too many rows": (png((8, 8), 8, 0, pixels * 2), (0, 2)),
-        "with an unknown filter": (png((8, 8), 8, 0, b"\x09" + pixels[1:]), 2),
-        "of no pixels": (png((0, 0), 8, 0, b""), 2),
-        "of 3 bits": (png((8, 8), 3, 0, pixels), 2),
-        "of an unknown colour type": (png((8, 8), 8, 5, pixels), 2),
-        "that claims 2^31 columns": (png((8, 2**31 - 1), 8, 0, pixels), 2),
-        "of noise": (b"\x89PNG\r\n\x1a\n" + bytes(range(256)), 2),
-        "of its first bytes": (b"\x89PNG\r\n\x1a\n", 2),
-    }
-    return [
-        *cases,
-        *(
-            _case(f"PNG {words}", "a.png", text("a.png", content), code)
-            for words, (content, code) in contents.items()
-        ),
-    ]
-
-
 def _bombs() -> list[Case]:
     """Small files of much data: refused in little memory."""
 
@@ -219,52 +180,6 @@ def _bombs() -> list[Case]:
     ]
 
 
-def _arrays() -> list[Case]:
-    wrong: dict[str, np.ndarray] = {
-        "of 1e300": np.full((8, 8), 1e300),
-        "with infinity": np.where(GREY > 0.9, np.inf, GREY),
-        "with nan": np.where(GREY > 0.9, np.nan, GREY),
-        "of objects": np.full((8, 8), None, object),
-        "of text": np.full((8, 8), "a"),
-        "of complex numbers": GREY.astype(complex),
-        "of dates": np.zeros((8, 8), "M8[s]"),
-        "of int64": BYTES.astype(np.int64),
-        "of records": np.zeros((8, 8), [("a", "f4"), ("b", "f4")]),
-        "without any dimension": np.float32(0.5) * np.ones(()),
-        "of one dimension": np.zeros(64, np.float32),
-        "of five dimensions": np.zeros((1, 8, 8, 1, 1), np.float32),
-        "of 0 rows": np.zeros((0, 8), np.float32),
-        "of 7 channels": np.zeros((8, 8, 7), np.float32),
-        "of negative light": -GREY,
-        "of light above 1": 2 * GREY,
-    }
-    fine: dict[str, np.ndarray] = {
-        "of float64": GREY,
-        "of float16": GREY.astype(np.float16),
-        "in Fortran order": np.asfortranarray(GREY.astype(np.float32)),
-        "big-endian": SHORTS.astype(">u2"),
-    }
-
-    def claims(shape: str) -> Prepare:
-        words = f"{{'descr': '<f4', 'fortran_order': False, 'shape': {shape}, }}"
-        start = b"\x93NUMPY\x01\x00v\x00" + words.ljust(117).encode()
-        return text("a.npy", start + b"\n" + bytes(256))
-
-    sound = array("a.npy", GREY)
-    damaged = {
-        "that claims a huge size": claims("(99999999, 99999999)"),
-        "that claims a negative size": claims("(-8, -8)"),
-        "with a damaged header": both(sound, flip("a.npy", 0.03, 3)),
-        "cut off": both(sound, cut("a.npy", 300)),
-        "of 0 bytes": text("a.npy", ""),
-        **{words: array("a.npy", values) for words, values in wrong.items()},
-    }
-    return [
-        *(_case(f"npy {words}", "a.npy", put, 2) for words, put in damaged.items()),
-        *(_case(f"npy {words}", "a.npy", array("a.npy", v), 0) for words, v in fine.items()),
-    ]
-
-
 def _meaning() -> list[Case]:
     """Frames that are sound, but do not mean what they seem to."""
 
@@ -303,7 +218,7 @@ def _meaning() -> list[Case]:
     ]
 
 
-CASES = [*_kinds(), *_damaged(), *_bombs(), *_arrays(), *_meaning()]
+CASES = [*_kinds(), *_bombs(), *_meaning()]
 
 
 @pytest.mark.parametrize("case", CASES, ids=str)

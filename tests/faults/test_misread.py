@@ -83,11 +83,6 @@ CASES = [
         f"{ESTIMATE} -o /proc/new.zarr",
         "/proc/new.zarr: cannot be written",
     ),
-    Case(
-        "pictures over a store",
-        "info scene.zarr --pictures scene.zarr --overwrite",
-        "holds a light transport matrix",
-    ),
 ]
 
 

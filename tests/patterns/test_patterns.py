@@ -17,7 +17,7 @@ from lightmatrix.capture.samples import Samples
 from lightmatrix.errors import InputError
 from lightmatrix.files.images import write_image
 from lightmatrix.patterns.bits import BernoulliPatterns, BitPatterns, with_white
-from lightmatrix.patterns.blocks import BlockPatterns, one_pixel_patterns, sampled_pixels
+from lightmatrix.patterns.blocks import BlockPatterns, sampled_pixels
 from lightmatrix.patterns.folder import read_patterns, write_patterns
 from lightmatrix.patterns.hadamard import HadamardPatterns
 from lightmatrix.patterns.making import make_patterns, remake_patterns
@@ -172,7 +172,6 @@ def test_sampled_pixels_are_the_papers_256() -> None:
     index = sampled_pixels((128, 128))
     assert len(index) == 256
     assert index[0] == 4 * 128 + 4
-    assert one_pixel_patterns((128, 128), index).count == 256
 
 
 def test_block_mean_handles_uneven_blocks() -> None:
@@ -254,7 +253,7 @@ def test_the_fast_solver_takes_a_mix_as_bits() -> None:
         (lambda: HadamardPatterns((4, 4), 17), "there are 16"),
         (lambda: HadamardPatterns((4, 4), 2, "walsh"), "natural, sequency, random"),
         (lambda: BlockPatterns((4, 4), (0, 1)), "block"),
-        (lambda: one_pixel_patterns((4, 4), np.array([16])), "use 0 to 15"),
+        (lambda: BlockPatterns((4, 4), selected=np.array([16])), "use 0 to 15"),
         (lambda: ImagePatterns(np.full((2, 3, 3), 2.0, np.float32)), r"scale the patterns"),
         (lambda: ImagePatterns(np.zeros((3, 3), np.float32)), r"\(K, rows, cols\)"),
         (lambda: BitPatterns((3, 3), np.zeros((2, 1), np.uint8)), "give .K, 2. bytes"),

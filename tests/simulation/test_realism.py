@@ -76,9 +76,7 @@ def test_ambient_light_has_the_stated_mean(truth: Truth) -> None:
 
 
 @pytest.mark.parametrize("value", [-0.1, float("nan")])
-def test_impossible_strengths_are_refused(truth: Truth, value: float) -> None:
-    for operation in (realism.defocus, realism.vignetting, realism.ambient):
-        with pytest.raises(InputError):
-            operation(truth, value)
+@pytest.mark.parametrize("name", ["blur", "vignetting", "leak", "ambient"])
+def test_impossible_strengths_are_refused(name: str, value: float) -> None:
     with pytest.raises(InputError):
-        realism.check_realism((12, 10), leak=value)
+        realism.check_realism((12, 10), **{name: value})

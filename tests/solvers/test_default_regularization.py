@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from lightmatrix.errors import InputError
 from lightmatrix.estimators.automatic_regularization import (
     TAIL_SHARE,
     column_length,
@@ -41,9 +40,3 @@ def test_column_length_is_that_of_the_centred_columns() -> None:
     assert column_length(ImagePatterns(np.ones((3, 2, 2), np.float32))) == pytest.approx(
         0, abs=1e-7
     )
-
-
-@pytest.mark.parametrize("arguments", [(0.0, None), (np.nan, None), (1.0, -1.0), (1.0, np.inf)])
-def test_rule_refuses_what_is_out_of_range(arguments: tuple[float, float | None]) -> None:
-    with pytest.raises(InputError):
-        default_regularization(BernoulliPatterns((4, 4), 4), *arguments)

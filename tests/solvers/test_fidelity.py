@@ -12,9 +12,8 @@ from hypothesis import strategies as st
 
 from lightmatrix.errors import InputError, LightMatrixError
 from lightmatrix.estimators.coherent.estimator import CoherentEstimator
-from lightmatrix.solvers import ROMP, ActiveSet, Fidelity, SaturationADMM, solve
+from lightmatrix.solvers import ROMP, ActiveSet, Fidelity, SaturationADMM
 from lightmatrix.solvers.fidelity import Observed
-from lightmatrix.solvers.problem import data_term, predictions, relative_gap
 from tests.helpers.problems import clipping_problem
 
 values = st.floats(-3, 6, allow_nan=False, width=32)
@@ -139,18 +138,3 @@ def test_a_name_is_enough_and_a_wrong_one_is_refused(make: Callable[[str], Any])
     assert isinstance(error.value, LightMatrixError)
     for fidelity in Fidelity:
         assert fidelity.value in str(error.value.hint)
-
-
-def test_names_give_the_same_results() -> None:
-    problem, _ = clipping_problem()
-    for name in ("linear", "one-sided", "rejection"):
-        by_name = solve(problem, ActiveSet(fidelity=name))
-        by_member = solve(problem, ActiveSet(Fidelity(name)))
-        np.testing.assert_array_equal(by_name.objective, by_member.objective)
-        x, b = by_name.coefficients, by_name.background
-        named, member = (relative_gap(problem, x, b, one) for one in (name, Fidelity(name)))
-        np.testing.assert_array_equal(named, member)
-        u = predictions(problem, x, b)
-        np.testing.assert_array_equal(
-            data_term(problem, u, name), data_term(problem, u, Fidelity(name))
-        )

@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-import subprocess
-import sys
 import tracemalloc
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -15,7 +12,6 @@ import pytest
 from lightmatrix.solvers import (
     ADMM,
     ROMP,
-    ActiveSet,
     Fidelity,
     Problem,
     Result,
@@ -109,35 +105,6 @@ def test_a_solver_may_have_its_own_loop() -> None:
     seen: list[tuple[int, int]] = []
     assert solve(problem, Own(), progress=lambda *now: seen.append(now)) is expected
     assert seen == [(1, 2)]
-
-
-ROOT = Path(__file__).parents[2]
-
-PEAK = """
-import sys
-import numpy as np
-from tests.helpers.problems import clipping_problem
-from lightmatrix.solvers import ActiveSet, solve
-problem, _ = clipping_problem(rows=40, shape=(64, 64), count=96, dtype=np.float32)
-many = problem.take(np.resize(np.arange(40), int(sys.argv[1])))
-solve(many, ActiveSet(threads=1, max_passes=4))
-print(next(line.split()[1] for line in open("/proc/self/status") if line.startswith("VmHWM")))
-"""
-
-
-@pytest.mark.skipif(sys.platform != "linux", reason="reads a process's peak memory from /proc")
-def test_rows_of_the_compiled_solver_take_no_more_memory_than_it_says() -> None:
-    """Measured in separate processes, since Python does not see what the core allocates."""
-    peaks = []
-    for rows in (500, 4500):
-        command = [sys.executable, "-c", PEAK, str(rows)]
-        peak = subprocess.run(command, cwd=ROOT, capture_output=True, check=True)
-        peaks.append(1024 * int(peak.stdout))
-    measured = (peaks[1] - peaks[0]) / 4000
-    promised = ActiveSet().row_bytes(96, 64 * 64)
-    assert measured <= promised
-    # The samples alone are an eighth of it; the space for entries is generous.
-    assert measured > promised / 16
 
 
 @pytest.mark.parametrize("solver", [ADMM(), SaturationADMM(), ROMP()])

@@ -47,14 +47,6 @@ def test_the_status_names_the_remedy() -> None:
     assert "raise the limit" in result.status
 
 
-def test_progress_counts_finished_rows() -> None:
-    problem, _ = clipping_problem()
-    seen: list[tuple[int, int]] = []
-    solve(problem, SaturationADMM(), progress=lambda done, total: seen.append((done, total)))
-    assert seen[-1] == (problem.rows, problem.rows)
-    assert [done for done, _ in seen] == sorted(done for done, _ in seen)
-
-
 def test_the_default_background_column_is_the_means() -> None:
     problem, _ = clipping_problem(seed=5)
     means = problem.patterns.means

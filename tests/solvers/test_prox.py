@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -46,20 +45,3 @@ def test_capped_soft_threshold_minimises_its_own_problem(
     # For a fixed z, the best c is the total, or the smallest that the cap allows.
     best = cost(one, two, np.maximum(total, (one + two) / scale)).min()
     assert cost(z[0, 0], z[0, 1], c[0]) <= best + 1e-9
-
-
-def test_capped_soft_threshold_raises_all_thresholds_of_a_row_alike() -> None:
-    random = np.random.default_rng(0)
-    q = 3 * random.standard_normal((40, 300))
-    total = 500 + 100 * random.standard_normal(40)
-    z, c = capped_soft_threshold(q, total, 0.1, 0.7)
-    plain = soft_threshold(q, 0.1, nonnegative=True)
-    free = plain.sum(axis=1) <= 0.7 * total
-    assert 0 < free.sum() < 40
-    np.testing.assert_array_equal(z[free], plain[free])
-    np.testing.assert_array_equal(c[free], total[free])
-    for row in np.flatnonzero(~free):
-        tau = (c[row] - total[row]) / 0.7
-        assert tau > 0
-        np.testing.assert_allclose(z[row], np.maximum(q[row] - 0.1 - tau, 0), atol=1e-9)
-        assert z[row].sum() == pytest.approx(0.7 * c[row])

@@ -12,7 +12,6 @@ from hypothesis import strategies as st
 
 from lightmatrix.capture.samples import Samples
 from lightmatrix.errors import InputError, SolverError
-from lightmatrix.patterns.bits import BernoulliPatterns
 from lightmatrix.patterns.pattern_set import ImagePatterns
 from lightmatrix.solvers import ROMP, Fidelity, Problem, Status, solve
 from lightmatrix.solvers.problem import data_term, predictions
@@ -113,19 +112,6 @@ def test_the_status_says_whether_all_rows_converged() -> None:
     few = solve(problem, ROMP(sparsity=1, max_iterations=1, tolerance=1e-9))
     assert not few.converged.all()
     assert few.status is Status.ITERATION_LIMIT
-
-
-def test_the_default_sparsity_is_an_eighth_of_the_patterns_and_32_at_most() -> None:
-    random = np.random.default_rng(0)
-    for count, sparsity in ((4, 1), (40, 5), (300, 32)):
-        patterns = BernoulliPatterns((20, 20), count)
-        values = random.random((2, count))
-        samples = Samples(values, np.zeros(values.shape, bool), np.ones(count))
-        problem = Problem(patterns, samples, 0.1)
-        default, same = solve(problem, ROMP()), solve(problem, ROMP(sparsity=sparsity))
-        np.testing.assert_array_equal(default.coefficients.toarray(), same.coefficients.toarray())
-        other = solve(problem, ROMP(sparsity=sparsity + 1))
-        assert (default.coefficients != other.coefficients).nnz > 0
 
 
 def test_removed_pixels_leave_the_others_at_their_least_squares() -> None:

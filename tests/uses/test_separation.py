@@ -224,7 +224,7 @@ def test_a_store_is_loaded_or_refused(tmp_path: Path, monkeypatch: pytest.Monkey
     monkeypatch.setattr(loading, "available_bytes", lambda: 4 * size)
     with pytest.raises(lm.InputError, match=r"scene\.zarr: takes .* GiB of memory") as refused:
         lm.separate(stored)
-    assert "region" in (refused.value.hint or "")
+    assert "crop" in (refused.value.hint or "")
     # What the message advises works.
     half = stored.crop((0, 0), (64, 32))
     assert lm.separate(half).direct.camera_shape == (64, 32)

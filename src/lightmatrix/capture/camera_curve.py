@@ -204,6 +204,13 @@ class Response:
         )
 
 
+def nearest_gamma(levels: NDArray[np.floating], light: NDArray[np.floating]) -> float:
+    """The power of the level that is nearest to a curve; both are shares of full scale."""
+    part = (levels > 0.1) & (levels < 0.99) & (light > 0)
+    log_level, log_light = np.log(levels[part]), np.log(light[part])
+    return float((log_light @ log_level) / (log_level @ log_level))
+
+
 def curve_file(text: str) -> str | None:
     """The file that a response is read from, as it is written; None if it needs no file."""
     if text.startswith("curve:"):

@@ -1,6 +1,6 @@
 """Response curves: how one may differ from the one that is assumed, and what was found of it.
 
-`calibration/responses/` measures curves from photographs that are taken for this purpose.
+`responses/curves.py` measures curves from photographs that are taken for this purpose.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lightmatrix.capture.camera_curve import AUTOMATIC, Response
+from lightmatrix.capture.camera_curve import AUTOMATIC, Response, nearest_gamma
 from lightmatrix.capture.capture import Capture
 from lightmatrix.files.curve_file import CurveFile
 from lightmatrix.files.kinds import RESPONSE
@@ -25,59 +25,29 @@ from lightmatrix.reprs import short_repr
 FOUND_RESPONSE = "found_response"
 Light = NDArray[np.float64]
 
-# Light below this share of full light counts as this much; its logarithm must be finite. It is a
-# tenth of a step of 16 bits, and as bright as a grey value of 1 of 255 at a gamma of 2.5.
-_DARKEST = 1e-6
 # Gammas of cameras, displays and projectors lie well within this range.
 GAMMAS = (0.2, 6.0)
 
 
-@dataclass(frozen=True)
-class GammaBend:
-    """A change of the exponent: u becomes u^(1 + c), nearly u + c u ln u."""
+def bends(response: Response, levels: Light) -> Light:
+    """How light may bend at levels (...) besides a gamma, which is nearly the first bend, (3, ...).
 
-    count = 1
-
-    def functions(self, light: Light, response: Response) -> Light:
-        """The bend u ln u at light u (...), as (1, ...)."""
-        return bent_light(light)[None]
-
-    def bent(self, response: Response, sizes: Light) -> Response:
-        """The response with its light raised to the power 1 + c."""
-        return raised(response, 1 + float(sizes[0]))
-
-
-@dataclass(frozen=True)
-class SmoothBends:
-    """Bends u (1 - v) C_k(2 v - 1) with Chebyshev polynomials C_k of the level v, k < count.
-
-    They vanish at black and at full light. A gamma is nearly the first one.
+    They are u (1 - v) C_k(2 v - 1) with light u, level v and Chebyshev polynomials C_k, k < 3, and
+    vanish at black and at full light.
     """
-
-    count: int = 3
-
-    def functions(self, light: Light, response: Response) -> Light:
-        """Each bend at light (...), as (count, ...)."""
-        levels, curve = points(response)
-        return self._at(np.interp(light, curve, levels), light)
-
-    def bent(self, response: Response, sizes: Light) -> Response:
-        """The response with bends of some sizes, kept increasing."""
-        levels, light = points(response)
-        bent = light + np.tensordot(sizes, self._at(levels, light), axes=1)
-        # A hundredth of the mean slope remains everywhere.
-        least = 0.01 / (len(levels) - 1)
-        rising = np.concatenate([[0.0], np.cumsum(np.maximum(np.diff(bent), least))])
-        return Response(levels, rising / rising[-1], "curve found in the capture")
-
-    def _at(self, levels: Light, light: Light) -> Light:
-        identity = np.eye(self.count)
-        shape = light * (1 - levels)
-        chebyshev = np.polynomial.chebyshev.chebval
-        return np.stack([shape * chebyshev(2 * levels - 1, each) for each in identity])
+    shape = response.linearise(levels) * (1 - levels)
+    chebyshev = np.polynomial.chebyshev.chebval
+    return np.stack([shape * chebyshev(2 * levels - 1, each) for each in np.eye(3)])
 
 
-Bend = GammaBend | SmoothBends
+def bent(response: Response, sizes: Light) -> Response:
+    """The response with bends of some sizes (3,), kept increasing."""
+    levels, light = points(response)
+    bent = light + np.tensordot(sizes, bends(response, levels), axes=1)
+    # A hundredth of the mean slope remains everywhere.
+    least = 0.01 / (len(levels) - 1)
+    rising = np.concatenate([[0.0], np.cumsum(np.maximum(np.diff(bent), least))])
+    return Response(levels, rising / rising[-1], "curve found in the capture")
 
 
 def raised(response: Response, power: float) -> Response:
@@ -99,10 +69,7 @@ def exponent(response: Response) -> float:
         return float(response.name.removeprefix("gamma:"))
     if response.levels is None:
         return 1.0
-    levels, light = points(response)
-    part = (levels > 0.1) & (levels < 0.99) & (light > 0)
-    log_level, log_light = np.log(levels[part]), np.log(light[part])
-    return float((log_light @ log_level) / (log_level @ log_level))
+    return nearest_gamma(*points(response))
 
 
 def points(response: Response) -> tuple[Light, Light]:
@@ -110,11 +77,6 @@ def points(response: Response) -> tuple[Light, Light]:
     # Four times as dense as the levels of a camera of 10 bits.
     levels = np.linspace(0, 1, 4097)
     return levels, response.linearise(levels)
-
-
-def bent_light(light: Light) -> Light:
-    """How light changes with the logarithm of the projector's gamma."""
-    return np.asarray(light * np.log(np.maximum(light, _DARKEST)))
 
 
 @dataclass(frozen=True, eq=False)

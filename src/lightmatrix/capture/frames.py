@@ -344,7 +344,7 @@ class Reader:
             decoded = self.decoder.decode(raw, first_row=first, first_frame=k)
             shape = (len(raw) // math.prod(self.frames.shape[1:]), *self.frames.shape[1:])
             valid = self._valid_pixels[first : first + len(raw)]
-            binned, _ = bin_samples(decoded, valid, shape, self.block)
+            binned = bin_samples(decoded, valid, shape, self.block)
             values[where, k], clipped[where, k] = binned.values[:, 0], binned.clipped[:, 0]
             if binned.clip_level.ndim == 1:
                 frame_levels[k] = binned.clip_level[0]

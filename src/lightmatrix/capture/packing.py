@@ -4,16 +4,13 @@ from __future__ import annotations
 
 import math
 import shutil
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import zarr
-from numpy.typing import NDArray
 
 from lightmatrix.capture.capture import Capture, open_capture
-from lightmatrix.capture.decoder import Decoder
 from lightmatrix.capture.folder import write_description
 from lightmatrix.capture.packed import FORMAT, FRAMES, PACKED, VERSION
 from lightmatrix.capture.settings import DEPTH, GEOMETRY, TRUTH
@@ -22,14 +19,9 @@ from lightmatrix.files.kinds import CAPTURE
 from lightmatrix.files.writing import atomic_folder, check_output
 from lightmatrix.files.zarr_arrays import create_array
 from lightmatrix.paths import as_path
-from lightmatrix.patterns.pattern_set import PatternSet
 from lightmatrix.resources.disk import check_disk_space
 
 Progress = Callable[[int, int], None]
-# Called with a number of camera rows, iterates over strips of that height: the levels of all
-# frames, (K, rows, cols[, channels]). The last strip may have fewer rows.
-Strips = Callable[[int], Iterator[NDArray[Any]]]
-
 # Bytes of one chunk. Chosen by hand: small enough that a tile of camera pixels reads little more
 # than its own samples, and large enough to compress well.
 _CHUNK_BYTES = 1 << 20
@@ -75,7 +67,6 @@ def pack(
     True
     """
     check_output(output, CAPTURE, overwrite=overwrite)
-    opened = open_capture(capture)
     source = None if isinstance(capture, Capture) else as_path(capture)
 
     def copy_truth(part: Path) -> None:
@@ -83,89 +74,51 @@ def pack(
             if source is not None and (source / name).is_file():
                 shutil.copyfile(source / name, part / name)
 
-    pack_capture(
-        opened,
-        output,
-        write_extras=copy_truth,
-        overwrite=overwrite,
-        progress=progress,
-    )
+    opened = open_capture(capture)
+    pack_capture(opened, output, copy_truth, overwrite=overwrite, progress=progress)
 
 
 def pack_capture(
     capture: Capture,
     output: str | Path,
-    *,
     write_extras: Callable[[Path], None],
+    *,
     overwrite: bool = False,
     progress: Progress | None = None,
 ) -> None:
     """Pack a capture as `pack` does; `write_extras` writes further files into the folder."""
     if capture.bin_projector != (1, 1) or capture.bin_camera != (1, 1):
         raise InputError("a binned capture cannot be packed", hint="pack it first, then bin it")
-    frames, reader = capture.frames, capture.reader
-    height, *line = frames.shape
-    wide = math.prod(line)
-
-    def strips(rows: int) -> Iterator[NDArray[Any]]:
-        for top in range(0, height, rows):
-            end = min(top + rows, height)
-            yield reader.levels(top * wide, end * wide).T.reshape(frames.count, end - top, *line)
-            if progress is not None:
-                progress(end, height)
-
+    frames, count = capture.frames, capture.count
+    (height, width, *channels), dtype = frames.shape, np.dtype(frames.dtype)
+    # A chunk holds all frames of some whole camera rows, or of a part of one.
+    pixels = max(1, _CHUNK_BYTES // (count * math.prod(channels) * dtype.itemsize))
+    rows, cols = min(height, max(1, pixels // width)), min(width, pixels)
     # The place of cropped photographs is part of their description.
     crop = capture.description.get("crop")
     provenance = capture.provenance if crop is None else {**capture.provenance, "crop": crop}
-    write_packed(
-        output,
-        capture.patterns,
-        strips,
-        decoder=capture.decoder,
-        shape=frames.shape,
-        dtype=frames.dtype,
-        names=[frames.name(k) for k in range(frames.count)],
-        write_extras=write_extras,
-        overwrite=overwrite,
-        mask=capture.mask,
-        provenance=provenance,
-        projector_unknown=capture.projector_unknown,
-    )
-
-
-def write_packed(
-    output: str | Path,
-    patterns: PatternSet,
-    strips: Strips,
-    *,
-    decoder: Decoder,
-    shape: tuple[int, ...],
-    dtype: np.dtype[Any],
-    names: Sequence[str],
-    write_extras: Callable[[Path], None] | None = None,
-    overwrite: bool = False,
-    **described: Any,
-) -> None:
-    """Write a packed capture of K frames strip by strip, whole or not at all.
-
-    `shape` and `dtype` are those of a frame. `write_extras` writes further files into the folder.
-    `described` is what else `write_description` takes.
-    """
-    count, dtype = len(names), np.dtype(dtype)
-    # A chunk holds all frames of some whole camera rows, or of a part of one.
-    pixels = max(1, _CHUNK_BYTES // (count * math.prod(shape[2:]) * dtype.itemsize))
-    rows, cols = min(shape[0], max(1, pixels // shape[1])), min(shape[1], pixels)
     with atomic_folder(output, CAPTURE, overwrite=overwrite) as part:
         # Noise hardly compresses, so the output may be as large as the levels.
-        check_disk_space(part, count * math.prod(shape) * dtype.itemsize, output)
+        check_disk_space(part, count * math.prod(frames.shape) * dtype.itemsize, output)
         group = zarr.open_group(part / PACKED, mode="w", zarr_format=3)
-        chunks = (count, rows, cols, *shape[2:])
-        frames = create_array(group, FRAMES, (count, *shape), dtype, chunks)
-        top = 0
-        for strip in strips(rows):
-            frames[:, top : top + strip.shape[1]] = strip
-            top += strip.shape[1]
-        group.attrs.update({"format": FORMAT, "version": VERSION, "names": list(names)})
-        write_description(part, patterns, shape, decoder, **described)
-        if write_extras is not None:
-            write_extras(part)
+        chunks = (count, rows, cols, *channels)
+        packed = create_array(group, FRAMES, (count, *frames.shape), dtype, chunks)
+        line = math.prod(frames.shape[1:])
+        for top in range(0, height, rows):
+            end = min(top + rows, height)
+            levels = capture.reader.levels(top * line, end * line)
+            packed[:, top:end] = levels.T.reshape(count, end - top, *frames.shape[1:])
+            if progress is not None:
+                progress(end, height)
+        names = [frames.name(k) for k in range(count)]
+        group.attrs.update({"format": FORMAT, "version": VERSION, "names": names})
+        write_description(
+            part,
+            capture.patterns,
+            frames.shape,
+            capture.decoder,
+            mask=capture.mask,
+            provenance=provenance,
+            projector_unknown=capture.projector_unknown,
+        )
+        write_extras(part)

@@ -144,8 +144,8 @@ def bin_samples(
     valid: NDArray[np.bool_] | None,
     shape: tuple[int, ...],
     block: tuple[int, int],
-) -> tuple[Samples, NDArray[np.bool_]]:
-    """Means over blocks of camera pixels, and which of them hold a valid pixel, (M',).
+) -> Samples:
+    """Means over blocks of camera pixels.
 
     A binned sample is clipped if any of its pixels is, and is then a lower bound like theirs.
     Pixels that are not `valid`, (M,), are left out; a block without any is 0 and not clipped.
@@ -166,7 +166,7 @@ def bin_samples(
     level = decoded.clip_level
     if level.ndim == 2:
         level = mean(np.broadcast_to(level, decoded.values.shape))
-    return Samples(mean(decoded.values), any_clipped, level), counts.ravel() > 0
+    return Samples(mean(decoded.values), any_clipped, level)
 
 
 def _block_sums(values: NDArray[Any], block: tuple[int, int]) -> NDArray[np.float64]:

@@ -142,13 +142,7 @@ class Description:
 
 def read_description(file: Path, *, allow_outside: bool = False) -> Description:
     """Read a capture.json, whose files may lie outside its folder only with `allow_outside`."""
-    return parse_description(file, read_json(file, FORMAT, VERSION), allow_outside=allow_outside)
-
-
-def parse_description(
-    file: Path, content: Mapping[str, Any], *, allow_outside: bool = False
-) -> Description:
-    """The description in the content of `file`, which messages name."""
+    content = read_json(file, FORMAT, VERSION)
     values = _read(file, content, KEYS)
     black = values["black"]
     frame = _read(file, black or {}, _BLACK_KEYS, "black.")

@@ -11,7 +11,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from functools import cached_property, partial
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -189,14 +189,14 @@ def check_code_order(lattice: CodeLattice, name: Name) -> list[Finding]:
     known: dict[bytes, NDArray[np.float64]] = {}
     plain, read = lattice.costs(frames, known), lattice.readable
     best, best_order, found = 0.0, frames, list[Finding]()
-    for order, describe in _orders(count):
+    for order, findings in _orders(count, name):
         # Pixels that cannot be read may lie beside the projector's image: they tell nothing.
         gain = np.where(read, plain - lattice.costs(order, known), 0)
         # Stray light differs a little from frame to frame, which many pixels show alike.
         gain[np.abs(gain) < 0.05] = 0
         total = float(gain.sum())
         if total > best and total > _CERTAIN * float(np.sqrt((gain**2).sum())):
-            best, best_order, found = total, order, describe(name)
+            best, best_order, found = total, order, findings
     if lattice.unrelated(best_order):
         message = (
             "the photographs do not follow the patterns: neighbouring camera pixels see places of "
@@ -206,32 +206,25 @@ def check_code_order(lattice: CodeLattice, name: Name) -> list[Finding]:
     return found
 
 
-def _orders(count: int) -> Iterator[tuple[Order, Callable[[Name], list[Finding]]]]:
-    """The frame that shows each pattern, in likely wrong orders, and how to describe each."""
+def _orders(count: int, name: Name) -> Iterator[tuple[Order, list[Finding]]]:
+    """The frame that shows each pattern, in likely wrong orders, and the findings of each."""
     frames = np.arange(count)
     for message, shown in likely_orders(count):
-        finding = Finding("order", (), message, WRONG_ORDER)
-        yield np.argsort(shown % count), partial(_itself, [finding])
+        yield np.argsort(shown % count), [Finding("order", (), message, WRONG_ORDER)]
     for a, b in itertools.combinations(range(count), 2):
         order = frames.copy()
         order[[a, b]] = b, a
-        yield order, partial(order_findings, {a: b, b: a})
+        yield order, order_findings({a: b, b: a}, name)
     for start in range(1, count - 2):
         # A frame is lost, and the last one is there twice; or a frame is there twice.
-        for step in (1, -1):
+        for step, which in ((1, "after"), (-1, "before")):
             order = frames.copy()
             order[start:] = np.clip(frames[start:] - step, start, count - 1)
-            yield order, partial(_run, start, count - 1, step)
-
-
-def _itself(findings: list[Finding], _: Name) -> list[Finding]:
-    return findings
-
-
-def _run(start: int, stop: int, step: int, name: Name) -> list[Finding]:
-    which = f"each image shows the pattern {'after' if step > 0 else 'before'} its own"
-    message = f"from {name(start)} to {name(stop)}, {which}"
-    return [Finding("order", tuple(range(start, stop + 1)), message, WRONG_ORDER)]
+            message = (
+                f"from {name(start)} to {name(count - 1)}, each image shows the pattern {which} "
+                "its own"
+            )
+            yield order, [Finding("order", tuple(range(start, count)), message, WRONG_ORDER)]
 
 
 def missing_of_code(lattice: CodeLattice) -> tuple[int, ...]:

@@ -101,10 +101,10 @@ class Finding:
         }
 
 
-def join_names(names: Sequence[str], most: int = 5) -> str:
+def join_names(names: Sequence[str]) -> str:
     """Some names in words: "a, b and c", "a, b, c, d, e and 7 more"."""
-    if len(names) > most:
-        return f"{', '.join(names[:most])} and {len(names) - most} more"
+    if len(names) > 5:
+        return f"{', '.join(names[:5])} and {len(names) - 5} more"
     if len(names) < 2:
         return "".join(names)
     return f"{', '.join(names[:-1])} and {names[-1]}"

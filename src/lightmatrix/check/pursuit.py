@@ -9,7 +9,6 @@ even through the choice of pixels: that is what judging the order of frames need
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -22,8 +21,6 @@ from lightmatrix.patterns.pattern_set import PatternSet
 PROJECTOR_PIXELS = 3
 # Scores are raised at random by up to this share, so that chance decides between equal ones.
 _TIE = 1e-3
-
-Chooser = Callable[[NDArray[np.float32]], NDArray[np.int64]]
 
 
 def fold_count(frames: int) -> int:
@@ -55,42 +52,32 @@ def predict_by_pursuit(
     """
     seen = np.isfinite(values[0])
     predicted = np.empty(values.shape, np.float32)
+    # If the first of equal pixels always won, all rows would agree on a prediction that nothing
+    # supports. So each row prefers other ones.
+    ties = 1 + _TIE * np.random.default_rng(0).random(2 * patterns.pixels, np.float32)
     for part in np.unique(fold):
         train, held = np.flatnonzero(seen & (fold != part)), np.flatnonzero(fold == part)
-        choose = _search_all(patterns, scale, train)
-        predicted[:, held] = _pursue(patterns, values, train, held, choose)
+        mean = values[:, train].mean(axis=1, keepdims=True)
+        centred = values[:, train] - mean
+        residual = centred
+        chosen = np.empty((len(values), 0), np.int64)
+        for _ in range(PROJECTOR_PIXELS):
+            spread = np.zeros(values.shape, np.float32)
+            spread[:, train] = residual
+            chosen = np.column_stack([chosen, best_pixels(patterns, scale, spread, ties)])
+            columns = patterns.at(chosen)
+            shown = columns[train]
+            level = shown.mean(axis=0)
+            basis = np.moveaxis(shown - level, 0, 1)
+            gram = basis.transpose(0, 2, 1) @ basis
+            # Pixels chosen twice, or alike, share their light.
+            ridge = 1e-4 * np.trace(gram, axis1=1, axis2=2) + 1e-6
+            gram += ridge[:, None, None] * np.eye(chosen.shape[1], dtype=gram.dtype)
+            light = np.linalg.solve(gram, basis.transpose(0, 2, 1) @ centred[..., None])
+            residual = centred - (basis @ light)[..., 0]
+        expected = np.moveaxis(columns[held] - level, 0, 1)
+        predicted[:, held] = mean + (expected @ light)[..., 0]
     return predicted
-
-
-def _pursue(
-    patterns: PatternSet,
-    values: NDArray[np.float32],
-    train: NDArray[np.integer],
-    held: NDArray[np.integer],
-    choose: Chooser,
-) -> NDArray[np.float32]:
-    """Predict rows under the patterns `held` from the frames `train`, (m, len(held)).
-
-    `choose` gives for residuals (m, len(train)) the pixel (m,) that correlates best with each.
-    """
-    mean = values[:, train].mean(axis=1, keepdims=True)
-    centred = values[:, train] - mean
-    residual = centred
-    chosen = np.empty((len(values), 0), np.int64)
-    for _ in range(PROJECTOR_PIXELS):
-        chosen = np.column_stack([chosen, choose(residual)])
-        columns = patterns.at(chosen)
-        shown = columns[train]
-        level = shown.mean(axis=0)
-        basis = np.moveaxis(shown - level, 0, 1)
-        gram = basis.transpose(0, 2, 1) @ basis
-        # Pixels chosen twice, or alike, share their light.
-        ridge = 1e-4 * np.trace(gram, axis1=1, axis2=2) + 1e-6
-        gram += ridge[:, None, None] * np.eye(chosen.shape[1], dtype=gram.dtype)
-        light = np.linalg.solve(gram, basis.transpose(0, 2, 1) @ centred[..., None])
-        residual = centred - (basis @ light)[..., 0]
-    expected = np.moveaxis(columns[held] - level, 0, 1)
-    return np.asarray(mean + (expected @ light)[..., 0], np.float32)
 
 
 def best_pixels(
@@ -120,18 +107,3 @@ def best_pixels(
         best[rows] = np.where(better, found, best[rows])
         highest[rows] = np.maximum(score, highest[rows])
     return best
-
-
-def _search_all(
-    patterns: PatternSet, scale: NDArray[np.float32], train: NDArray[np.integer]
-) -> Chooser:
-    # If the first of equal pixels always won, all rows would agree on a prediction that nothing
-    # supports. So each row prefers other ones.
-    ties = 1 + _TIE * np.random.default_rng(0).random(2 * patterns.pixels, np.float32)
-
-    def choose(residual: NDArray[np.float32]) -> NDArray[np.int64]:
-        spread = np.zeros((len(residual), patterns.count), np.float32)
-        spread[:, train] = residual
-        return best_pixels(patterns, scale, spread, ties)
-
-    return choose

@@ -34,6 +34,7 @@ from lightmatrix.cli.evaluate import evaluate
 from lightmatrix.cli.export import export
 from lightmatrix.cli.help import Command
 from lightmatrix.cli.info import info
+from lightmatrix.cli.layers import layers
 from lightmatrix.cli.map import map
 from lightmatrix.cli.pack import pack
 from lightmatrix.cli.patterns import patterns
@@ -64,7 +65,7 @@ STAGES: dict[str, tuple[Callable[..., None], ...]] = {
     "Photograph": (capture, convert, response, calibrate),
     "Measure and use": (
         check, pack, estimate, decode, info, show, view, relight, separate, compensate,
-        project, map, triangulate, evaluate, export,
+        project, map, triangulate, layers, evaluate, export,
     ),
     "Simulate": (scenes, render, simulate),
     "Show": (demo,),

@@ -6,12 +6,11 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any
 
-from typer import Argument, Option
+from typer import Argument
 
 import lightmatrix as lm
-from lightmatrix.cli.options import Json, Overwrite, Verbose
+from lightmatrix.cli.options import Json, Verbose
 from lightmatrix.cli.terminal import say, show_json, show_table
-from lightmatrix.errors import InputError
 from lightmatrix.reprs import labelled
 
 
@@ -23,15 +22,7 @@ def info(
             help="A store made by `estimate`, a T.npz, or a capture, packed or not.",
         ),
     ],
-    pictures: Annotated[
-        Path | None,
-        Option(
-            metavar="DIR",
-            help="Write maps of correspondence, clipping, gaps and footprints as well.",
-        ),
-    ] = None,
     verbose: Verbose = False,
-    overwrite: Overwrite = False,
     as_json: Json = False,
 ) -> None:
     """Show what a store holds: verdicts, shapes, clipping, gaps.
@@ -39,10 +30,6 @@ def info(
     For a capture: its frames, patterns, levels and exposures.
     """
     if lm.Capture.lies_at(scene):
-        if pictures is not None:
-            raise InputError(
-                f"{scene}: is a capture, which has no maps", hint="leave out --pictures"
-            )
         capture = lm.Capture.open(scene)
         if as_json:
             show_json(capture.description)
@@ -51,9 +38,6 @@ def info(
         return
     transport = lm.open(scene)
     judged = lm.verdicts(transport)
-    written = None
-    if pictures is not None:
-        written = lm.write_pictures(pictures, transport, overwrite=overwrite)
     if as_json:
         overall = judged.transport
         content: dict[str, Any] = {"verdict": overall.level, "sentence": overall.sentence}
@@ -62,8 +46,6 @@ def info(
             **transport.summary(),
             "provenance": transport.provenance,
         }
-        if written is not None:
-            content["pictures"] = written
         show_json(content)
         return
     for line in judged.lines():
@@ -75,5 +57,3 @@ def info(
     if verbose and isinstance(versions, Mapping) and versions:
         names = ", ".join(f"{name} {number}" for name, number in versions.items())
         say(f"made with {names}")
-    if written is not None:
-        say(f"pictures: {', '.join(map(str, written))}")

@@ -9,7 +9,6 @@ from numpy.typing import NDArray
 
 from lightmatrix.capture.capture import Capture
 from lightmatrix.defaults import USUAL_NOISE
-from lightmatrix.errors import InputError
 from lightmatrix.patterns.pattern_set import PatternSet
 
 # The regularization is at least this share of the clip level, for the weak tail of real rows. On
@@ -21,22 +20,15 @@ TAIL_SHARE = 0.16
 NOISE_SHARE = 0.75
 
 
-def default_regularization(
-    patterns: PatternSet, clip_level: float, noise: float | None = None
-) -> float:
+def default_regularization(patterns: PatternSet, clip_level: float, noise: float) -> float:
     """The paper's lambda in units of camera sample, from what is known of patterns and sensor.
 
     It is the larger of `TAIL_SHARE` times `clip_level` (or the level that samples reach, if lower)
     and `NOISE_SHARE` times the universal threshold sigma |column| sqrt(2 ln N) (Donoho & Johnstone
     1994; for l1, Chen, Donoho & Saunders 1998), which `noise` sigma makes the correlation of some
-    dark pixel reach. |column| is the length of a centred column. None means 0.003 clip levels.
+    dark pixel reach. |column| is the length of a centred column.
     """
-    if not (np.isfinite(clip_level) and clip_level > 0):
-        raise InputError(f"the clip level is {clip_level}", hint="use a positive camera sample")
-    if noise is not None and not (np.isfinite(noise) and noise >= 0):
-        raise InputError(f"the noise is {noise}", hint="use a standard deviation of 0 or more")
-    sigma = USUAL_NOISE * clip_level if noise is None else noise
-    threshold = sigma * column_length(patterns) * np.sqrt(2 * np.log(max(patterns.pixels, 2)))
+    threshold = noise * column_length(patterns) * np.sqrt(2 * np.log(max(patterns.pixels, 2)))
     return float(max(TAIL_SHARE * clip_level, NOISE_SHARE * threshold))
 
 

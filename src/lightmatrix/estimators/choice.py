@@ -61,11 +61,6 @@ def choose_estimator(
     return row_by_row
 
 
-def can_be_tried(capture: Capture) -> bool:
-    """Whether all camera pixels of a part of the frame can search for light; not if it is large."""
-    return not is_large(capture.rows, capture.patterns.pixels)
-
-
 def neighbours_help(
     capture: Capture, coherent: CoherentEstimator, row_by_row: PlainEstimator
 ) -> bool:
@@ -75,7 +70,7 @@ def neighbours_help(
     their camera pixels could search for light.
     """
     held = HeldOut.choose(capture.patterns)
-    if not len(held.judged) or not can_be_tried(capture):
+    if not len(held.judged) or is_large(capture.rows, capture.patterns.pixels):
         return True
     others = np.setdiff1d(np.arange(capture.count), held.frames)
     region = window_of_light(capture, held.judged, _TRIED)

@@ -1,21 +1,30 @@
-"""`lm.find_response`: the camera's response, from the photographs of a capture."""
+"""`lm.find_response`: the responses of camera and projector, from the photographs of a capture.
+
+Light adds up. What a camera pixel shows under many patterns is therefore a sum that T predicts, and
+a curve that bends the light leaves a trace that no sum explains. It is found as whatever else a rig
+does wrong: by least squares from what the strongest pixels of each row of T, and what T predicts as
+a whole, leave of its samples (see `rig_model/`).
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from lightmatrix.capture.camera_curve import AUTOMATIC, Response
 from lightmatrix.capture.capture import Capture, open_capture
 from lightmatrix.capture.found_response import (
+    GAMMAS,
     FoundResponse,
-    GammaBend,
-    SmoothBends,
+    bends,
+    bent,
     exponent,
+    gamma_response,
     largest_difference,
+    points,
     raised,
     with_projector,
     with_response,
@@ -28,31 +37,39 @@ from lightmatrix.files.images import JPEG
 from lightmatrix.patterns.colour import ColourPatterns
 from lightmatrix.patterns.pattern_set import PatternSet
 from lightmatrix.patterns.projector_curve import ProjectorResponse
-from lightmatrix.rig_model.bends import Bends, bends_from_transport, gammas_from_greys
+from lightmatrix.resources.threads import one_blas_thread
+from lightmatrix.rig_model.camera_curve import CameraCurve, bent_light
+from lightmatrix.rig_model.prediction import Prediction
+from lightmatrix.rig_model.projector_curve import ProjectorCurve
 from lightmatrix.transport.matrix import LightTransport, prediction_error
 
-# The search ends after eight estimates, or when the curve changes by less than 1 % of full light.
-# A small difference is removed by one step, a gamma of 3 takes about six.
-_MOST_ESTIMATES, _SMALL = 8, 0.01
-# A search is repeated from the best of a scan if its T misses photographs held out by more than
-# 6 %. The new response is taken if it misses at most half of that. On simulated captures of 16
-# frames a T under the right curve missed at most 4 %, and 14 to 19 % where a search had ended at a
-# wrong gamma.
+Array = NDArray[np.float64]
+
+# A search is repeated from elsewhere if its T misses photographs held out by more than 6 %. The new
+# curves are taken if theirs misses at most half of that. On simulated captures of 16 frames a T
+# under the right curve missed at most 4 %, and 14 to 19 % where a search had ended at a wrong one.
 _MISSED, _CLEARLY = 0.06, 0.5
-# The powers of the scan, in steps at which an error of half a step can be told from a whole one.
-_SCAN_STEP = 1.25
-_SCANNED = tuple(_SCAN_STEP**k for k in range(-1, 6))
-# A curve replaces a gamma if it differs from it by 0.25 % of full light, and one of its bends by
-# eight standard errors. Chosen on simulated captures: gammas stay gammas, sRGB becomes a curve.
-_CURVED, _CERTAIN = 0.0025, 8.0
 
 
-class Refined(NamedTuple):
-    """A curve, the relative uncertainty of its gamma, and whether it is more than a gamma."""
+@dataclass(frozen=True, eq=False)
+class Curves:
+    """The camera's response and the projector's gamma (None: none is looked for).
+
+    `errors` are the standard errors of the gammas that were looked for, the camera's first, as
+    shares of them. `curved` says that the camera's is more than a gamma. `missed` is the prediction
+    error of the T from which they follow.
+    """
 
     response: Response
-    uncertainty: float
-    curved: bool
+    gamma: float | None = None
+    errors: tuple[float, ...] = ()
+    curved: bool = False
+    missed: float = 0.0
+
+    def difference(self, other: Curves) -> float:
+        """The largest difference of the curves, as a share of full light."""
+        greys = (gamma_response(each.gamma or 1.0) for each in (self, other))
+        return max(largest_difference(self.response, other.response), largest_difference(*greys))
 
 
 def find_response(
@@ -101,130 +118,16 @@ def find_response(
             "only a gamma is looked for, and it may be off by some per cent"
         )
     stated = whole.decoder.response
-    # Fewer frames determine no curve.
-    if whole.count < 12:
-        raise _undetermined()
     search = _Search(window_of_levels(whole), settings, curves=not compressed)
-    found = search.settled(stated)
+    found = search.settled(Curves(stated))
     # A search may end at a wrong curve, under which T explains few frames as well.
-    if found is None or found[1] > _MISSED:
-        other = search.settled(raised(stated, search.scanned(stated)))
-        if other is not None and (found is None or other[1] < _CLEARLY * found[1]):
+    if found is None or found.missed > _MISSED:
+        other = search.settled(Curves(raised(stated, search.scanned(stated))))
+        if other is not None and (found is None or other.missed < _CLEARLY * found.missed):
             found = other
     if found is None:
         raise _undetermined()
-    response, uncertainty, _ = found[0]
-    gamma, difference = exponent(response), largest_difference(response, stated)
-    return FoundResponse(response, gamma, uncertainty * gamma, difference, search.estimates)
-
-
-@dataclass(eq=False)
-class _Search:
-    """The search in a part of a capture, by estimates of T; counts them."""
-
-    part: Capture
-    settings: EstimateSettings
-    curves: bool
-    estimates: int = 0
-
-    def settled(self, response: Response) -> tuple[Refined, float] | None:
-        """The response at which a search from `response` ends; None if it does not settle.
-
-        Beside it stands the prediction error of the T from which it follows.
-        """
-        curved = False
-        for _ in range(_MOST_ESTIMATES):
-            read, transport = self._estimated(response)
-            better = refined_response(read, transport, curved=curved, curves=self.curves)
-            if better is None:
-                return None
-            change = largest_difference(better.response, response)
-            response, curved = better.response, better.curved
-            if change < _SMALL:
-                return better, prediction_error(transport) or 0.0
-        return None
-
-    def scanned(self, stated: Response) -> float:
-        """The power of the light, among those of a scan, at which T predicts best."""
-        scan = (self._estimated(raised(stated, power))[1] for power in _SCANNED)
-        misses = [prediction_error(transport) or 0.0 for transport in scan]
-        best = int(np.argmin(misses))
-        if best in (0, len(misses) - 1):
-            return _SCANNED[best]
-        # The vertex of the parabola through three errors, in steps of the scan.
-        before, least, after = misses[best - 1 : best + 2]
-        curvature = before - 2 * least + after
-        offset = 0.5 * (before - after) / curvature if curvature > 0 else 0.0
-        return float(_SCANNED[best] * _SCAN_STEP**offset)
-
-    def _estimated(self, response: Response) -> tuple[Capture, LightTransport]:
-        """The part, read by a response, and its T."""
-        self.estimates += 1
-        read = with_response(self.part, response)
-        return read, choose_estimator(read, self.settings).estimate(read)
-
-
-def refined_response(
-    capture: Capture, transport: LightTransport, *, curved: bool = False, curves: bool = True
-) -> Refined | None:
-    """The response of a capture, corrected by the T that was estimated under it.
-
-    It is a gamma, unless a curve is clearly better or was better before (`curved`); without
-    `curves` it is always a gamma. None if too few rows tell anything.
-    """
-    response = capture.decoder.response
-    power = bends_from_transport(capture, transport, GammaBend())
-    bends = bends_from_transport(capture, transport, SmoothBends())
-    if power is None or bends is None:
-        return None
-    # A curve says nothing of levels that no photograph reaches; a gamma needs no such levels.
-    # A curve is looked for only if photographs use half of the levels of their files: those of a
-    # camera of 12 bits in files of 16 bits use a sixteenth. Chosen by hand.
-    curves = curves and float(np.max(capture.decoder.clip)) > 0.5 * capture.decoder.full_scale
-    gamma = GammaBend().bent(response, power.sizes)
-    curve = SmoothBends().bent(response, bends.sizes)
-    # A gamma looks like the first bend, so only the others tell it from a curve.
-    certain = float(np.max(np.abs(bends.sizes[1:]) / np.maximum(bends.errors[1:], 1e-12)))
-    # A curve is looked for once the gamma is right to 5 %: the T of a wrong gamma bends in other
-    # ways, too.
-    near = abs(float(power.sizes[0])) < 0.05
-    differs = largest_difference(curve, gamma) > _CURVED and certain > _CERTAIN
-    curved |= curves and near and differs
-    # The uncertainty is twice the standard error, and at least 0.5 % of the gamma: on simulated
-    # captures the gamma is off by up to that where the standard error is smaller.
-    uncertainty = max(2 * float(power.errors[0]), 0.005)
-    return Refined(curve if curved else gamma, uncertainty, curved)
-
-
-def show_pictures(patterns: PatternSet) -> bool:
-    """Whether neighbouring pixels of grey patterns are alike, as those of photographs are."""
-    if patterns.as_bits() is not None or patterns.shape[1] < 2:
-        return False
-    rows, cols = patterns.shape
-    drawn = np.random.default_rng(0).integers(0, rows * (cols - 1), 500)
-    left = drawn // (cols - 1) * cols + drawn % (cols - 1)
-    one, other = (patterns.columns(pixels).astype(np.float64) for pixels in (left, left + 1))
-    one, other = one - one.mean(axis=0), other - other.mean(axis=0)
-    both = np.sqrt((one**2).sum() * (other**2).sum())
-    # Neighbours in random grey patterns do not correlate, those in photographs by more than 0.9.
-    return float((one * other).sum() / max(both, 1e-12)) > 0.5
-
-
-def refuse_pictures(capture: Capture) -> None:
-    """Refuse grey patterns whose neighbouring pixels are alike, such as photographs."""
-    if capture.bin_projector == (1, 1) and show_pictures(capture.patterns):
-        raise InputError(
-            "patterns of pictures determine only the quotient of the camera's and the projector's "
-            "curves",
-            hint="measure the curves with `lightmatrix response`, or use random patterns",
-        )
-
-
-def _undetermined(what: str = "camera's response") -> InputError:
-    return InputError(
-        f"the photographs do not determine the {what}",
-        hint="measure it with `lightmatrix response`, or give one, such as gamma:2.2",
-    )
+    return search.found(found, stated)
 
 
 def find_projector_response(
@@ -274,66 +177,198 @@ def find_projector_response(
     settings = settings or EstimateSettings()
     whole = open_capture(capture)
     _refuse_other_patterns(whole)
-    # Fewer frames determine no gamma, as they determine none of the camera's.
-    if whole.count < 12:
-        raise _undetermined("projector's gamma")
-    camera = camera or whole.decoder.response.name == AUTOMATIC
     stated = whole.decoder.response
+    camera = camera or stated.name == AUTOMATIC
     read = with_response(whole, Response()) if stated.name == AUTOMATIC else whole
-    # The search estimates T of a window of at most 45 x 45 camera pixels, about the 2,000 rows that
-    # a step uses. Windows of 64 x 64 gave the same gammas to 0.4 %, for 1.7 times the time.
+    # Windows of 64 x 64 camera pixels gave the same gammas to 0.4 %, for 1.7 times the time.
     part = window_of_levels(read, 45)
+    search = _Search(part, settings, camera=camera, curves=False)
     # Most searches end at the right gammas from wherever they begin.
-    estimates = 0
-    for start in (1.0, 2.2):
-        found, tried = _searched_gammas(part, start, camera, settings)
-        estimates += tried
-        if found is not None:
-            break
-    else:
-        raise _undetermined("projector's gamma")
-    response, gamma, last = found
+    starts = (Curves(read.decoder.response, gamma) for gamma in (1.0, 2.2))
+    found = next((each for each in map(search.settled, starts) if each is not None), None)
     # A gamma whose standard error is above 2.5 % is not determined.
-    if last.errors.max() > 0.025:
+    if found is None or max(found.errors) > 0.025:
         raise _undetermined("projector's gamma")
-    # The uncertainty is twice the standard error, and at least 0.5 %, as that of the camera's
-    # gamma.
-    uncertainty = [max(2 * float(error), 0.005) for error in last.errors]
-    return FoundResponse(
-        response,
-        exponent(response),
-        uncertainty[0] * exponent(response) if camera else 0.0,
-        largest_difference(response, stated),
-        estimates,
-        ProjectorResponse.of_gamma(gamma),
-        uncertainty[-1] * gamma,
+    return search.found(found, stated)
+
+
+@dataclass(eq=False)
+class _Search:
+    """The search in a part of a capture, by estimates of T; counts them."""
+
+    part: Capture
+    settings: EstimateSettings
+    # Whether the camera's response is looked for, and whether it may be more than a gamma.
+    camera: bool = True
+    curves: bool = True
+    estimates: int = 0
+
+    def settled(self, now: Curves) -> Curves | None:
+        """The curves at which a search from others ends; None if it does not settle."""
+        # Fewer frames determine no curve.
+        if self.part.count < 12:
+            return None
+        # A small difference is removed by one step, a gamma of 3 takes about six.
+        for _ in range(8):
+            better = refined(*self.estimated(now), now, camera=self.camera, curves=self.curves)
+            if better is None or better.difference(now) < 0.01:
+                return better
+            now = better
+        return None
+
+    def scanned(self, stated: Response) -> float:
+        """The power of the light, among those of a scan, at which T predicts best."""
+        # An error of half of these steps can be told from one of a whole step.
+        step = 1.25
+        powers = [step**k for k in range(-1, 6)]
+        scan = (self.estimated(Curves(raised(stated, power)))[1] for power in powers)
+        misses = [prediction_error(transport) or 0.0 for transport in scan]
+        best = int(np.argmin(misses))
+        if best in (0, len(misses) - 1):
+            return powers[best]
+        # The vertex of the parabola through three errors, in steps of the scan.
+        before, least, after = misses[best - 1 : best + 2]
+        curvature = before - 2 * least + after
+        offset = 0.5 * (before - after) / curvature if curvature > 0 else 0.0
+        return float(powers[best] * step**offset)
+
+    def estimated(self, curves: Curves) -> tuple[Capture, LightTransport]:
+        """The part, read by some curves, and its T."""
+        self.estimates += 1
+        read = with_response(self.part, curves.response)
+        if curves.gamma is not None:
+            read = with_projector(read, ProjectorResponse.of_gamma(curves.gamma))
+        return read, choose_estimator(read, self.settings).estimate(read)
+
+    def found(self, curves: Curves, stated: Response) -> FoundResponse:
+        """What was found."""
+        gamma, projector = exponent(curves.response), curves.gamma
+        # The uncertainty is twice the standard error, and at least 0.5 % of the gamma: on simulated
+        # captures the gamma is off by up to that where the standard error is smaller.
+        uncertainty = [max(2 * error, 0.005) for error in curves.errors]
+        return FoundResponse(
+            curves.response,
+            gamma,
+            uncertainty[0] * gamma if self.camera else 0.0,
+            largest_difference(curves.response, stated),
+            self.estimates,
+            None if projector is None else ProjectorResponse.of_gamma(projector),
+            0.0 if projector is None else uncertainty[-1] * projector,
+        )
+
+
+def refined(
+    capture: Capture,
+    transport: LightTransport,
+    known: Curves,
+    *,
+    camera: bool = True,
+    curves: bool = True,
+) -> Curves | None:
+    """The curves of a capture, corrected by the T that was estimated under the `known` ones.
+
+    The response is a gamma, unless a curve is clearly better or was better before; without `curves`
+    it is always a gamma. Without `camera` it stays. None if too few rows tell anything.
+    """
+    with one_blas_thread():
+        seen = Prediction.of(capture, capture, transport)
+        # What T predicts as a whole is projected out, too: where light is blurred, the strongest
+        # pixels are only a part of it.
+        along = seen.projected(seen.predicted)
+        length = np.linalg.norm(along, axis=1, keepdims=True)
+        along = along / np.where(length > 1e-6 * length.max(initial=0.0), length, np.inf)
+        basis = np.concatenate([seen.basis, along[:, None, :]], axis=1)
+        seen = replace(seen, basis=basis, free=seen.free - 1)
+        changes = [CameraCurve().regressors(seen)] if camera else []
+        if known.gamma is not None:
+            changes.append(np.asarray(ProjectorCurve().regressors(seen)))
+        solved = _solved(seen, np.concatenate(changes))
+        if solved is None:
+            return None
+        sizes, errors = solved
+        # Beyond these shares the linear change of the light misleads.
+        powers = 1 + np.clip(sizes, -0.5, 1.0)
+        response, curved = known.response, known.curved
+        if camera:
+            response = raised(response, float(powers[0]))
+        # A curve says nothing of levels that no photograph reaches; a gamma needs no such levels.
+        # A curve is looked for only if photographs use half of the levels of their files: those of
+        # a camera of 12 bits in files of 16 bits use a sixteenth.
+        if curves and np.max(capture.decoder.clip) > 0.5 * capture.decoder.full_scale:
+            levels, light = points(known.response)
+            shapes = bent_light(
+                seen, lambda share: bends(known.response, np.interp(share, light, levels))
+            )
+            by_bends = _solved(seen, shapes)
+            if by_bends is None:
+                return None
+            curve = bent(known.response, by_bends[0])
+            # A gamma looks like the first bend, so only the others tell it from a curve: by eight
+            # standard errors, and by 0.25 % of full light. Chosen on simulated captures: gammas
+            # stay gammas, sRGB becomes a curve. It is looked for once the gamma is right to 3 %:
+            # the T of a wrong gamma bends in other ways, too.
+            certain = np.max(np.abs(by_bends[0][1:]) / np.maximum(by_bends[1][1:], 1e-12))
+            differs = certain > 8 and largest_difference(curve, response) > 0.0025
+            curved |= bool(abs(sizes[0]) < 0.03 and differs)
+            response = curve if curved else response
+    gamma = known.gamma and float(np.clip(known.gamma * powers[-1], *GAMMAS))
+    return Curves(
+        response, gamma, tuple(map(float, errors)), curved, prediction_error(transport) or 0.0
     )
 
 
-def _searched_gammas(
-    part: Capture, gamma: float, camera: bool, settings: EstimateSettings
-) -> tuple[tuple[Response, float, Bends] | None, int]:
-    """The camera's response, the projector's gamma and the last step; and how many estimates.
+def _solved(seen: Prediction, changes: Array) -> tuple[Array, Array] | None:
+    """How much of each change (c, m, K) is in the samples; and its standard error, (c,) each.
 
-    None in place of the first if the search from this gamma does not settle.
+    The error follows from the scatter of the rows. None if too few rows tell anything.
     """
-    # One to four estimates were needed on simulated captures.
-    most = 6
-    for number in range(1, most + 1):
-        read = with_projector(part, ProjectorResponse.of_gamma(gamma))
-        transport = choose_estimator(read, settings).estimate(read)
-        better = gammas_from_greys(part, transport, gamma, camera=camera)
-        if better is None:
-            return None, number
-        known, before = part.decoder.response, gamma
-        part, gamma, last = better
-        change = abs(gamma / before - 1)
-        if camera:
-            change = max(change, abs(exponent(part.decoder.response) / exponent(known) - 1))
-        # When an estimate changes neither gamma by 1.5 %, the next change would be a tenth of it.
-        if change < 0.015:
-            return (part.decoder.response, gamma, last), number
-    return None, most
+    enough = seen.free >= 3
+    if enough.sum() < 20:
+        return None
+    # Rows count by the inverse of what they miss anyway.
+    missed = (seen.left**2).sum(axis=1) / np.maximum(seen.free, 1)
+    weight = np.where(enough, 1 / np.maximum(missed + np.median(missed[enough]), 1e-30), 0)
+    parts = np.stack([seen.projected(each) for each in changes])
+    matrices = np.einsum("imk,jmk->mij", weight[:, None] * parts, parts, optimize=True)
+    sides = np.einsum("imk,mk->mi", parts, weight[:, None] * seen.left)
+    matrix = matrices.sum(axis=0)
+    if not np.isfinite(matrix).all() or np.linalg.cond(matrix) > 1e12:
+        return None
+    inverse = np.linalg.inv(matrix)
+    sizes = inverse @ sides.sum(axis=0)
+    scatter = (sides - matrices @ sizes) @ inverse
+    return sizes, np.sqrt((scatter**2).sum(axis=0))
+
+
+def show_pictures(patterns: PatternSet) -> bool:
+    """Whether neighbouring pixels of grey patterns are alike, as those of photographs are."""
+    if patterns.as_bits() is not None or patterns.shape[1] < 2:
+        return False
+    rows, cols = patterns.shape
+    drawn = np.random.default_rng(0).integers(0, rows * (cols - 1), 500)
+    left = drawn // (cols - 1) * cols + drawn % (cols - 1)
+    one, other = (patterns.columns(pixels).astype(np.float64) for pixels in (left, left + 1))
+    one, other = one - one.mean(axis=0), other - other.mean(axis=0)
+    both = np.sqrt((one**2).sum() * (other**2).sum())
+    # Neighbours in random grey patterns do not correlate, those in photographs by more than 0.9.
+    return float((one * other).sum() / max(both, 1e-12)) > 0.5
+
+
+def refuse_pictures(capture: Capture) -> None:
+    """Refuse grey patterns whose neighbouring pixels are alike, such as photographs."""
+    if capture.bin_projector == (1, 1) and show_pictures(capture.patterns):
+        raise InputError(
+            "patterns of pictures determine only the quotient of the camera's and the projector's "
+            "curves",
+            hint="measure the curves with `lightmatrix response`, or use random patterns",
+        )
+
+
+def _undetermined(what: str = "camera's response") -> InputError:
+    return InputError(
+        f"the photographs do not determine the {what}",
+        hint="measure it with `lightmatrix response`, or give one, such as gamma:2.2",
+    )
 
 
 def find_responses(capture: Capture, settings: EstimateSettings) -> FoundResponse:

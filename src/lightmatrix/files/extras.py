@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import importlib
 import warnings
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -71,14 +71,18 @@ def read_exr(file: Path) -> NDArray[Any]:
     return pixels[0] if len(pixels) == 1 else np.stack(pixels, axis=-1)
 
 
-def write_exr(file: Path, pixels: NDArray[np.float32]) -> None:
-    """Write an image, (rows, cols) or (rows, cols, 3 or 4), as 32-bit float without loss."""
+def write_exr(file: Path, pixels: NDArray[np.float32], names: Sequence[str] | None = None) -> None:
+    """Write an image, (rows, cols) or (rows, cols, 3 or 4), as 32-bit float without loss.
+
+    With `names`, one for each channel, an image may have any number of them.
+    """
     library = load_extra("OpenEXR", "EXR files need the OpenEXR library", "exr")
     header = {"compression": library.ZIP_COMPRESSION, "type": library.scanlineimage}
-    names = ("Y",) if pixels.ndim == 2 else (*_EXR_COLOURS, _EXR_ALPHA)[: pixels.shape[2]]
+    usual = ("Y",) if pixels.ndim == 2 else (*_EXR_COLOURS, _EXR_ALPHA)[: pixels.shape[2]]
     planes = pixels[..., None] if pixels.ndim == 2 else pixels
     channels = {
-        name: np.ascontiguousarray(planes[..., k], np.float32) for k, name in enumerate(names)
+        name: np.ascontiguousarray(planes[..., k], np.float32)
+        for k, name in enumerate(names or usual)
     }
     with library.File(header, channels) as made:
         made.write(str(file))

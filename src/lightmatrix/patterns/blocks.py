@@ -18,7 +18,7 @@ from lightmatrix.reprs import short_repr
 
 @dataclass(frozen=True, eq=False)
 class BlockPatterns(PatternSet):
-    """One block of projector pixels lit at a time; blocks of 1 x 1 are the one-pixel responses.
+    """One block of projector pixels lit at a time; by default, one pixel: T column by column.
 
     Parameters
     ----------
@@ -100,32 +100,6 @@ class BlockPatterns(PatternSet):
     def rows(self, start: int, stop: int) -> NDArray[np.float32]:
         lit = self.index[start:stop, None] == self._block_of_pixel[None, :]
         return lit.astype(np.float32)
-
-
-def one_pixel_patterns(
-    shape: tuple[int, int], selected: NDArray[np.integer] | None = None
-) -> BlockPatterns:
-    """One projector pixel lit at a time: the naive measurement of T, column by column.
-
-    Parameters
-    ----------
-    shape : (rows, cols)
-        Projector rows and columns.
-    selected : (K,) int, optional
-        Indices of the pixels to light, in the order (row, col); None: all.
-
-    Raises
-    ------
-    InputError
-        On an empty projector, or pixels outside of it.
-
-    Examples
-    --------
-    >>> import lightmatrix as lm
-    >>> lm.one_pixel_patterns((4, 6)).count
-    24
-    """
-    return BlockPatterns(shape, (1, 1), selected)  # type: ignore[arg-type]
 
 
 def sampled_pixels(shape: tuple[int, int], step: int = 8, offset: int = 4) -> NDArray[np.int64]:

@@ -10,7 +10,7 @@ import numpy as np
 from lightmatrix.defaults import USUAL_COUNT
 from lightmatrix.errors import InputError
 from lightmatrix.patterns.bits import BernoulliPatterns
-from lightmatrix.patterns.blocks import BlockPatterns, one_pixel_patterns
+from lightmatrix.patterns.blocks import BlockPatterns
 from lightmatrix.patterns.hadamard import HadamardPatterns
 from lightmatrix.patterns.mix import Mix, MixedPatterns, default_mix, parse_mix
 from lightmatrix.patterns.pattern_set import PatternSet, check_geometry
@@ -109,7 +109,7 @@ def make_patterns(
             shares = parse_mix(shares, shape)
         return MixedPatterns(shape, number, shares, density, seed)
     if kind == "onepixel":
-        return _some(one_pixel_patterns(shape), count, "onepixel", seed)
+        return _some(BlockPatterns(shape), count, "onepixel", seed)
     if kind == "blocks":
         return _some(BlockPatterns(shape, block), count, "blocks", seed)
     raise InputError(f"patterns of the kind {kind!r}", hint=f"use one of {', '.join(KINDS)}")

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from lightmatrix.errors import InputError
 from lightmatrix.pictures.style import CLIPPED_COLOUR
+from lightmatrix.reprs import percent
 from lightmatrix.transport.correspondence import Correspondence
 from lightmatrix.transport.matrix import LightTransport
 
@@ -82,9 +83,8 @@ def gap_map(transport: LightTransport) -> Map:
     known = gaps[np.isfinite(gaps)]
     if not known.size:
         raise InputError("no row has a duality gap", hint="estimate with the solver active-set")
-    middle, largest = 100 * np.median(known), 100 * known.max()
-    title = f"Duality gap: median {middle:.1g} %, largest {largest:.1g} %"
-    label = "(P - D) / P of a camera pixel's row; dark: converged"
+    title = f"Duality gap: median {percent(np.median(known))}, largest {percent(known.max())}"
+    label = "relative duality gap; dark: converged"
     # Gaps below the usual tolerance look alike: bright pixels are rows that did not converge.
     return Map("gap", title, label, gaps, 1e-3, 1, logarithmic=True)
 

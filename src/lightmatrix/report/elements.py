@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import base64
 from dataclasses import dataclass
+from decimal import Decimal
 from pathlib import Path
 from typing import Any, ClassVar, Literal, TypeAlias
 
@@ -229,4 +230,4 @@ def _bytes(shown: NDArray[Any]) -> NDArray[np.uint8]:
 
 
 def _number(value: float) -> str:
-    return f"{value:.2g}" if abs(value) < 100 else f"{value:.0f}"
+    return f"{Decimal(f'{value:.2g}'):f}" if abs(value) < 100 else f"{value:.0f}"

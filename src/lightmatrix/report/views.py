@@ -1,4 +1,4 @@
-"""`lm.show` and `lm.write_pictures`: views of T as pictures or numbers, and their files.
+"""`lm.show`: views of T as pictures or numbers, and their files.
 
 Views of the shape need the geometry of the rig.
 """
@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 from lightmatrix.errors import InputError
 from lightmatrix.files.colours import holds_colour
 from lightmatrix.files.images import fill_image
-from lightmatrix.files.kinds import IMAGE, NUMBERS, NUMBERS_MARK, PICTURES
-from lightmatrix.files.writing import atomic_file, atomic_folder, check_output
+from lightmatrix.files.kinds import IMAGE, NUMBERS, NUMBERS_MARK
+from lightmatrix.files.writing import atomic_file, check_output
 from lightmatrix.geometry.rig_geometry import RigGeometry
 from lightmatrix.pictures import maps
 from lightmatrix.pictures.transport import (
@@ -42,22 +42,18 @@ Numbers = Mapping[str, NDArray[Any]]
 
 @dataclass(frozen=True)
 class _View:
-    """A view: how to draw it, its numbers, and the diagnostic that it needs, if any."""
+    """A view: how to draw it, and its numbers."""
 
     picture: Callable[..., Picture]
     numbers: Callable[..., Numbers]
-    needs: str = ""
     # Whether it shows the shape in place of T, which takes the geometry of the rig.
     of_shape: bool = False
 
 
-def _of_map(make: Callable[[Any], maps.Map], needs: str = "", of_shape: bool = False) -> _View:
+def _of_map(make: Callable[[Any], maps.Map], of_shape: bool = False) -> _View:
     """The view of a map over the camera."""
     return _View(
-        lambda shown: draw_map(make(shown)),
-        lambda shown: {"values": make(shown).values},
-        needs,
-        of_shape,
+        lambda shown: draw_map(make(shown)), lambda shown: {"values": make(shown).values}, of_shape
     )
 
 
@@ -72,10 +68,10 @@ VIEWS: dict[str, _View] = {
     "dual": _View(draw_dual, lambda transport: {"values": transport.dual_image()}),
     "correspondence": _View(draw_correspondence, _correspondence),
     "spectrum": _View(draw_spectrum, spectrum),
-    "clipping": _of_map(maps.clipping_map, "clipped_share"),
-    "gap": _of_map(maps.gap_map, "gap"),
-    "footprint": _of_map(maps.footprint_map, "footprint"),
-    "estimated-error": _of_map(maps.estimated_error_map, "estimated_error"),
+    "clipping": _of_map(maps.clipping_map),
+    "gap": _of_map(maps.gap_map),
+    "footprint": _of_map(maps.footprint_map),
+    "estimated-error": _of_map(maps.estimated_error_map),
     "depth": _of_map(lambda shape: depth_map(shape.depth, shape.geometry.units), of_shape=True),
     "normals": _View(
         lambda shape: normals_picture(shape.camera_normals),
@@ -85,8 +81,6 @@ VIEWS: dict[str, _View] = {
 }
 # Views of one row or column, and how many numbers their index may have.
 _INDEXED = {"row": (2, 3), "column": (2,)}
-# Maps over the whole camera, which `lightmatrix info` writes.
-_OVERVIEW = ("correspondence", *(name for name, view in VIEWS.items() if view.needs))
 
 
 def show(
@@ -199,45 +193,3 @@ def show(
         else:
             drawing.draw_file(part)
     return drawing
-
-
-def write_pictures(
-    folder: str | Path, transport: LightTransport | str | Path, *, overwrite: bool = False
-) -> list[Path]:
-    """Write all maps over the camera of a light transport matrix, one picture each.
-
-    Parameters
-    ----------
-    folder : str or Path
-        The folder to make: correspondence.png and, as far as an estimate has these diagnostics,
-        clipping.png, gap.png, footprint.png and estimated-error.png.
-    transport : LightTransport, str or Path
-        T, or where `open` finds it.
-    overwrite : bool
-        Whether an existing folder of such maps may be replaced.
-
-    Returns
-    -------
-    list of Path
-        The pictures.
-
-    Raises
-    ------
-    OutputError
-        If the folder exists, holds something else, or cannot be written.
-
-    Examples
-    --------
-    >>> import lightmatrix as lm
-    >>> [path.name for path in lm.write_pictures("maps", lm.truth("metal").transport())]
-    ['correspondence.png']
-    """
-    matrix = transport if isinstance(transport, LightTransport) else store.open(transport)
-    written = []
-    with atomic_folder(folder, PICTURES, overwrite=overwrite) as part:
-        for name in _OVERVIEW:
-            view = VIEWS[name]
-            if not view.needs or maps.has_diagnostic(matrix, view.needs):
-                view.picture(matrix).draw_file(part / f"{name}.png")
-                written.append(Path(folder) / f"{name}.png")
-    return written

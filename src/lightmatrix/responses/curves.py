@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import isotonic_regression
 
-from lightmatrix.capture.camera_curve import Response, range_end
+from lightmatrix.capture.camera_curve import Response, nearest_gamma, range_end
 from lightmatrix.capture.exposures import lit_samples, share_of_white
 from lightmatrix.capture.frames import ArrayStack, Frames
 from lightmatrix.errors import InputError
@@ -214,14 +214,6 @@ def measure_residuals(curve: NDArray[np.float64], series: PixelSeries) -> NDArra
     return np.stack([(np.arange(16) + 0.5)[keep] / 16, total[keep] / count[keep]])
 
 
-def nearest_gamma(curve: NDArray[np.float64], series: PixelSeries) -> float:
-    """The exponent of the power of the level that is nearest to a curve."""
-    share = (np.arange(TOP + 1) - series.black) / (TOP - series.black)
-    part = (share > 0.1) & (share < 0.99) & (curve > 0)
-    log_light, log_level = np.log(curve[part]), np.log(share[part])
-    return float((log_light @ log_level) / (log_level @ log_level))
-
-
 @dataclass(frozen=True, eq=False)
 class CameraResponse:
     """A camera's measured response.
@@ -387,7 +379,7 @@ def camera_response(
         Response(np.arange(TOP + 1) / TOP, curve, "measured", top),
         float(several.std(axis=0, ddof=1).max()),
         float(max(abs(residuals[1]), default=np.nan)),
-        nearest_gamma(curve, series),
+        nearest_gamma((np.arange(TOP + 1) - series.black) / (TOP - series.black), curve),
         times,
         max((float(np.abs(each - curve).max()) for each in by_channel), default=None),
         residuals,

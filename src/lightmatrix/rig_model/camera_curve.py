@@ -2,11 +2,27 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 
 from lightmatrix.capture.found_response import raised, with_response
 from lightmatrix.rig_model.prediction import Prediction
 from lightmatrix.rig_model.term import Array, Draft, Term
+
+
+def bent_light(seen: Prediction, bend: Callable[[Array], Array]) -> Array:
+    """What samples change by where a camera adds bends of its light, (bends, m, K).
+
+    `bend` gives them for light as a share of full light.
+    """
+    decoder = seen.capture.decoder
+    full = decoder.response.linearise(np.asarray(decoder.clip) / decoder.full_scale)
+    dark = decoder.response.linearise(np.asarray(decoder.black_level) / decoder.full_scale)
+    unit = seen.capture.exposures * np.max(full - dark)
+    # Half a step of 8 bits is the faintest light whose logarithm is trusted.
+    light = np.clip(seen.predicted * unit + np.min(dark), 0.002, None)
+    return np.asarray(-bend(light) / unit)
 
 
 class CameraCurve(Term):
@@ -19,13 +35,7 @@ class CameraCurve(Term):
     )
 
     def regressors(self, seen: Prediction) -> Array:
-        decoder = seen.capture.decoder
-        full = decoder.response.linearise(np.asarray(decoder.clip) / decoder.full_scale)
-        dark = decoder.response.linearise(np.asarray(decoder.black_level) / decoder.full_scale)
-        unit = seen.capture.exposures * np.max(full - dark)
-        # Half a step of 8 bits is the faintest light whose logarithm is trusted.
-        light = np.clip(seen.predicted * unit + np.min(dark), 0.002, None)
-        return np.asarray(-light * np.log(light) / unit)[None]
+        return bent_light(seen, lambda light: (light * np.log(light))[None])
 
     def take_out(self, values: Array, draft: Draft) -> None:
         response = raised(draft.capture.decoder.response, 1 + float(values[0]))

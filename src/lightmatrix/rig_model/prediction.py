@@ -14,7 +14,7 @@ from scipy.ndimage import spline_filter1d
 from lightmatrix.capture.capture import Capture
 from lightmatrix.capture.samples import Samples
 from lightmatrix.patterns.pattern_set import PatternSet
-from lightmatrix.rig_model.bends import strongest_pixels
+from lightmatrix.rig_model.strongest_pixels import strongest_pixels
 from lightmatrix.transport.matrix import LightTransport
 
 Array = NDArray[np.float64]

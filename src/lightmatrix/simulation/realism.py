@@ -40,7 +40,6 @@ def check_realism(
 
 def defocus(truth: Truth, sigma: float) -> Truth:
     """Blur the projector by a Gaussian of `sigma` >= 0 projector pixels; its border loses light."""
-    check_realism(truth.projector_shape, blur=sigma)
     if sigma == 0:
         return truth
     rows, cols = truth.projector_shape
@@ -71,7 +70,6 @@ def defocus(truth: Truth, sigma: float) -> Truth:
 
 def vignetting(truth: Truth, strength: float) -> Truth:
     """Gain 1 - strength r^2, r from the middle to 1 in the corners; strength in [0, 1)."""
-    check_realism(truth.projector_shape, vignetting=strength)
     rows, cols = truth.camera_shape[:2]
     y = np.linspace(-1, 1, rows)[:, None]
     x = np.linspace(-1, 1, cols)[None, :]
@@ -84,7 +82,6 @@ def vignetting(truth: Truth, strength: float) -> Truth:
 
 def ambient(truth: Truth, level: float) -> NDArray[np.float32]:
     """Image of the room's light alone, (M,) float32; its mean is `level` times that under white."""
-    check_realism(truth.projector_shape, ambient=level)
     white = np.asarray(truth.matrix.sum(axis=1), np.float64).reshape(*truth.camera_shape[:2], -1)
     # Room light comes from all sides and has no shadow edges, so the white image is blurred by six
     # camera pixels (standard deviation).

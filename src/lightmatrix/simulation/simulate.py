@@ -90,7 +90,7 @@ class SimulatedCapture(Capture):
             self.truth.save_beside(part)
 
         if as_path(folder).suffix.lower() == ".zarr":
-            pack_capture(self, folder, write_extras=save_truth, overwrite=overwrite)
+            pack_capture(self, folder, save_truth, overwrite=overwrite)
             return
         decoder = self.decoder
         black = decoder.black_frame

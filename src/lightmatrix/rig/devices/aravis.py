@@ -7,8 +7,8 @@ from collections.abc import Sequence
 from contextlib import suppress
 from typing import Any
 
-from lightmatrix.errors import DeviceError, FrameTimeoutError
-from lightmatrix.rig.devices.base import Address, AvailableDevice, Frame, FrameStamps, missing_extra
+from lightmatrix.errors import DeviceError, FrameTimeoutError, MissingExtraError
+from lightmatrix.rig.devices.base import Address, AvailableDevice, Frame, FrameStamps
 from lightmatrix.rig.devices.genicam import BUFFERS, GenICamCamera, PixelFormat
 
 
@@ -209,10 +209,9 @@ def _load() -> tuple[Any, Any]:
         from gi.repository import Aravis, GLib
     # A ValueError means that PyGObject is installed but Aravis is not.
     except (ImportError, ValueError) as error:
-        raise missing_extra(
-            "aravis",
-            "GigE and USB3 Vision cameras through Aravis",
-            system="install Aravis (Debian, Ubuntu: apt-get install gir1.2-aravis-0.8; macOS: brew "
-            "install aravis)",
+        raise MissingExtraError(
+            "cameras through Aravis cannot be used, a package is not installed",
+            hint="install Aravis (Debian, Ubuntu: apt-get install gir1.2-aravis-0.8; macOS: brew "
+            'install aravis), then pip install "lightmatrix[aravis]"',
         ) from error
     return Aravis, GLib.Error

@@ -9,13 +9,13 @@ from collections import deque
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
-from importlib import import_module
 from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from lightmatrix.errors import DeviceError, FrameTimeoutError, InputError, MissingExtraError
+from lightmatrix.errors import DeviceError, FrameTimeoutError, InputError
+from lightmatrix.files.extras import load_extra
 
 
 @dataclass(frozen=True)
@@ -104,20 +104,10 @@ class AvailableDevice:
     description: str
 
 
-def missing_extra(extra: str, what: str, *, system: str | None = None) -> MissingExtraError:
-    """The error for a back end whose packages are missing; `system` says what else to install."""
-    hint = f'pip install "lightmatrix[{extra}]"'
-    if system is not None:
-        hint = f"{system}, then {hint}"
-    return MissingExtraError(f"{what} cannot be used, a package is not installed", hint=hint)
-
-
 def load(extra: str, what: str, *modules: str) -> list[Any]:
     """Import the packages of a back end; a MissingExtraError says how to install them."""
-    try:
-        return [import_module(name) for name in modules]
-    except ImportError as error:
-        raise missing_extra(extra, what) from error
+    message = f"{what} cannot be used, a package is not installed"
+    return [load_extra(name, message, extra) for name in modules]
 
 
 def size_in_words(shape: tuple[int, ...]) -> str:
