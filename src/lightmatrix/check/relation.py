@@ -152,8 +152,7 @@ class Relation:
     (m, K). `features` are the cosines of the patterns through several blurs and in several parts of
     the projector, (F, K, K); `shown` some pixels of the patterns at each blur, (F', n, K),
     standardised. `count` is the number of all frames, `pixels` that of the projector's pixels once
-    binned. `contrasted` tells whether the usual camera pixel varies by far more than noise, and
-    `same` which pairs of frames were standardised together, (K, K).
+    binned. `contrasted` tells whether the usual camera pixel varies by far more than noise.
     """
 
     samples: Floats
@@ -162,7 +161,8 @@ class Relation:
     count: int
     pixels: int
     contrasted: bool
-    same: NDArray[np.bool_]
+    # The frames of each exposure, which are standardised by themselves; or none.
+    groups: list[NDArray[np.int64]]
 
     @classmethod
     def of(cls, survey: Survey) -> Relation | None:
@@ -188,15 +188,14 @@ class Relation:
         # Under a curve that is not declared, frames differ most by their exposure. The frames of
         # each exposure are therefore standardised by themselves first.
         exposures = np.broadcast_to(survey.decoder.exposure, survey.count)[:count]
-        if 3 * len(np.unique(exposures)) >= count:
-            exposures = np.zeros(count)
-        for level in np.unique(exposures):
-            values[:, exposures == level] = _standardised(values[:, exposures == level])
+        levels = np.unique(exposures)
+        groups = [np.flatnonzero(exposures == e) for e in levels if 3 * len(levels) < count]
+        for group in groups:
+            values[:, group] = _standardised(values[:, group])
         samples = _standardised(values)
         features, shown = _pattern_cosines(_binned(survey.patterns, count, step))
         contrasted = bool(np.median(span - least) > 0)
-        same = exposures[:, None] == exposures
-        return cls(samples, features, shown, survey.count, pixels, contrasted, same)
+        return cls(samples, features, shown, survey.count, pixels, contrasted, groups)
 
     @cached_property
     def frames(self) -> NDArray[np.int64]:
@@ -205,7 +204,14 @@ class Relation:
     @cached_property
     def cosines(self) -> Floats:
         """Sums of products of the standardised photographs, (K, K)."""
-        return np.asarray(self.samples.T @ self.samples)
+        sums = np.asarray(self.samples.T @ self.samples)
+        for group in self.groups:
+            # Samples that sum to 0 over a few frames make these unlike each other, far more so than
+            # random patterns differ.
+            block, others = np.ix_(group, group), ~np.eye(len(group), dtype=bool)
+            if len(group) > 1:
+                sums[block] -= others * sums[block][others].mean()
+        return sums
 
     def excess(self, order: NDArray[np.int64]) -> float:
         """By how many standard deviations frames follow the patterns better than chance.
@@ -229,10 +235,6 @@ class Relation:
         else:
             features = _normalised(self.features[:, shown[upper[0]], shown[upper[1]]])
         own = np.stack([each[upper] for each in _cosines_of(self.cosines[np.ix_(known, known)])])
-        # Frames of one exposure have a mean of 0, so that their cosines are lower than others.
-        same = self.same[np.ix_(known, known)][upper]
-        for pairs in (same, ~same) if not same.all() else ():
-            own[:, pairs] -= own[:, pairs].mean(axis=1, keepdims=True)
         return float((features @ _normalised(own).T).max())
 
     @cached_property

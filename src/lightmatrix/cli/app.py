@@ -236,8 +236,9 @@ def _usage_error(error: typer.TyperException) -> tuple[str, str]:
     message = error.format_message().replace("Value error, ", "")
     context = getattr(error, "ctx", None)
     path = context.command_path if context else "lightmatrix"
-    full = context is not None and isinstance(context.command, Command)
-    hint = f"see `{path} --help{'-all' if full else ''}`"
+    # What is required is among the usual options.
+    rare = isinstance(getattr(context, "command", None), Command) and "Missing" not in message
+    hint = f"see `{path} --help{'-all' if rare else ''}`"
     choice = re.search(r"'([^']*)' is not one of (.*)", message)
     if choice:
         near = get_close_matches(choice[1], re.findall(r"'([^']*)'", choice[2]), n=1)

@@ -52,7 +52,7 @@ def reached_level(capture: Capture) -> float:
     It is a quantile over camera samples of the largest value under any pattern. Estimates scale
     with their samples only if the regularization does.
     """
-    values, weights = _spread(capture)
+    values, weights = spread_samples(capture)
     largest = np.where(weights > 0, values, 0).max(axis=1, initial=0)
     if not len(largest):
         return capture.reference_level
@@ -67,7 +67,7 @@ def automatic_regularization(capture: Capture) -> float:
     return default_regularization(capture.patterns, level, noise)
 
 
-def _spread(capture: Capture) -> tuple[NDArray[Any], NDArray[Any]]:
+def spread_samples(capture: Capture) -> tuple[NDArray[Any], NDArray[Any]]:
     """Values and weights of some rows, (m, K) each."""
     count = capture.rows
     if count <= _STRETCHES * _STRETCH:

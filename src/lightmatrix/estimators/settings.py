@@ -110,6 +110,12 @@ class EstimateSettings:
             return self.coherent
         return self._reason_against_coherent is None and capture.count <= COHERENT_UP_TO
 
+    @property
+    def may_be_direct(self) -> bool:
+        """Whether T may be read from patterns that determine it, if nothing else is asked for."""
+        left_open = self.coherent is None and self.fidelity is None and self.iterations is None
+        return left_open and self.regularization == "auto" and not (self.signed or self.multi_scale)
+
     def _check_tiles(self) -> None:
         check_at_least_one(tile_rows=self.tile_rows)
         limits = {"tile rows": self.tile_rows, "a memory limit": self.memory}

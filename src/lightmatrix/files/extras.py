@@ -178,13 +178,21 @@ def orientation(path: str | Path) -> int:
     A camera that writes the tag into some frames only would move these against the others.
     """
     try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            with Image.open(path) as image:
-                return int(image.getexif().get(ExifTags.Base.Orientation, 1))
+        return int(_exif(path).get(ExifTags.Base.Orientation, 1))
     # Image libraries raise nearly anything on damaged files.
     except Exception:
         return 1
+
+
+def _exif(path: str | Path) -> Image.Exif:
+    with warnings.catch_warnings():
+        # Pillow warns of unusual tags, which are of no interest here.
+        warnings.simplefilter("ignore")
+        with Image.open(path) as image:
+            tags = image.getexif()
+            # Pillow reads this part on request, while the file is open, and keeps it.
+            tags.get_ifd(ExifTags.IFD.Exif)
+            return tags
 
 
 def upright(path: str | Path, image: NDArray[Any]) -> NDArray[Any]:
@@ -228,17 +236,12 @@ def exposure_time(path: str | Path) -> float | None:
     file = Path(path)
     try:
         if file.suffix.lower() in RAW:
-            with load_extra("rawpy", "raw camera files need LibRaw", "raw").imread(
-                str(file)
-            ) as opened:
+            library = load_extra("rawpy", "raw camera files need LibRaw", "raw")
+            with library.imread(str(file)) as opened:
                 seconds = float(opened.other.shutter_speed)
         else:
-            with warnings.catch_warnings():
-                # Pillow warns of unusual tags, which are of no interest here.
-                warnings.simplefilter("ignore")
-                with Image.open(file) as image:
-                    tags = image.getexif().get_ifd(ExifTags.IFD.Exif)
-                    seconds = float(tags.get(ExifTags.Base.ExposureTime) or 0)
+            tags = _exif(file).get_ifd(ExifTags.IFD.Exif)
+            seconds = float(tags.get(ExifTags.Base.ExposureTime) or 0)
     except MissingExtraError:
         raise
     # Image libraries raise nearly anything on damaged files.
