@@ -82,8 +82,8 @@ class Prediction:
         pixels, _ = strongest_pixels(transport, inner[chosen], capture.count)
         lit = np.moveaxis(capture.patterns.at(pixels), 0, 1).astype(np.float64)
         whole = around[INNER].reshape(-1, capture.count)[chosen]
-        columns = [np.ones_like(whole)[..., None], lit, whole[..., None]]
-        columns = np.concatenate(columns, axis=2) * counted[..., None]
+        beside = np.stack([np.ones_like(whole), whole], axis=2)
+        columns = np.concatenate([lit, beside], axis=2) * counted[..., None]
         basis, strength, _ = np.linalg.svd(columns, full_matrices=False)
         # Weaker directions are rounding errors of columns that depend on each other.
         strong = strength > 1e-6 * np.maximum(strength[:, :1], 1e-12)
