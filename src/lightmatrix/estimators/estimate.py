@@ -9,7 +9,7 @@ A tile of rows is solved six calls below it:
 5. `RowSolver.near` (`coherent/row_solver.py`) sets up the weighted problem of these rows.
 6. `solve_weighted` (`solvers/active_set.py`) hands it to the compiled core.
 
-Row by row, `_Rows.solve` (`plain.py`) replaces 4 and 5, and `solvers.solve` replaces 6.
+Row by row, `PlainRows._solve` (`plain.py`) replaces 4 and 5, and `solvers.solve` replaces 6.
 With workers, 3 hands the tiles to `DaskPool.solve` (`workers.py`), and each worker does the rest.
 """
 

@@ -87,7 +87,7 @@ class PlainEstimator(Estimator):
 
     def work(self, capture: Capture, regularization: float) -> Work:
         """The rows of a capture, in tiles."""
-        return _Rows(capture, self, regularization)
+        return PlainRows(capture, self, regularization)
 
     def problem(self, patterns: PatternSet, samples: Samples, regularization: float) -> Problem:
         """The problem of some rows."""
@@ -101,7 +101,7 @@ class PlainEstimator(Estimator):
 
 
 @dataclass(frozen=True, eq=False)
-class _Rows(Work):
+class PlainRows(Work):
     """The rows of a capture, solved tile by tile."""
 
     capture: Capture
