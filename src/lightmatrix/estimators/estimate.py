@@ -220,7 +220,7 @@ def estimate(
             remarks = {FOUND_RESPONSE: found.provenance()}
         estimator = choose_estimator(capture, settings, resources)
         warn_of(findings)
-        if resources.coherent and isinstance(estimator, PlainEstimator):
+        if resources.coherent and type(estimator) is PlainEstimator:
             warn(
                 "estimating row by row, which predicts photographs held out better than "
                 "coherent=True"
