@@ -92,11 +92,13 @@ class _Inverted(PlainRows):
         entries *= kept
         clipped, known = samples.clipped.any(axis=1), samples.counted.all(axis=1)
         lost = np.flatnonzero((clipped & (not self.inverse.lone)) | ~known)
+        background = np.zeros(len(entries), np.float32)
         if len(lost):
             # The penalty follows the noise alone, not the level of samples.
             penalty = default_regularization(patterns, 1e-9 * noise, noise)
             problem = self.estimator.problem(patterns, samples.rows(lost), penalty)
-            entries[lost] = solve(problem, self.estimator.solver).coefficients.toarray()
+            solved = solve(problem, self.estimator.solver)
+            entries[lost], background[lost] = solved.coefficients.toarray(), solved.background
             missed[lost] = np.nan
         length = np.linalg.norm(entries, axis=1)
         with np.errstate(divide="ignore", invalid="ignore"):
@@ -107,6 +109,6 @@ class _Inverted(PlainRows):
             "estimated_error": error.astype(np.float32),
         }
         coefficients = csr_array(entries.astype(np.float32))
-        rows = SparseRows(coefficients, np.zeros((len(entries), 1), np.float32), diagnostics)
+        rows = SparseRows(coefficients, background[:, None], diagnostics)
         progress(len(entries), len(entries))
         return with_certainty(rows, samples, patterns, start, self.capture.rows)
