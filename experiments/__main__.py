@@ -21,6 +21,7 @@ from experiments import (
     harness,
     layers,
     mapping,
+    numbers,
     responses,
     rigs,
     shape,
@@ -43,6 +44,7 @@ EXPERIMENTS: dict[str, harness.Experiment[Any]] = {
         shape.SHAPE_EXPERIMENT,
         layers.LAYERS_EXPERIMENT,
         mapping.MAPPING,
+        numbers.NUMBERS,
     )
 }
 
