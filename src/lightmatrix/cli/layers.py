@@ -24,10 +24,9 @@ def layers(
     overwrite: Overwrite = False,
     as_json: Json = False,
 ) -> None:
-    """Find the surfaces that pixels see through each other, and mirrors.
+    """Find surfaces behind gauze and glass, and those in mirrors.
 
-    A camera pixel that sees a curtain, dusty glass or a mirror, and what is behind or in it, has
-    several spots in its row of T. Surfaces come near to far, up to three a pixel.
+    They come near to far, up to three a camera pixel.
     """
     found = lm.layers(
         scene,

@@ -12,7 +12,6 @@ import numpy as np
 import tifffile
 from matplotlib.colors import BoundaryNorm, ListedColormap
 from numpy.typing import NDArray
-from scipy.ndimage import uniform_filter
 
 from lightmatrix.files.extras import load_extra
 from lightmatrix.files.kinds import CLOUD, DEPTH, PLY_MARK
@@ -26,16 +25,6 @@ from lightmatrix.reprs import short_repr
 from lightmatrix.uses.separation import shifted
 
 # Normals and triangles of a surface of which the depth of each camera pixel is known.
-
-
-def local_mean(values: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Mean of the finite values within 5 x 5 pixels, (rows, cols); NaN where there are none."""
-    known = np.isfinite(values)
-    shares = uniform_filter(known.astype(np.float64), 5, mode="constant")
-    sums = uniform_filter(np.where(known, values, 0.0), 5, mode="constant")
-    # Running sums leave rounding errors where nothing is known.
-    least = 0.5 / 5**2
-    return np.where(shares > least, np.maximum(sums, 0) / np.maximum(shares, least), np.nan)
 
 
 def _steepest_step(depth: NDArray[np.floating], geometry: RigGeometry) -> NDArray[np.float64]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -98,7 +97,20 @@ def _of_block(
     ideal_col, ideal_row = np.ascontiguousarray(pixels.T).take(matrix.indices, axis=1)
     across, down, shift = np.ascontiguousarray(lines.T)
     distance = np.abs(across[owner] * ideal_col + down[owner] * ideal_row + shift[owner])
-    sums = _window_sums(owner, row, col, light, shape)
+    # The light of the 3 x 3 pixels around each entry, in its row of T. Entries are sorted by row
+    # and pixel; the numbers of pixels have a border, so that no neighbour lies across an edge.
+    width = shape[1] + 2
+    pixel = (row.astype(np.int64) + 1) * width + col.astype(np.int64) + 1
+    pixel += owner * ((shape[0] + 2) * width)
+    padded, padded_light = (
+        np.append(pixel, [np.iinfo(np.int64).max] * 3),
+        np.append(light, [0.0] * 3),
+    )
+    sums = np.zeros(len(pixel))
+    for first in (pixel - width - 1, pixel - 1, pixel + width - 1):
+        found = np.searchsorted(pixel, first)
+        for step in range(3):
+            sums += np.where(padded[found + step] <= first + 2, padded_light[found + step], 0)
     places, lights, widths = np.full((SPOTS, count, 2), np.nan), *np.zeros((2, SPOTS, count))
     free = light > 0
     for number in range(SPOTS):
@@ -128,26 +140,6 @@ def _of_block(
         places[number] = np.stack([middle_row, middle_col], axis=1)
     total = np.bincount(owner, light, count).astype(np.float64)
     return places.swapaxes(0, 1), lights.T, widths.T, total
-
-
-def _window_sums(
-    owner: NDArray[np.int64], row: Array, col: Array, light: Array, shape: tuple[int, int]
-) -> Array:
-    """The light of the 3 x 3 pixels around each entry, in its row of T."""
-    # Entries are sorted by row and pixel. The numbers of the pixels of all rows have a border, so
-    # that no neighbour lies across an edge.
-    width = shape[1] + 2
-    place = (row.astype(np.int64) + 1) * width + col.astype(np.int64) + 1
-    number = owner * ((shape[0] + 2) * width) + place
-    padded = np.append(number, [np.iinfo(np.int64).max] * 3)
-    padded_light = np.append(light, [0.0] * 3)
-    sums = np.zeros(len(number))
-    for down in (-1, 0, 1):
-        first = number + down * width - 1
-        found = np.searchsorted(number, first)
-        for step in range(3):
-            sums += np.where(padded[found + step] <= first + 2, padded_light[found + step], 0)
-    return sums
 
 
 @dataclass(frozen=True, eq=False)
@@ -290,11 +282,23 @@ def features(seen: Seen, tolerance: float) -> dict[str, Array]:
     strong = light > 0.05 * light.sum(axis=1, keepdims=True)
     depth = seen.depth.T.reshape(spots, *seen.grid).astype(np.float32)
     other = np.where(strong.T.reshape(depth.shape), depth, np.float32(np.nan))
+    rows, cols = seen.grid
     steps, bends = [], []
-    for one, two in _opposite(depth, other):
-        steps += [np.abs(one), np.abs(two)]
-        bends.append(np.abs(one + two) / 2)
-    # Outside of the image there is no neighbour, which says nothing; its corners have no opposites.
+    for down, right in ((0, 1), (1, 0), (1, 1), (1, -1)):
+        # Relative steps to the nearest depth in two opposite neighbours: a tenth where they have
+        # none, or none as near, and NaN outside of the image.
+        pair = np.full((2, *depth.shape), np.nan, np.float32)
+        for step, sign in zip(pair, (1, -1), strict=True):
+            y, x = sign * down, sign * right
+            here = slice(None), shifted(rows, -y), shifted(cols, -x)
+            step[here] = 0.1
+            for surface in other[:, shifted(rows, y), shifted(cols, x)]:
+                with np.errstate(invalid="ignore"):
+                    away = surface / depth[here] - 1
+                    step[here] = np.where(np.abs(away) < np.abs(step[here]), away, step[here])
+        steps += [*np.abs(pair)]
+        bends.append(np.abs(pair.sum(axis=0)) / 2)
+    # No neighbour says nothing; corners of the image have no opposite ones.
     bend, largest = (np.nan_to_num(np.fmax.reduce(e), nan=0.1) for e in (bends, steps))
     first = np.nan_to_num([each[0] for each in bends])
     known = np.maximum(np.isfinite([each[0] for each in bends]).sum(axis=0), 1)
@@ -310,30 +314,6 @@ def features(seen: Seen, tolerance: float) -> dict[str, Array]:
     own = (np.ones((count, spots)), np.abs(seen.away), share, error, seen.width)
     around = [relative(values) for values in (bend, three, largest, nearby)]
     return dict(zip(FEATURES, (*own, *around, seen.cut.astype(float)), strict=True))
-
-
-def _opposite(
-    depth: NDArray[np.float32], other: NDArray[np.float32]
-) -> Iterator[tuple[NDArray[np.float32], NDArray[np.float32]]]:
-    """Relative steps (n, rows, cols) to the nearest depth in each two opposite neighbours.
-
-    A tenth where a neighbour has none, or none as near; NaN where there is no neighbour.
-    """
-    rows, cols = depth.shape[1:]
-    for down, right in ((0, 1), (1, 0), (1, 1), (1, -1)):
-        pair = []
-        for y, x in ((down, right), (-down, -right)):
-            here = slice(None), shifted(rows, -y), shifted(cols, -x)
-            there = other[:, shifted(rows, y), shifted(cols, x)]
-            nearest = np.full_like(depth[here], 0.1)
-            for surface in there:
-                with np.errstate(invalid="ignore"):
-                    step = surface / depth[here] - 1
-                    nearest = np.where(np.abs(step) < np.abs(nearest), step, nearest)
-            steps = np.full_like(depth, np.nan)
-            steps[here] = nearest
-            pair.append(steps)
-        yield pair[0], pair[1]
 
 
 def check_thresholds(tolerance: float, least_probability: float) -> None:

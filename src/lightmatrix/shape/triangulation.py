@@ -8,13 +8,14 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import uniform_filter
 
 from lightmatrix.capture.capture import Capture
 from lightmatrix.errors import InputError
 from lightmatrix.files.kinds import CLOUD, DEPTH, PICTURE
 from lightmatrix.files.writing import atomic_file, check_output
 from lightmatrix.geometry.rig_geometry import RigGeometry
-from lightmatrix.shape.shape import Shape, ShapeTest, local_mean, surface_normals
+from lightmatrix.shape.shape import Shape, ShapeTest, surface_normals
 from lightmatrix.shape.spots import Seen, check_thresholds, seen_by, surface_probability
 from lightmatrix.transport.correspondence import Correspondence
 from lightmatrix.transport.matrix import LightTransport
@@ -191,9 +192,13 @@ def _shape(
     test[~seen.on_line[chosen]] = ShapeTest.OFF_LINE
     test[~np.isfinite(place).all(axis=1) | ~(light > 0)] = ShapeTest.NO_LIGHT
     kept = test == ShapeTest.KEPT
-    spread = np.sqrt(local_mean(np.where(kept, away**2, np.nan).reshape(grid))).ravel()
-    # No depth is called exact: no estimate of a rendered scene was closer than 0.01 pixels.
-    uncertainty = seen.slope[chosen] * np.maximum(spread, 0.01)
+    # The root mean square of the distances from the line within 5 x 5 pixels. No depth is called
+    # exact: no estimate of a rendered scene was closer than 0.01 pixels.
+    sums = [
+        uniform_filter(each.reshape(grid), 5) for each in (np.where(kept, away**2, 0), kept * 1.0)
+    ]
+    spread = np.sqrt(np.maximum(sums[0] / np.maximum(sums[1], 0.02), 0.01**2)).ravel()
+    uncertainty = seen.slope[chosen] * spread
 
     def mapped(values: NDArray[np.float64]) -> NDArray[np.float32]:
         shown = np.where(kept if values.ndim == 1 else kept[:, None], values, np.nan)

@@ -29,6 +29,7 @@ from lightmatrix.simulation.shapes import (
     extrude,
     from_quaternion,
     l_block,
+    merge,
     nut,
     polygon,
     revolve,
@@ -448,22 +449,21 @@ def _mirror_balls() -> Scene:
 
 
 def _flakes(cell: float, cover: NDArray[np.float64], seed: int) -> Mesh:
-    """Squares of side `cell` that lie in the plane z = 0 at random, `cover` (n, n) of them.
+    """Squares of side `cell` that cover a share (n, n) of the plane z = 0 at random.
 
-    They are smaller than pixels, so that a pixel sees them and what is behind them; without a
-    pattern, so that there is no moire.
+    They are smaller than pixels, which see what is behind too, and without a pattern or moire.
     """
     rows, cols = np.nonzero(np.random.default_rng(seed).random(cover.shape) < cover)
-    down, right = np.array([0, 0, 1, 1]), np.array([0, 1, 1, 0])
-    x = (cols[:, None] + right - cover.shape[1] / 2) * cell
-    y = (rows[:, None] + down - cover.shape[0] / 2) * cell
+    middle = np.array(cover.shape) / 2
+    x = (cols[:, None] + (0, 1, 1, 0) - middle[1]) * cell
+    y = (rows[:, None] + (0, 0, 1, 1) - middle[0]) * cell
     corners = np.arange(4 * len(rows)).reshape(-1, 4)
     faces = np.concatenate([corners[:, [0, 1, 2]], corners[:, [0, 2, 3]]])
     return Mesh(np.stack([x, y, 0 * x], axis=-1).reshape(-1, 3), faces)
 
 
 def _curtain() -> Scene:
-    """A curtain of fine threads that hides half of the painted things behind it."""
+    """A wavy curtain of fine threads that hides half of the painted things behind it."""
     cloth = _flakes(0.007, np.full((230, 230), 0.5), 1)
     wavy = cloth.vertices + 0.04 * np.sin(5 * cloth.vertices[:, :1]) * (0, 0, 1)
     hanging = Mesh(wavy, cloth.faces).placed((0.0, 0.0, 1.2), turn("x", 6))
@@ -486,7 +486,7 @@ def _glass() -> Scene:
     return Scene("glass", "a dusty glass plate that leans before a wall", parts, 6)
 
 
-# A plane mirror under dust, which returns the light of its own surface and of what it shows.
+# Where the mirror stands, which returns the light of the dust on it and of what it shows.
 MIRROR_TURN, MIRROR_PLACE = turn("y", -70), (0.35, 0.0, 0.5)
 
 
@@ -496,9 +496,9 @@ def _mirror() -> Scene:
     dusty = {"type": "blendbsdf", "weight": 0.4, "bsdf_0": silver, "bsdf_1": matt(0.7)["bsdf"]}
     plate = sheet(1.1).placed(MIRROR_PLACE, MIRROR_TURN)
     profile = [(0.34, 0.0), (0.34, 0.1), (0.24, 0.14), (0.2, 0.35), (0.14, 0.5), (0.06, 0.56)]
-    statue = [revolve(profile, 128), ball(0.15, 64).placed((0.0, 0.0, 0.5))]
-    stone = [Part(part.placed((-0.5, 0.0, 0.0)), matt(0.85)) for part in statue]
-    parts = (Part(sheet(), matt(0.4)), Part(plate, {"type": "twosided", "bsdf": dusty}), *stone)
+    statue = merge([revolve(profile, 128), ball(0.15, 64).placed((0.0, 0.0, 0.5))])
+    stone = Part(statue.placed((-0.5, 0.0, 0.0)), matt(0.85))
+    parts = (Part(sheet(), matt(0.4)), Part(plate, {"type": "twosided", "bsdf": dusty}), stone)
     return Scene("mirror", "a statue beside a dusty mirror that shows it", parts, 6)
 
 
