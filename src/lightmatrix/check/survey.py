@@ -121,16 +121,16 @@ class Survey:
     @cached_property
     def statistics(self) -> Statistics:
         """Extremes, spread and clipping of every sample."""
-        whole = Statistics(*(np.zeros(len(self.raw), np.float32) for _ in range(6)))
+        whole = np.zeros((6, len(self.raw)), np.float32)
         third = max(1, self.count // 3)
         for part, tile in self.chunks():
-            whole.spread[part] = tile.values.std(axis=1)
-            whole.lowest[part] = tile.values.min(axis=1)
-            whole.highest[part] = tile.values.max(axis=1)
-            whole.clipped[part] = tile.clipped.mean(axis=1)
-            whole.first[part] = tile.values[:, :third].max(axis=1)
-            whole.last[part] = tile.values[:, -third:].max(axis=1)
-        return whole
+            values = tile.values
+            whole[:, part] = (
+                *(values.std(axis=1), values.min(axis=1), values.max(axis=1)),
+                *(tile.clipped.mean(axis=1), values[:, :third].max(axis=1)),
+                values[:, -third:].max(axis=1),
+            )
+        return Statistics(*whole)
 
     @cached_property
     def inner(self) -> NDArray[np.bool_]:

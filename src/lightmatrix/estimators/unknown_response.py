@@ -45,9 +45,9 @@ from lightmatrix.transport.matrix import LightTransport, prediction_error
 
 Array = NDArray[np.float64]
 
-# A search is repeated from elsewhere if its T misses photographs held out by more than 6 %. The new
-# curves are taken if theirs misses at most half of that. On simulated captures of 16 frames a T
-# under the right curve missed at most 4 %, and 14 to 19 % where a search had ended at a wrong one.
+# A search begins again at a gamma of 2.2 if its T misses photographs held out by more than 6 %, and
+# is then taken if its own misses at most half of that. On simulated captures of 16 frames a T under
+# the right curve missed at most 4 %, and 14 to 19 % where a search had ended at a wrong one.
 _MISSED, _CLEARLY = 0.06, 0.5
 
 
@@ -119,12 +119,7 @@ def find_response(
         )
     stated = whole.decoder.response
     search = _Search(window_of_levels(whole), settings, curves=not compressed)
-    found = search.settled(Curves(stated))
-    # A search may end at a wrong curve, under which T explains few frames as well.
-    if found is None or found.missed > _MISSED:
-        other = search.settled(Curves(raised(stated, search.scanned(stated))))
-        if other is not None and (found is None or other.missed < _CLEARLY * found.missed):
-            found = other
+    found = search.best(Curves(stated), Curves(raised(stated, 2.2)))
     if found is None:
         raise _undetermined()
     return search.found(found, stated)
@@ -183,9 +178,7 @@ def find_projector_response(
     # Windows of 64 x 64 camera pixels gave the same gammas to 0.4 %, for 1.7 times the time.
     part = window_of_levels(read, 45)
     search = _Search(part, settings, camera=camera, curves=False)
-    # Most searches end at the right gammas from wherever they begin.
-    starts = (Curves(read.decoder.response, gamma) for gamma in (1.0, 2.2))
-    found = next((each for each in map(search.settled, starts) if each is not None), None)
+    found = search.best(*(Curves(read.decoder.response, gamma) for gamma in (1.0, 2.2)))
     # A gamma whose standard error is above 2.5 % is not determined.
     if found is None or max(found.errors) > 0.025:
         raise _undetermined("projector's gamma")
@@ -211,26 +204,21 @@ class _Search:
         # A small difference is removed by one step, a gamma of 3 takes about six.
         for _ in range(8):
             better = refined(*self.estimated(now), now, camera=self.camera, curves=self.curves)
-            if better is None or better.difference(now) < 0.01:
+            if better is None or better.difference(now) < 0.005:
                 return better
             now = better
         return None
 
-    def scanned(self, stated: Response) -> float:
-        """The power of the light, among those of a scan, at which T predicts best."""
-        # An error of half of these steps can be told from one of a whole step.
-        step = 1.25
-        powers = [step**k for k in range(-1, 6)]
-        scan = (self.estimated(Curves(raised(stated, power)))[1] for power in powers)
-        misses = [prediction_error(transport) or 0.0 for transport in scan]
-        best = int(np.argmin(misses))
-        if best in (0, len(misses) - 1):
-            return powers[best]
-        # The vertex of the parabola through three errors, in steps of the scan.
-        before, least, after = misses[best - 1 : best + 2]
-        curvature = before - 2 * least + after
-        offset = 0.5 * (before - after) / curvature if curvature > 0 else 0.0
-        return float(powers[best] * step**offset)
+    def best(self, *starts: Curves) -> Curves | None:
+        """The curves at which searches end; None if none settles."""
+        best = None
+        for start in starts:
+            # A search may end at wrong curves, under which T explains few frames as well.
+            if best is None or best.missed > _MISSED:
+                found = self.settled(start)
+                if found and (best is None or found.missed < _CLEARLY * best.missed):
+                    best = found
+        return best
 
     def estimated(self, curves: Curves) -> tuple[Capture, LightTransport]:
         """The part, read by some curves, and its T."""
