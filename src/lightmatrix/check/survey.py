@@ -76,7 +76,9 @@ class Survey:
         `share` is that of the most levels which are kept.
         """
         most = int(share * _MOST_LEVELS) // frames.count
-        places, grid = _places(frames.shape, most, _first_block(frames))
+        # The first whole block of JPEG in frames that may be cut.
+        row, col = frames.region.corner if isinstance(frames, CutFrames) else (0, 0)
+        places, grid = _places(frames.shape, most, (-row % BLOCK, -col % BLOCK))
         raw = levels_at(frames, places)
         valid = np.ones(len(places), bool)
         if decoder.hot is not None:
@@ -162,14 +164,6 @@ def high_variance_rows(survey: Survey) -> NDArray[np.int64]:
         chosen.append(generator.permutation(rows)[:left])
         left, least = left - len(chosen[-1]), most
     return np.sort(np.concatenate(chosen))
-
-
-def _first_block(frames: Frames) -> tuple[int, int]:
-    """Row and column at which the first whole block of JPEG begins in frames that may be cut."""
-    if not isinstance(frames, CutFrames):
-        return 0, 0
-    row, col = frames.region.corner
-    return -row % BLOCK, -col % BLOCK
 
 
 def _places(
