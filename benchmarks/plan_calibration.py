@@ -2,10 +2,10 @@
 
     python -m benchmarks.plan_calibration            makes src/lightmatrix/planning/table.json
 
-The scenes have 128 x 128 pixels (rendered on first use), the camera 8 bits and noise of 0.003 of
-its clip level, with one seed. Row by row, every fifth camera row is estimated; coherent estimates
-need whole frames. Each finished run is kept in the output, so that an interrupted calibration
-continues.
+The scenes have 128 x 128 pixels (rendered on first use), or 64 x 64 below 12 frames, the camera 8
+bits and noise of 0.003 of its clip level, with one seed. Row by row, every fifth camera row is
+estimated; coherent estimates need whole frames. Each finished run is kept in the output, so that an
+interrupted calibration continues.
 """
 
 from __future__ import annotations
@@ -25,6 +25,7 @@ from experiments.harness import options as options_of
 from lightmatrix.capture.capture import Capture
 from lightmatrix.capture.exposures import exposure_sequence
 from lightmatrix.capture.sensor import Sensor
+from lightmatrix.defaults import FEWEST_BLACK_AND_WHITE
 from lightmatrix.estimators.coherent.estimator import CoherentEstimator
 from lightmatrix.estimators.plain import PlainEstimator
 from lightmatrix.judgement.metrics import (
@@ -34,6 +35,7 @@ from lightmatrix.judgement.metrics import (
     unseen_patterns,
 )
 from lightmatrix.patterns.bits import BernoulliPatterns
+from lightmatrix.patterns.grey import grey_patterns
 from lightmatrix.patterns.mix import MixedPatterns, default_mix
 from lightmatrix.patterns.pattern_set import PatternSet
 from lightmatrix.planning.exposure_advice import WhiteFrame, advise_exposures
@@ -45,7 +47,7 @@ from lightmatrix.solvers import ActiveSet
 TABLE = Path(__file__).parents[1] / "src" / "lightmatrix" / "planning" / "table.json"
 SIZE = (128, 128)
 SCENES = ("l_objects", "gripper", "metal")
-COUNTS = (32, 64, 128, 256)
+COUNTS = (8, 10, 12, 16, 32, 64, 128, 256)
 ROW_STEP = 5
 
 
@@ -56,7 +58,7 @@ def main() -> None:
     parser.add_argument("--scenes", nargs="+", default=SCENES)
     parser.add_argument("--estimators", nargs="+", default=("plain", "coherent"))
     parser.add_argument("--counts", nargs="+", type=int, default=COUNTS)
-    parser.add_argument("--patterns", nargs="+", default=("fine", "mix"))
+    parser.add_argument("--patterns", nargs="+", default=("grey", "fine", "mix"))
     parser.add_argument("--exposures", nargs="+", default=("advised", "long"))
     parser.add_argument("--densities", nargs="+", type=float, default=(0.5,))
     parser.add_argument("--show", action="store_true", help="Print the tables of the docs.")
@@ -78,6 +80,9 @@ def main() -> None:
     names = ("estimator", "scene", "frames", "patterns", "exposures", "density")
     for values in itertools.product(*wanted):
         case = dict(zip(names, values, strict=True))
+        grey = case["frames"] < FEWEST_BLACK_AND_WHITE
+        if grey != (case["patterns"] == "grey") or (grey and case["estimator"] == "plain"):
+            continue
         if (case["patterns"] == "mix" and case["frames"] < 64) or _known(rows, case):
             continue
         rows.append({**case, **run(**case)})
@@ -113,7 +118,9 @@ def run(
     estimator: str, scene: str, frames: int, patterns: str, exposures: str, density: float
 ) -> dict[str, float]:
     """One estimate and its errors."""
-    known = truth(scene, SIZE)
+    # Fewer than twelve photographs do not tell so many pixels apart.
+    size = SIZE if frames >= 12 else (64, 64)
+    known = truth(scene, size)
     white = known.matrix.sum(axis=1)
     if exposures == "advised":
         chosen = advise_exposures(WhiteFrame(white, np.zeros(len(white), bool)), frames=frames)
@@ -121,16 +128,18 @@ def run(
         chosen = [(benchmark_exposure(known.transport()), 1.0)]
     if estimator == "plain":
         known = some_rows(known)
-    pattern_set: PatternSet = BernoulliPatterns(SIZE, frames, density)
-    if patterns == "mix":
-        pattern_set = MixedPatterns(SIZE, frames, default_mix(SIZE, frames), density)
+    pattern_set: PatternSet = BernoulliPatterns(size, frames, density)
+    if patterns == "grey":
+        pattern_set = grey_patterns(size, frames)
+    elif patterns == "mix":
+        pattern_set = MixedPatterns(size, frames, default_mix(size, frames), density)
     capture, share = photograph(known, pattern_set, chosen)
     coherent = estimator == "coherent"
     started = time.perf_counter()
     estimate = (CoherentEstimator() if coherent else PlainEstimator(ActiveSet())).estimate(capture)
     seconds = time.perf_counter() - started
     expected = known.transport()
-    unseen = np.stack(list(unseen_patterns(SIZE).values()))
+    unseen = np.stack(list(unseen_patterns(size).values()))
     return {
         "relative_error": round(relative_error(estimate, expected), 4),
         "relighting_error": round(relighting_error(estimate, expected, unseen), 4),

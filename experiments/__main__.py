@@ -19,7 +19,9 @@ from experiments import (
     fig6,
     fig7,
     harness,
+    layers,
     mapping,
+    numbers,
     responses,
     rigs,
     shape,
@@ -40,7 +42,9 @@ EXPERIMENTS: dict[str, harness.Experiment[Any]] = {
         responses.RESPONSES_EXPERIMENT,
         uses.USES_EXPERIMENT,
         shape.SHAPE_EXPERIMENT,
+        layers.LAYERS_EXPERIMENT,
         mapping.MAPPING,
+        numbers.NUMBERS,
     )
 }
 

@@ -35,6 +35,7 @@ What is done with T:
     show                pictures of T: rows, columns, the dual image, maps of its diagnostics
     correspondence      which projector pixel each camera pixel sees; `decode` finds it of stripes
     triangulate         depth and shape, with the geometry of `calibrate_rig` or `self_calibrate`
+    layers              surfaces seen through each other, and in mirrors
     separate            direct and global light; `probe` and `max_min` are others
     compensate          the pattern that makes the scene look as a picture
     view                T in a notebook, to paint on; `serve_viewer` shows it in a browser

@@ -147,6 +147,7 @@ from .shape.triangulation import (
     geometry_of as geometry_of,
     triangulate as triangulate,
 )
+from .shape.layers import layers as layers
 from .uses.separation import separate as separate
 from .judgement.judgement import (
     Verdicts as Verdicts,

@@ -121,8 +121,9 @@ def _short(value: Any) -> str:
         return f"<{_size(value.shape)} {value.dtype}>"
     if isinstance(value, Mapping):
         return f"<{len(value)} entries>" if value else "{}"
-    if isinstance(value, tuple) and hasattr(value, "_fields"):
-        return f"{type(value).__name__}({', '.join(_short(item) for item in value)})"
+    if isinstance(value, tuple):
+        name = type(value).__name__ if hasattr(value, "_fields") else ""
+        return f"{name}({', '.join(_short(item) for item in value)})"
     text = repr(value)
     return text if len(text) <= _LONGEST else f"{text[: _LONGEST - 3]}..."
 

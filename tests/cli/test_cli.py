@@ -278,5 +278,11 @@ def test_usage_errors_end_with_code_2(capsys: pytest.CaptureFixture[str]) -> Non
     assert "Traceback" not in shown
     assert "Value error" not in shown
     assert "did you mean bernoulli? see `lightmatrix patterns --help-all`" in shown
+    # What is required is in the short help.
+    for words in ("rig", "plan"):
+        assert main([words]) == 2
+        shown = capsys.readouterr().err
+        assert shown.startswith("error: Missing ")
+        assert f"see `lightmatrix {words} --help`" in shown
     assert main(["patrns"]) == 2
     assert "see `lightmatrix --help`" in capsys.readouterr().err

@@ -577,16 +577,32 @@ def test_triangulate(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None
     files = (
         f"-o {tmp_path}/shown/c.ply --depth {tmp_path}/shown/d.tif --picture {tmp_path}/shown/p.png"
     )
-    words = f"triangulate {tmp_path}/T.npz --geometry {tmp_path}/rig.json --strict --mesh {files}"
-    shown = _run(words, capsys)
+    scene = f"{tmp_path}/T.npz --geometry {tmp_path}/rig.json"
+    limits = "--least-probability 0.9 --tolerance 0.02"
+    shown = _run(f"triangulate {scene} {limits} --mesh {files}", capsys)
     made = lm.triangulate(
         tmp_path / "T.npz",
         tmp_path / "rig.json",
-        strict=True,
+        least_probability=0.9,
+        tolerance=0.02,
         mesh=True,
         output=tmp_path / "made" / "c.ply",
         depth=tmp_path / "made" / "d.tif",
         picture=tmp_path / "made" / "p.png",
     )
     assert shown["points"] == made.kept.sum()
+    _same_files(tmp_path / "shown", tmp_path / "made")
+    shown = _run(
+        f"layers {scene} {limits} -o {tmp_path}/shown/l.ply --picture {tmp_path}/shown/l.png",
+        capsys,
+    )
+    layers = lm.layers(
+        tmp_path / "T.npz",
+        tmp_path / "rig.json",
+        least_probability=0.9,
+        tolerance=0.02,
+        output=tmp_path / "made" / "l.ply",
+        picture=tmp_path / "made" / "l.png",
+    )
+    assert shown.items() >= layers.summary().items()
     _same_files(tmp_path / "shown", tmp_path / "made")

@@ -176,7 +176,8 @@ def test_the_judge_of_shapes_knows_right_from_wrong() -> None:
         test = np.where(np.isfinite(depth), 0, 1).astype(np.uint8)
         shown = depth.astype(np.float32)
         return reference.judged(
-            Shape(shown, exact.points, exact.normals, exact.albedo, exact.uncertainty, test,
+            Shape(shown, exact.points, exact.normals, exact.albedo, exact.uncertainty,
+                  exact.probability, test,
                   exact.place, exact.from_line, truth.geometry)  # type: ignore[arg-type]
         )  # fmt: skip
 

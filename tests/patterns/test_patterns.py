@@ -20,6 +20,7 @@ from lightmatrix.patterns.bits import BernoulliPatterns, BitPatterns, with_white
 from lightmatrix.patterns.blocks import BlockPatterns, sampled_pixels
 from lightmatrix.patterns.folder import read_patterns, write_patterns
 from lightmatrix.patterns.hadamard import HadamardPatterns
+from lightmatrix.patterns.inverse import inverse
 from lightmatrix.patterns.making import make_patterns, remake_patterns
 from lightmatrix.patterns.mix import MixedPatterns, default_mix, parse_mix
 from lightmatrix.patterns.pattern_set import ImagePatterns, PatternSet, block_mean, grid_cells
@@ -329,3 +330,59 @@ def test_patterns_of_other_shapes_share_nothing(make: Callable[[Any], Any]) -> N
 def test_patterns_of_other_densities_are_not_nested() -> None:
     dark, bright = (BernoulliPatterns((16, 16), 4, density).images() for density in (0.3, 0.6))
     assert (bright[dark == 1] == 0).any()
+
+
+@pytest.mark.parametrize(("count", "levels"), [(8, 4), (10, 3), (16, 2)])
+def test_random_patterns_have_levels_by_their_number(count: int, levels: int) -> None:
+    patterns = make_patterns("random", (64, 64), count)
+    values = patterns.dense()
+    expected = np.rint(np.linspace(0, 255, levels)) / 255
+    np.testing.assert_array_equal(np.unique(values), expected.astype(np.float32))
+    # Each pixel varies, unless patterns are black and white.
+    assert levels == 2 or values.std(axis=0).min() > 0.3333
+    # As they are projected, they are read back.
+    shown = patterns.greys(0, 1) / np.float32(255)
+    np.testing.assert_array_equal(shown, patterns.images(0, 1))
+
+
+def test_levels_are_of_random_patterns_only() -> None:
+    with pytest.raises(InputError, match="levels for mix patterns"):
+        make_patterns("mix", (8, 8), 4, levels=3)
+    assert len(np.unique(make_patterns("random", (8, 8), 40, levels=5).dense())) == 5
+
+
+@pytest.mark.parametrize(
+    "patterns",
+    [
+        make_patterns("onepixel", (4, 5)),
+        make_patterns("onepixel", (4, 5), 12),
+        make_patterns("hadamard", (4, 6), 32, permute=True),
+        make_patterns("hadamard", (4, 4), 16, order="natural"),
+        ImagePatterns(make_patterns("hadamard", (4, 4), 16).images()),
+        BernoulliPatterns((4, 4), 300),
+    ],
+)
+def test_samples_of_complete_sets_give_t_and_its_noise(patterns: PatternSet) -> None:
+    random = np.random.default_rng(0)
+    found = inverse(patterns)
+    assert found is not None
+    lit = found.gains > 0
+    t = random.random((3, patterns.pixels)) * lit
+    np.testing.assert_allclose(found.solve(patterns.forward(t)), t, atol=1e-5)
+    noise = found.solve(random.standard_normal((4000, patterns.count)))
+    np.testing.assert_allclose(noise.std(axis=0), found.gains, rtol=0.06)
+    assert int(lit.sum()) == min(patterns.count, patterns.pixels)
+
+
+@pytest.mark.parametrize(
+    "patterns",
+    [
+        BernoulliPatterns((8, 8), 32),
+        BernoulliPatterns((4, 4), 256),
+        BernoulliPatterns((16, 16), 300),
+        make_patterns("hadamard", (4, 4), 15),
+        make_patterns("blocks", (8, 8), block=(4, 4)),
+    ],
+)
+def test_other_sets_have_no_inverse(patterns: PatternSet) -> None:
+    assert inverse(patterns) is None

@@ -12,8 +12,10 @@ from hypothesis import strategies as st
 
 from lightmatrix.capture.capture import Capture
 from lightmatrix.cli import main
+from lightmatrix.errors import InputError
 from lightmatrix.files.images import write_image
 from lightmatrix.patterns.bits import BernoulliPatterns
+from lightmatrix.patterns.grey import fewest_frames
 from lightmatrix.planning.exposure_advice import (
     RULES,
     WhiteFrame,
@@ -22,7 +24,7 @@ from lightmatrix.planning.exposure_advice import (
     clipped_share,
     single_clipped_share,
 )
-from lightmatrix.planning.plan import counts, expectations
+from lightmatrix.planning.plan import counts, expectations, plan
 from lightmatrix.simulation.irradiance import irradiance
 from lightmatrix.simulation.library import truth
 
@@ -190,10 +192,24 @@ def test_nothing_is_promised_below_the_fewest_measured_frames(
     fewest = counts()[0]
     assert expectations(fewest - 1) == []
     assert expectations(fewest) != []
+    assert main(["plan", "metal", "--size", "64", "-k", "7"]) == 2
+    assert "7 photographs do not tell 64 x 64 pixels apart" in capsys.readouterr().err
+    with pytest.raises(InputError, match="do not tell 128 x 128 pixels apart"):
+        plan(_white(np.full(9, 0.5)), frames=9)
+
+
+def test_few_frames_get_grey_levels_and_a_warning_of_the_projectors_curve(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    assert [fewest_frames(n * n) for n in (32, 64, 128, 1024)] == [8, 8, 12, 16]
     assert main(["plan", "metal", "--size", "64", "-k", "8"]) == 0
     text = " ".join(capsys.readouterr().out.split())
-    assert "8 frames are too few" in text
-    assert "8 *" not in text
+    assert "patterns random -k 8 --size 64x64 -o" in text
+    assert "gamma" in text
+    advice = plan("metal", size=(64, 64), frames=8)
+    assert len(np.unique(advice.make_patterns().images())) == 4
+    assert max(e.relative_error[1] for e in advice.expected if e.frames == 8) < 0.2
+    assert len(np.unique(plan("metal", size=(64, 64), frames=16).make_patterns().images())) == 2
 
 
 def test_the_planned_capture_only_lacks_its_photographs(

@@ -88,6 +88,20 @@ def test_links_lead_somewhere() -> None:
                 assert (document.parent / target).exists(), f"{document.name} links to {target}"
 
 
+def test_pages_name_options_that_commands_have() -> None:
+    known = {"--help", "--help-all"}
+    # Of Dask and of programs under benchmarks/ and experiments/, at the end of a longer text.
+    known |= {"--nthreads", "--memory-limit", "--quick", "--show", "--scenes", "--half"}
+    known |= {"--exposures"}
+    for name in dict.fromkeys(member.__name__ for members in STAGES.values() for member in members):
+        known.update(re.findall(r"--[a-z][a-z-]+", _help_of(name)))
+    for page in [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]:
+        for line in page.read_text().splitlines():
+            if not re.search(r"python -m |tools/|\b(dask|pip|feh) ", line):
+                named = set(re.findall(r"(?<![\w-])--[a-z][a-z-]+", line))
+                assert named <= known, f"{page.name}: {line}"
+
+
 def test_a_page_lists_every_option_of_a_virtual_rig() -> None:
     page = (ROOT / "docs" / "first-capture.md").read_text()
     table = dict(re.findall(r"^\| (`[a-z_`, ]+`) \|.*\| (.*) \|$", page, flags=re.MULTILINE))

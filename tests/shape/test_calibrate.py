@@ -230,7 +230,7 @@ def test_the_rms_has_absolute_limits(exchanged: bool, monkeypatch: pytest.Monkey
         for k, pose in enumerate(poses)
     ]
     names = [f"pose_{k}" for k in range(5)]
-    found = wrong, names, (CAMERA, PROJECTOR), dict[str, str]()
+    found = dict(zip(names, wrong, strict=True)), (CAMERA, PROJECTOR), dict[str, str]()
     monkeypatch.setattr(calibrate, "_all_corners", lambda *_: found)
     if exchanged:
         with pytest.raises(lm.InputError, match="no geometry explains the corners"):

@@ -15,7 +15,7 @@ from scipy.sparse import csr_array
 import lightmatrix as lm
 from lightmatrix.errors import InputError, OutputError
 from lightmatrix.shape.shape import Shape, ShapeTest, surface_faces
-from lightmatrix.shape.triangulation import find_line_spots, uncut_places
+from lightmatrix.shape.spots import find_line_spots, uncut_places
 
 
 class Known(lm.Truth):
@@ -65,14 +65,22 @@ def test_normals_of_walls() -> None:
     assert np.nanmedian(cosine) > np.cos(np.radians(3))
 
 
-def test_strict_keeps_fewer_points_and_fewer_wrong_ones() -> None:
+def test_a_higher_probability_keeps_fewer_points_and_fewer_wrong_ones() -> None:
     known = truth("metal")
     usual = lm.triangulate(known.transport(), known.geometry)
-    strict = lm.triangulate(known.transport(), known.geometry, strict=True)
-    assert (usual.kept | ~strict.kept).all()
-    wrong = [(errors(shape, known)[shape.kept] > 0.04).mean() for shape in (usual, strict)]
-    assert strict.kept.sum() < usual.kept.sum()
-    assert wrong[1] < wrong[0]
+    sure = lm.triangulate(known.transport(), known.geometry, least_probability=0.99)
+    assert (usual.kept | ~sure.kept).all()
+    assert (usual.probability[usual.kept] >= 0.5).all()
+    wrong = [(errors(shape, known)[shape.kept] > 0.04).mean() for shape in (usual, sure)]
+    assert sure.kept.mean() > 0.75
+    assert wrong[1] < 0.2 * wrong[0]
+    # A stricter tolerance makes all points less probable.
+    close = lm.triangulate(known.transport(), known.geometry, tolerance=0.003)
+    assert close.probability.mean() < usual.probability.mean() - 0.02
+    with pytest.raises(InputError, match=r"tolerance of 0\.0"):
+        lm.triangulate(known.transport(), known.geometry, tolerance=0.0)
+    with pytest.raises(InputError, match=r"probability of 1\.5"):
+        lm.triangulate(known.transport(), known.geometry, least_probability=1.5)
 
 
 def test_codes_feed_the_same_triangulation(tmp_path: Path) -> None:
@@ -98,17 +106,18 @@ def test_a_reflection_off_the_line_is_passed_over() -> None:
     whole = np.zeros((192, 192), np.float32)
     whole[5 * 16 + 10] = row.ravel()
     transport = lm.LightTransport.from_matrix(csr_array(whole), (12, 16), (12, 16))
-    shape = lm.triangulate(transport, geometry)
+    # One pixel without neighbours is no probable surface.
+    shape = lm.triangulate(transport, geometry, least_probability=0)
     np.testing.assert_allclose(shape.place[5, 10], [5, 4.5], atol=1e-5)
     # Disparity 10 - 4.5 = 20 * 1 / depth.
     assert shape.depth[5, 10] == pytest.approx(20 / 5.5, rel=1e-5)
     assert shape.test[0, 0] == ShapeTest.NO_LIGHT
-    weak = replace(transport, sparse=csr_array(transport.sparse * 1))
-    weak.sparse.data[weak.sparse.data == 3] = 12
-    assert lm.triangulate(weak, geometry).test[5, 10] == ShapeTest.WEAK
+    weak = lm.triangulate(transport, geometry)
+    assert weak.test[5, 10] == ShapeTest.IMPROBABLE
+    assert weak.probability[5, 10] == shape.probability[5, 10] < 0.5
     # Without a point there is no file.
     with pytest.raises(lm.InputError, match="no point is found"):
-        lm.triangulate(weak, geometry, output="none.ply")
+        lm.triangulate(transport, geometry, output="none.ply")
 
 
 def test_the_brightest_three_by_three_pixels_are_the_spot() -> None:
@@ -121,11 +130,12 @@ def test_the_brightest_three_by_three_pixels_are_the_spot() -> None:
     lines = np.column_stack([normal, -(normal * [5, 4]).sum(axis=1)])
     row, col = np.indices(shape)
     pixels = np.column_stack([col.ravel(), row.ravel()]).astype(float)
-    spots = find_line_spots(
+    places, lights, widths, total = find_line_spots(
         csr_array(dense.reshape(count, -1)), np.ones(count), lines, pixels, shape, 1.5
     )
-    np.testing.assert_allclose(spots.total, dense.sum(axis=(1, 2)) + 1)
-    for light, line, place, held in zip(dense, lines, spots.place, spots.light, strict=True):
+    np.testing.assert_allclose(total, dense.sum(axis=(1, 2)) + 1)
+    first = places[:, 0], lights[:, 0], widths[:, 0]
+    for light, line, place, held, width in zip(dense, lines, *first, strict=True):
         distance = np.abs(line[0] * col + line[1] * row + line[2])
         padded = np.pad(light, 1)
         sums = sum(padded[i : i + shape[0], j : j + shape[1]] for i in range(3) for j in range(3))
@@ -137,6 +147,8 @@ def test_the_brightest_three_by_three_pixels_are_the_spot() -> None:
             centre = np.array([(share * row).sum(), (share * col).sum()]) / share.sum()
         np.testing.assert_allclose(place, centre, atol=1e-9)
         assert held == pytest.approx(share.sum())
+        squared = (row - centre[0]) ** 2 + (col - centre[1]) ** 2
+        assert width**2 == pytest.approx((share * squared).sum() / share.sum() / 2)
 
 
 def test_spots_that_the_border_cuts_off_move_out_along_the_line() -> None:
@@ -215,18 +227,18 @@ def test_binned_captures_scale_the_geometry_and_others_are_refused() -> None:
     assert "calibrate at their size" in (bad.value.hint or "")
 
 
-def test_rows_that_state_an_error_of_all_their_light_give_no_depth() -> None:
+def test_rows_that_state_a_large_error_are_less_probable() -> None:
     known = truth("corner")
     plain = known.transport()
     stated = np.full(plain.shape[0], 0.1, np.float32)
-    stated[70], stated[71], stated[72] = 1.2, 0.5, np.nan
-    told = replace(plain, diagnostics={"estimated_error": stated})
-    for strict, uncertain in ((False, [70]), (True, [70, 71])):
-        without = lm.triangulate(plain, known.geometry, strict=strict)
-        shape = lm.triangulate(told, known.geometry, strict=strict)
-        changed = np.flatnonzero((shape.test != without.test).ravel())
-        np.testing.assert_array_equal(changed, uncertain)
-        assert (shape.test.ravel()[changed] == ShapeTest.UNCERTAIN).all()
+    stated[70] = 1.2
+    of = [
+        lm.triangulate(replace(plain, diagnostics={"estimated_error": error}), known.geometry)
+        for error in (stated, np.full_like(stated, 0.1))
+    ]
+    fell = of[1].probability.ravel() - of[0].probability.ravel()
+    assert fell[70] > 0
+    assert (np.delete(fell, 70) == 0).all()
 
 
 def test_files_take_their_places_together(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter
@@ -43,6 +45,31 @@ def test_defocus_keeps_light_and_parts(truth: Truth) -> None:
     assert blurred.matrix.data.dtype == np.float32
 
 
+@pytest.mark.parametrize("channels", [1, 3])
+def test_a_blurred_camera_blurs_its_images(truth: Truth, channels: int) -> None:
+    primary = "red" if channels == 3 else None
+    patterns = lm.BernoulliPatterns((12, 10), 3)
+    quiet: dict[str, Any] = {"bits": None, "noise": 0, "exposure": 0.01, "primary": primary}
+    blurred = lm.simulate(truth, patterns, camera_blur=0.8, **quiet)
+    sharp = lm.simulate(truth, patterns, **quiet)
+    sigma = (0.8, 0.8, 0)[: 2 + (channels > 1)]
+    for k in range(3):
+        image = sharp.frames.read(k).astype(float)
+        expected = gaussian_filter(image, sigma, mode="nearest", truncate=3)
+        np.testing.assert_allclose(blurred.frames.read(k), expected, atol=2e-3 * image.max())
+    assert (blurred.truth.direct_data <= blurred.truth.matrix.data * (1 + 1e-5)).all()
+    assert 0 < blurred.truth.direct_data.sum() < blurred.truth.matrix.data.sum()
+
+
+def test_a_full_well_is_shot_noise(truth: Truth) -> None:
+    patterns = lm.BernoulliPatterns((12, 10), 3)
+    one = lm.simulate(truth, patterns, full_well=10_000, noise=0)
+    other = lm.simulate(truth, patterns, shot_noise=0.01, noise=0)
+    np.testing.assert_array_equal(one.frames.read(1), other.frames.read(1))
+    with pytest.raises(InputError, match="leave out one"):
+        lm.simulate(truth, patterns, full_well=10_000, shot_noise=0.01)
+
+
 def test_vignetting_darkens_corners_only(truth: Truth) -> None:
     dark = realism.vignetting(truth, 0.4)
     gain = (dark.matrix.sum(axis=1) / truth.matrix.sum(axis=1)).reshape(9, 11)
@@ -76,7 +103,7 @@ def test_ambient_light_has_the_stated_mean(truth: Truth) -> None:
 
 
 @pytest.mark.parametrize("value", [-0.1, float("nan")])
-@pytest.mark.parametrize("name", ["blur", "vignetting", "leak", "ambient"])
+@pytest.mark.parametrize("name", ["blur", "camera_blur", "vignetting", "leak", "ambient"])
 def test_impossible_strengths_are_refused(name: str, value: float) -> None:
     with pytest.raises(InputError):
         realism.check_realism((12, 10), **{name: value})

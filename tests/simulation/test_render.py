@@ -135,7 +135,7 @@ def test_estimated_memory_grows_only_with_the_result() -> None:
     assert needed_bytes((64, 64)) < 1.3 * 2**30
     assert needed_bytes((512, 512)) < 1.3 * 2**30
     more = needed_bytes((512, 512), entries=1001)
-    assert more - needed_bytes((512, 512)) == 512 * 512 * 1000 * 16
+    assert more - needed_bytes((512, 512)) == 512 * 512 * 1000 * 24
 
 
 def made(name: str, size: tuple[int, int], **options: object) -> Truth:

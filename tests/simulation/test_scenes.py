@@ -76,8 +76,9 @@ def test_scenes_rest_on_the_table(name: str) -> None:
         assert part.mesh.faces.max() < len(part.mesh.vertices)
     if name != "corner":  # whose walls meet below the plane of the field of view
         lowest = [part.mesh.vertices[:, 2].min() for part in built.parts]
-        assert min(lowest) > -1e-3
-        assert max(part.mesh.vertices[:, 2].max() for part in built.parts) < 1
+        # The mirror stands in a slot; a curtain hangs.
+        assert min(lowest) > (-0.02 if name == "mirror" else -1e-3)
+        assert max(part.mesh.vertices[:, 2].max() for part in built.parts) < 1.4
 
 
 @pytest.mark.parametrize("name", ["l_objects", "metal"])

@@ -39,6 +39,7 @@ from lightmatrix.check.wrong_frames import (
 )
 from lightmatrix.errors import InputError
 from lightmatrix.files.stacks import ImageStack
+from lightmatrix.patterns.inverse import lights_one
 from lightmatrix.patterns.pattern_set import ImagePatterns, PatternSet
 from lightmatrix.patterns.stripes import is_separable
 from lightmatrix.resources.threads import one_blas_thread, side_by_side
@@ -210,6 +211,11 @@ def check_distinguishable(patterns: PatternSet) -> list[Finding]:
             "too, such as Bernoulli patterns"
         )
         return [Finding("stripes", (), message, advice)]
+    unlit = int((patterns.squares == 0).sum()) if lights_one(patterns) else 0
+    if unlit:
+        message = f"{unlit} of the {patterns.pixels} projector pixels are lit by no pattern"
+        advice = "T holds nothing of their light, and cannot relight with them: light each once"
+        return [Finding("unlit", (), message, advice)]
     alike = float(np.mean(np.bincount(patterns.twins)[patterns.twins] > 1))
     # Few random patterns leave pixels alike by chance: 16 of them 22 % of 128 x 128 pixels, which
     # their neighbours tell apart.

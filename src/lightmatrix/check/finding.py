@@ -22,6 +22,7 @@ KINDS = {
     "frame": "a photograph that does not show its pattern",
     "motion": "a scene, camera or projector that moved by pixels",
     "linearity": "photographs that cannot tell whether they are linear in light",
+    "unlit": "projector pixels that no pattern lights, where one is lit at a time",
     "jpeg": "photographs that went through lossy compression",
     "unseen": "camera pixels that never see the projector",
     # What the rig did in the course of the capture, by the names of its model.

@@ -161,6 +161,8 @@ class Relation:
     count: int
     pixels: int
     contrasted: bool
+    # The frames of each exposure, which are standardised by themselves; or none.
+    groups: list[NDArray[np.int64]]
 
     @classmethod
     def of(cls, survey: Survey) -> Relation | None:
@@ -187,12 +189,13 @@ class Relation:
         # each exposure are therefore standardised by themselves first.
         exposures = np.broadcast_to(survey.decoder.exposure, survey.count)[:count]
         levels = np.unique(exposures)
-        for level in levels if 3 * len(levels) < count else ():
-            values[:, exposures == level] = _standardised(values[:, exposures == level])
+        groups = [np.flatnonzero(exposures == e) for e in levels if 3 * len(levels) < count]
+        for group in groups:
+            values[:, group] = _standardised(values[:, group])
         samples = _standardised(values)
         features, shown = _pattern_cosines(_binned(survey.patterns, count, step))
         contrasted = bool(np.median(span - least) > 0)
-        return cls(samples, features, shown, survey.count, pixels, contrasted)
+        return cls(samples, features, shown, survey.count, pixels, contrasted, groups)
 
     @cached_property
     def frames(self) -> NDArray[np.int64]:
@@ -201,7 +204,14 @@ class Relation:
     @cached_property
     def cosines(self) -> Floats:
         """Sums of products of the standardised photographs, (K, K)."""
-        return np.asarray(self.samples.T @ self.samples)
+        sums = np.asarray(self.samples.T @ self.samples)
+        for group in self.groups:
+            # Samples that sum to 0 over a few frames make these unlike each other, far more so than
+            # random patterns differ.
+            block, others = np.ix_(group, group), ~np.eye(len(group), dtype=bool)
+            if len(group) > 1:
+                sums[block] -= others * sums[block][others].mean()
+        return sums
 
     def excess(self, order: NDArray[np.int64]) -> float:
         """By how many standard deviations frames follow the patterns better than chance.

@@ -34,6 +34,7 @@ from lightmatrix.cli.evaluate import evaluate
 from lightmatrix.cli.export import export
 from lightmatrix.cli.help import Command
 from lightmatrix.cli.info import info
+from lightmatrix.cli.layers import layers
 from lightmatrix.cli.map import map
 from lightmatrix.cli.pack import pack
 from lightmatrix.cli.patterns import patterns
@@ -64,7 +65,7 @@ STAGES: dict[str, tuple[Callable[..., None], ...]] = {
     "Photograph": (capture, convert, response, calibrate),
     "Measure and use": (
         check, pack, estimate, decode, info, show, view, relight, separate, compensate,
-        project, map, triangulate, evaluate, export,
+        project, map, triangulate, layers, evaluate, export,
     ),
     "Simulate": (scenes, render, simulate),
     "Show": (demo,),
@@ -235,8 +236,9 @@ def _usage_error(error: typer.TyperException) -> tuple[str, str]:
     message = error.format_message().replace("Value error, ", "")
     context = getattr(error, "ctx", None)
     path = context.command_path if context else "lightmatrix"
-    full = context is not None and isinstance(context.command, Command)
-    hint = f"see `{path} --help{'-all' if full else ''}`"
+    # What is required is among the usual options.
+    rare = isinstance(getattr(context, "command", None), Command) and "Missing" not in message
+    hint = f"see `{path} --help{'-all' if rare else ''}`"
     choice = re.search(r"'([^']*)' is not one of (.*)", message)
     if choice:
         near = get_close_matches(choice[1], re.findall(r"'([^']*)'", choice[2]), n=1)

@@ -45,6 +45,12 @@ def described(**options: Any) -> Callable[[_Command], _Command]:
 
 Overwrite = Annotated[bool, Option("--overwrite", help="Replace an output that exists.")]
 Json = Annotated[bool, Option("--json", help="Print one JSON object instead of text.")]
+Tolerance = Annotated[
+    float, Option(help="Error of a depth that counts as right, as a share of the distance.")
+]
+LeastProbability = Annotated[
+    float, Option(help="Keep what is right as probably as this; 0.99 for hardly a wrong point.")
+]
 Verbose = Annotated[bool, Option("--verbose", help="Show every number instead of the main ones.")]
 Clip = Annotated[
     float | None,

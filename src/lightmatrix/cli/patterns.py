@@ -17,7 +17,15 @@ if TYPE_CHECKING:
     from lightmatrix import PatternSet
 
 Kind = Literal[
-    "bernoulli", "hadamard", "onepixel", "blocks", "mix", "graycode", "phase", "microphase"
+    "bernoulli",
+    "random",
+    "hadamard",
+    "onepixel",
+    "blocks",
+    "mix",
+    "graycode",
+    "phase",
+    "microphase",
 ]
 Primary = Literal["red", "green", "blue", "rgb"]
 Order = Literal["natural", "sequency", "random"]
@@ -37,6 +45,13 @@ def patterns(
     ] = None,
     shape: Annotated[str, Option("--size", help="Rows x columns of the projector.")] = "128x128",
     density: Annotated[float, Option(help="Bernoulli and mix: share of lit pixels.")] = 0.5,
+    levels: Annotated[
+        int | None,
+        Option(
+            help="Random: grey levels. A projector's curve and sharpening spoil more than 2.",
+            show_default="2 from 16 patterns on, else 3 or 4",
+        ),
+    ] = None,
     mix: Annotated[
         str | None,
         Option(
@@ -94,6 +109,7 @@ def patterns(
             size(shape),
             count,
             density=density,
+            levels=levels,
             mix=mix,
             order=order,
             permute=permute,

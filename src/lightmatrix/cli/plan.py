@@ -18,7 +18,7 @@ from lightmatrix.cli.options import (
 )
 from lightmatrix.cli.source import level_or_file
 from lightmatrix.cli.terminal import progress, say, show_columns, show_json
-from lightmatrix.defaults import FEWEST_MIXED, USUAL_NOISE
+from lightmatrix.defaults import FEWEST_BLACK_AND_WHITE, USUAL_NOISE
 
 
 @described(
@@ -28,7 +28,11 @@ from lightmatrix.defaults import FEWEST_MIXED, USUAL_NOISE
     ),
     shape=Option("--size", help="Rows x columns of the projector.", show_default=USUAL_SIZE),
     frames=Option(
-        "-k", "--count", help="Number of patterns.", show_default="as --error needs", min=2
+        "-k",
+        "--count",
+        help="Number of patterns.",
+        show_default="as --error needs",
+        min=2,
     ),
     error="Relative error of T to aim for; decides the number of frames.",
     noise="Noise of a sample, as a share of the clip level.",
@@ -111,23 +115,25 @@ def plan(
             "Dim the projector or close the aperture.",
             style="yellow",
         )
+    kinds = {"grey": "grey levels", "fine": "all fine", "mix": "mix"}
     show_columns(
         "\nError to expect",
         ("frames", "patterns", "of T", "of relit images"),
         [
             (
                 f"{e.frames} " + ("*" if e.frames == advice.frames else " "),
-                "mix" if e.frames >= FEWEST_MIXED else "all fine",
+                kinds[e.patterns],
                 ("" if e.measured else "about ") + _range(e.relative_error),
                 _range(e.relighting_error),
             )
             for e in advice.expected
         ],
     )
-    if advice.frames < advice.expected[0].frames:
+    if advice.patterns == "random":
         say(
-            f"{advice.frames} frames are too few: nothing was measured below "
-            f"{advice.expected[0].frames}, and errors grow fast. Take more.",
+            "The patterns have grey levels. The light of these must be known: a projector's curve "
+            "(gamma) and sharpening spoil them. Black and white ones, from "
+            f"{FEWEST_BLACK_AND_WHITE} frames on, are not spoilt.",
             style="yellow",
         )
     scenes = ", ".join(advice.expected[0].scenes)

@@ -25,7 +25,6 @@ app = typer.Typer(
     help="Measure a projector and a camera.",
     add_completion=False,
     rich_markup_mode=None,
-    no_args_is_help=True,
 )
 
 

@@ -8,7 +8,7 @@ from typing import Annotated
 from typer import Argument, Option
 
 import lightmatrix as lm
-from lightmatrix.cli.options import Json, Overwrite, output_option
+from lightmatrix.cli.options import Json, LeastProbability, Overwrite, Tolerance, output_option
 from lightmatrix.cli.terminal import say, show_json
 
 
@@ -25,9 +25,8 @@ def triangulate(
     picture: Annotated[
         Path | None, Option(help="Maps of depth and normals to write: .png.")
     ] = None,
-    strict: Annotated[
-        bool, Option("--strict", help="Keep fewer points, which are right more often.")
-    ] = False,
+    tolerance: Tolerance = 0.01,
+    least_probability: LeastProbability = 0.5,
     mesh: Annotated[
         bool, Option("--mesh", help="Write triangles between neighbouring points too.")
     ] = False,
@@ -36,14 +35,15 @@ def triangulate(
 ) -> None:
     """Find the shape of the scene: depth, points, normals.
 
-    Direct light can only come from a camera pixel's epipolar line on the projector. The brightest
-    light beside it is taken; what bounced between surfaces lies elsewhere. Points come with
-    normals, grey values and the uncertainty of their depth.
+    Direct light can only come from a camera pixel's epipolar line on the projector; what bounced
+    between surfaces lies elsewhere. Points come with normals, grey values, the uncertainty of their
+    depth, and how probably it is right.
     """
     shape = lm.triangulate(
         scene,
         geometry,
-        strict=strict,
+        tolerance=tolerance,
+        least_probability=least_probability,
         output=output,
         depth=depth,
         picture=picture,

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
+from numpy.typing import NDArray
 
 from lightmatrix.capture.capture import Capture
 from lightmatrix.capture.samples import Samples
@@ -50,16 +53,8 @@ def reached_level(capture: Capture) -> float:
     It is a quantile over camera samples of the largest value under any pattern. Estimates scale
     with their samples only if the regularization does.
     """
-    count = capture.rows
-    if count <= _STRETCHES * _STRETCH:
-        starts = np.arange(0, count, _STRETCH)
-    else:
-        starts = np.linspace(0, count - _STRETCH, _STRETCHES).astype(np.int64)
-    parts = [capture.samples(int(s), min(int(s) + _STRETCH, count)) for s in starts]
-    if not parts:
-        return capture.reference_level
-    some = Samples.joined(parts)
-    largest = np.where(some.counted, some.values, 0).max(axis=1, initial=0)
+    values, weights = spread_samples(capture)
+    largest = np.where(weights > 0, values, 0).max(axis=1, initial=0)
     # Glints and hot pixels may be brighter than this quantile. Chosen by hand.
     return float(min(np.quantile(largest, 0.99), capture.reference_level))
 
@@ -69,3 +64,15 @@ def automatic_regularization(capture: Capture) -> float:
     noise = USUAL_NOISE * capture.reference_level
     level = max(reached_level(capture), noise)
     return default_regularization(capture.patterns, level, noise)
+
+
+def spread_samples(capture: Capture) -> tuple[NDArray[Any], NDArray[Any]]:
+    """Values and weights of some rows, (m, K) each."""
+    count = capture.rows
+    if count <= _STRETCHES * _STRETCH:
+        starts = np.arange(0, count, _STRETCH)
+    else:
+        starts = np.linspace(0, count - _STRETCH, _STRETCHES).astype(np.int64)
+    parts = [capture.samples(int(s), min(int(s) + _STRETCH, count)) for s in starts]
+    some = Samples.joined(parts)
+    return some.values, some.weights_of_all()

@@ -18,10 +18,12 @@ from lightmatrix.estimators.camera_window import window_of_light
 from lightmatrix.estimators.coherent.estimator import CoherentEstimator
 from lightmatrix.estimators.coherent.row_errors import HeldOut, squared_misfit
 from lightmatrix.estimators.coherent.schedule import is_large
+from lightmatrix.estimators.direct import DirectEstimator
 from lightmatrix.estimators.multiscale import MultiScaleEstimator
 from lightmatrix.estimators.plain import PlainEstimator
 from lightmatrix.estimators.resource_estimate import ResourceEstimate, estimate_resources
 from lightmatrix.estimators.settings import EstimateSettings
+from lightmatrix.patterns.inverse import inverse
 from lightmatrix.solvers import ActiveSet
 
 # Both ways are tried on about this many camera samples around the middle of the light: a square of
@@ -50,6 +52,12 @@ def choose_estimator(
     if settings.multi_scale:
         return MultiScaleEstimator(solver, regularization, nonnegative, settings.background)
     tile_rows = settings.tile_rows if settings.memory is None else resources.tile_rows
+    if (
+        isinstance(solver, ActiveSet)
+        and settings.may_be_direct
+        and inverse(capture.patterns) is not None
+    ):
+        return DirectEstimator(solver, tile_rows)
     row_by_row = PlainEstimator(solver, regularization, nonnegative, settings.background, tile_rows)
     if not (resources.coherent and isinstance(solver, ActiveSet)):
         return row_by_row

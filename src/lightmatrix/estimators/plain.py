@@ -55,7 +55,7 @@ class PlainEstimator(Estimator):
     tile_rows: int | None = None
     judged: bool = True
 
-    name: ClassVar[str] = "plain"
+    name: ClassVar[str] = "row by row"
 
     def __post_init__(self) -> None:
         check_at_least_one(tile_rows=self.tile_rows)

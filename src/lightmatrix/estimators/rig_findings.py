@@ -19,6 +19,7 @@ from lightmatrix.estimators.camera_window import window_of_levels
 from lightmatrix.estimators.choice import choose_estimator
 from lightmatrix.estimators.corrected import corrected
 from lightmatrix.patterns.colour import ColourPatterns
+from lightmatrix.patterns.inverse import inverse
 from lightmatrix.patterns.pattern_set import PatternSet
 from lightmatrix.patterns.stripes import is_separable
 from lightmatrix.rig_model.model import RigModel
@@ -101,6 +102,8 @@ def rig_findings(
         or capture.count < _FEWEST_FRAMES
         or isinstance(patterns, ColourPatterns)
         or is_separable(patterns)
+        # Where the photographs determine T, it explains whatever the rig does.
+        or inverse(patterns) is not None
     ):
         return []
     if "jpeg" in kinds:

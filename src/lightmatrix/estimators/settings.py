@@ -135,6 +135,12 @@ class EstimateSettings:
         return self._reason_against_coherent is None and capture.count <= COHERENT_UP_TO
 
     @property
+    def may_be_direct(self) -> bool:
+        """Whether T may be read from patterns that determine it, if nothing else is asked for."""
+        left_open = self.coherent is None and self.fidelity is None and self.iterations is None
+        return left_open and self.regularization == "auto" and not (self.signed or self.multi_scale)
+
+    @property
     def _reason_against_coherent(self) -> str | None:
         """Why these settings exclude the coherent estimate; None if they do not."""
         if self.multi_scale:

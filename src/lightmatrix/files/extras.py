@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import importlib
 import warnings
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -71,14 +71,18 @@ def read_exr(file: Path) -> NDArray[Any]:
     return pixels[0] if len(pixels) == 1 else np.stack(pixels, axis=-1)
 
 
-def write_exr(file: Path, pixels: NDArray[np.float32]) -> None:
-    """Write an image, (rows, cols) or (rows, cols, 3 or 4), as 32-bit float without loss."""
+def write_exr(file: Path, pixels: NDArray[np.float32], names: Sequence[str] | None = None) -> None:
+    """Write an image, (rows, cols) or (rows, cols, 3 or 4), as 32-bit float without loss.
+
+    With `names`, one for each channel, an image may have any number of them.
+    """
     library = load_extra("OpenEXR", "EXR files need the OpenEXR library", "exr")
     header = {"compression": library.ZIP_COMPRESSION, "type": library.scanlineimage}
-    names = ("Y",) if pixels.ndim == 2 else (*_EXR_COLOURS, _EXR_ALPHA)[: pixels.shape[2]]
+    usual = ("Y",) if pixels.ndim == 2 else (*_EXR_COLOURS, _EXR_ALPHA)[: pixels.shape[2]]
     planes = pixels[..., None] if pixels.ndim == 2 else pixels
     channels = {
-        name: np.ascontiguousarray(planes[..., k], np.float32) for k, name in enumerate(names)
+        name: np.ascontiguousarray(planes[..., k], np.float32)
+        for k, name in enumerate(names or usual)
     }
     with library.File(header, channels) as made:
         made.write(str(file))
@@ -174,13 +178,21 @@ def orientation(path: str | Path) -> int:
     A camera that writes the tag into some frames only would move these against the others.
     """
     try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            with Image.open(path) as image:
-                return int(image.getexif().get(ExifTags.Base.Orientation, 1))
+        return int(_exif(path).get(ExifTags.Base.Orientation, 1))
     # Image libraries raise nearly anything on damaged files.
     except Exception:
         return 1
+
+
+def _exif(path: str | Path) -> Image.Exif:
+    with warnings.catch_warnings():
+        # Pillow warns of unusual tags, which are of no interest here.
+        warnings.simplefilter("ignore")
+        with Image.open(path) as image:
+            tags = image.getexif()
+            # Pillow reads this part on request, while the file is open, and keeps it.
+            tags.get_ifd(ExifTags.IFD.Exif)
+            return tags
 
 
 def upright(path: str | Path, image: NDArray[Any]) -> NDArray[Any]:
@@ -224,17 +236,12 @@ def exposure_time(path: str | Path) -> float | None:
     file = Path(path)
     try:
         if file.suffix.lower() in RAW:
-            with load_extra("rawpy", "raw camera files need LibRaw", "raw").imread(
-                str(file)
-            ) as opened:
+            library = load_extra("rawpy", "raw camera files need LibRaw", "raw")
+            with library.imread(str(file)) as opened:
                 seconds = float(opened.other.shutter_speed)
         else:
-            with warnings.catch_warnings():
-                # Pillow warns of unusual tags, which are of no interest here.
-                warnings.simplefilter("ignore")
-                with Image.open(file) as image:
-                    tags = image.getexif().get_ifd(ExifTags.IFD.Exif)
-                    seconds = float(tags.get(ExifTags.Base.ExposureTime) or 0)
+            tags = _exif(file).get_ifd(ExifTags.IFD.Exif)
+            seconds = float(tags.get(ExifTags.Base.ExposureTime) or 0)
     except MissingExtraError:
         raise
     # Image libraries raise nearly anything on damaged files.

@@ -44,6 +44,8 @@ _SPOILING = (
 _WRONG_ALIKE = ("order", "unrelated", "motion")
 _UNTESTED = "It was not tested on unseen photographs, as a report does."
 
+_EACH_NEEDED = "T needs each photograph, so that none was held out."
+
 
 @dataclass(frozen=True)
 class _Doubtful:
@@ -118,6 +120,9 @@ class Verdict:
             doubt = f"The check found what no error estimate shows ({', '.join(found)})."
             level: Level = self.level if self.level == "not tested" else "doubtful"
             return replace(self, level=level, error=None, reasons=(*self.reasons, doubt))
+        if "unlit" in kinds:
+            unlit = "Nothing is known of the projector pixels that no pattern lit."
+            return replace(self, reasons=(*self.reasons, unlit))
         if "linearity" in kinds and spoiling == _SPOILING and self.level == "good":
             untested = "Whether the photographs are linear in light could not be tested."
             return replace(self, level="fair", reasons=(*self.reasons, untested))
@@ -232,6 +237,8 @@ def verdict_by_rows(transport: LightTransport, why_untested: str = _UNTESTED) ->
     if often > 0.1:
         remarks.append(f"{percent(often)} of the rows clipped in more than half of their samples.")
     if own.estimated is None:
+        if transport.provenance.get("estimator") == "direct":
+            why_untested = f"{_EACH_NEEDED} Hardly an entry is dark, which would show the noise."
         level: Level = "doubtful" if own.doubts else "not tested"
         return Verdict(level, None, (*own.doubts, *remarks, why_untested))
     error = own.stated
@@ -274,7 +281,8 @@ def relighting_verdict(transport: LightTransport, findings: Iterable[str] = ()) 
     """
     error = prediction_error(transport)
     if error is None:
-        unknown = "No photograph could be held out and predicted."
+        needed = transport.provenance.get("estimator") == "direct"
+        unknown = _EACH_NEEDED if needed else "No photograph could be held out and predicted."
         return Verdict("not tested", None, (unknown,))
     own = OwnError(transport)
     level = "doubtful" if own.clip_doubts else level_of(float(np.hypot(error, own.beyond_clip)))

@@ -51,6 +51,12 @@ class Code:
         return np.asarray(self.values - self.values.mean(axis=1, keepdims=True), np.float32)
 
     @cached_property
+    def squares(self) -> NDArray[np.float64]:
+        """Squared norm of each line's centred values, (lines,)."""
+        # A constant word has no light, and divides nothing by 0.
+        return np.maximum((self.centred.astype(np.float64) ** 2).sum(axis=1), 1e-12)
+
+    @cached_property
     def words(self) -> NDArray[np.int64]:
         """The line of each word of bits, (2^bits,); -1 where it does not occur."""
         lit = self.values[:, [frame for frame, _ in self.bits]] > 0.5
@@ -265,58 +271,25 @@ def read_code(
     values: least squares gives the shares (and the constant light).
     """
     samples = np.ascontiguousarray(values[:, code.frames])
-    count, k = code.values.shape
+    k = samples.shape[1]
     if code.bits:
         line = codes.lines(code, np.ascontiguousarray(values.T), np.arange(values.shape[1]))
     else:
         (line, other), shares = correlate(code, samples)
     known = np.maximum(line, 0)
-    centred = code.centred
     own = samples - samples.mean(axis=1, keepdims=True)
     energy = np.einsum("ij,ij->i", own, own).astype(np.float64)
-    # A constant word has no light, and divides nothing by 0.
-    square = np.maximum((centred.astype(np.float64) ** 2).sum(axis=1), 1e-12)
-    product = (centred[:-1].astype(np.float64) * centred[1:]).sum(axis=1)
-    here = np.einsum("ij,ij->i", own, centred[known]).astype(np.float64)
-    light = here / square[known]
-    fit = light * here
-    offset = np.zeros(len(line))
-    for side in (-1, 1):
-        other = np.clip(known + side, 0, count - 1)
-        there = np.einsum("ij,ij->i", own, centred[other]).astype(np.float64)
-        cross = product[np.minimum(np.minimum(known, other), len(product) - 1)]
-        determinant = square[known] * square[other] - cross**2
-        with np.errstate(invalid="ignore", divide="ignore"):
-            first = (square[other] * here - cross * there) / determinant
-            second = (square[known] * there - cross * here) / determinant
-            share = second / (first + second)
-        mixed = (other != known) & (second > 0) & (first > 0)
-        offset += np.where(mixed, side * share, 0)
-        better = mixed & (first * here + second * there > fit)
-        light = np.where(better, first + second, light)
-        fit = np.where(better, first * here + second * there, fit)
+    offset, light, fit = _mixture(code, own, known)
     explained = np.clip(fit / np.maximum(energy, 1e-30), 0, 1)
     variance = np.maximum(np.maximum(energy - fit, 0) / max(1, k - 3), USUAL_NOISE**2)
     # How far the values move per line.
-    change = np.sqrt((np.gradient(centred.astype(np.float64), axis=0) ** 2).sum(axis=1))
+    change = np.sqrt((np.gradient(code.centred.astype(np.float64), axis=0) ** 2).sum(axis=1))
     slope = np.maximum(change, 1e-6)[known] * np.maximum(light, 1e-12)
-    uncertainty = np.sqrt(variance) / slope
-    place = known + offset
-    # Where the camera does not resolve the finest stripes, their samples are grey and fit several
-    # lines about as well as the best one. The place is then their mean by their likelihoods.
+    place, uncertainty = known + offset, np.sqrt(variance) / slope
     wide = np.flatnonzero((line >= 0) & (uncertainty > 0.2))
     step = max(1, (1 << 24) // ((2 * _OPEN + 1) * k))
     for part in (wide[start : start + step] for start in range(0, len(wide), step)):
-        near = known[part, None] + np.arange(-_OPEN, _OPEN + 1)
-        inside = (near >= 0) & (near < count)
-        near = np.clip(near, 0, count - 1)
-        fits = np.einsum("mk,mnk->mn", own[part], centred[near]).astype(np.float64)
-        fits = np.where(inside, np.maximum(fits, 0) ** 2 / square[near], -np.inf)
-        less = (fits.max(axis=1, keepdims=True) - fits) / (2 * variance[part, None])
-        weight = np.exp(-less)
-        weight /= weight.sum(axis=1, keepdims=True)
-        mean = (weight * near).sum(axis=1)
-        spread = np.sqrt((weight * (near - mean[:, None]) ** 2).sum(axis=1))
+        mean, spread = _open_place(code, own[part], known[part], variance[part])
         # Within two lines their mixture is more exact.
         moves = (spread > 0.75) & ~clipped[part]
         place[part] = np.where(moves, mean, place[part])
@@ -335,6 +308,60 @@ def read_code(
         np.sqrt((uncertainty * width) ** 2 + (width**2 - 1) / 12),
         _evidence(code, own, known, explained),
     )
+
+
+def _mixture(
+    code: Code, own: NDArray[np.float32], line: NDArray[np.int64]
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+    """The samples of mean 0, (m, k), as a mixture of their line's values and a neighbour's.
+
+    Returns the place from the line on, the light of both, and the energy that they explain.
+    """
+    centred, square = code.centred, code.squares
+    product = (centred[:-1].astype(np.float64) * centred[1:]).sum(axis=1)
+    here = np.einsum("ij,ij->i", own, centred[line]).astype(np.float64)
+    light = here / square[line]
+    fit = light * here
+    offset = np.zeros(len(line))
+    for side in (-1, 1):
+        other = np.clip(line + side, 0, len(centred) - 1)
+        there = np.einsum("ij,ij->i", own, centred[other]).astype(np.float64)
+        cross = product[np.minimum(np.minimum(line, other), len(product) - 1)]
+        determinant = square[line] * square[other] - cross**2
+        with np.errstate(invalid="ignore", divide="ignore"):
+            first = (square[other] * here - cross * there) / determinant
+            second = (square[line] * there - cross * here) / determinant
+            share = second / (first + second)
+        mixed = (other != line) & (second > 0) & (first > 0)
+        offset += np.where(mixed, side * share, 0)
+        better = mixed & (first * here + second * there > fit)
+        light = np.where(better, first + second, light)
+        fit = np.where(better, first * here + second * there, fit)
+    return offset, light, fit
+
+
+def _open_place(
+    code: Code,
+    own: NDArray[np.float32],
+    line: NDArray[np.int64],
+    variance: NDArray[np.float64],
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Mean and standard deviation of the places around a line by their likelihoods, (m,).
+
+    Where the camera does not resolve the finest stripes, their samples are grey and fit several
+    lines about as well as the best one.
+    """
+    square = code.squares
+    near = line[:, None] + np.arange(-_OPEN, _OPEN + 1)
+    inside = (near >= 0) & (near < len(square))
+    near = np.clip(near, 0, len(square) - 1)
+    fits = np.einsum("mk,mnk->mn", own, code.centred[near]).astype(np.float64)
+    fits = np.where(inside, np.maximum(fits, 0) ** 2 / square[near], -np.inf)
+    less = (fits.max(axis=1, keepdims=True) - fits) / (2 * variance[:, None])
+    weight = np.exp(-less)
+    weight /= weight.sum(axis=1, keepdims=True)
+    mean = (weight * near).sum(axis=1)
+    return mean, np.sqrt((weight * (near - mean[:, None]) ** 2).sum(axis=1))
 
 
 def _evidence(

@@ -11,15 +11,15 @@ from lightmatrix.defaults import USUAL_COUNT
 from lightmatrix.errors import InputError
 from lightmatrix.patterns.bits import BernoulliPatterns
 from lightmatrix.patterns.blocks import BlockPatterns
+from lightmatrix.patterns.grey import grey_patterns, usual_levels
 from lightmatrix.patterns.hadamard import HadamardPatterns
 from lightmatrix.patterns.mix import Mix, MixedPatterns, default_mix, parse_mix
 from lightmatrix.patterns.pattern_set import PatternSet, check_geometry
 from lightmatrix.patterns.stripes import GrayCodePatterns, MicroPhasePatterns, PhasePatterns
 
-# The kinds that `make_patterns` makes.
-KINDS = ("bernoulli", "hadamard", "onepixel", "blocks", "mix", "graycode", "phase", "microphase")
 # Those of stripes, from which `decode` finds the correspondence.
 CODES = ("graycode", "phase", "microphase")
+KINDS = ("bernoulli", "random", "hadamard", "onepixel", "blocks", "mix", *CODES)
 
 # The kinds in descriptions. Patterns of the kind "images" are only in their images.
 _DESCRIBED: Mapping[str, Callable[..., PatternSet]] = {
@@ -37,6 +37,7 @@ def make_patterns(
     count: int | None = None,
     *,
     density: float = 0.5,
+    levels: int | None = None,
     mix: str | Mix | None = None,
     order: str = "sequency",
     permute: bool = False,
@@ -49,10 +50,11 @@ def make_patterns(
 
     Parameters
     ----------
-    kind : {"bernoulli", "hadamard", "onepixel", "blocks", "mix", "graycode", "phase", "microphase"}
-        Independent random pixels; Walsh-Hadamard patterns; one pixel lit at a time; one block at a
-        time; random patterns of fine and coarse cells. Or stripes for `decode`: Gray code, phase
-        shifts with Gray code, micro phase shifts.
+    kind : {"bernoulli", "random", "hadamard", "onepixel", "blocks", "mix", or one of stripes}
+        Independent random pixels; these in grey levels, which suit fewer than 16 patterns;
+        Walsh-Hadamard patterns; one pixel lit at a time; one block at a
+        time; random patterns of fine and coarse cells. Or stripes for `decode`: "graycode", "phase"
+        (shifts with Gray code), "microphase".
     shape : (rows, cols)
         Projector pixels.
     count : int, optional
@@ -60,6 +62,10 @@ def make_patterns(
         graycode and phase have as many as the projector needs.
     density : float
         bernoulli and mix: share of lit pixels, in (0, 1).
+    levels : int, optional
+        random: number of grey levels, 2 to 256. None: 2 from sixteen patterns on, which are
+        bernoulli patterns, else 3, or 4 where these are too few to tell pixels apart. A projector's
+        curve and its sharpening change grey patterns, and not black and white ones.
     mix : str or sequence of ((rows, cols), share), optional
         mix: grids of cells lit as a whole and their shares of the patterns, such as
         ``fine:0.75,32x32:0.125,8x8:0.125``. None: this, and all fine below 64 patterns.
@@ -95,11 +101,17 @@ def make_patterns(
     """
     if mix is not None and kind != "mix":
         raise InputError(f"a mix for {kind} patterns", hint="make patterns of the kind mix")
+    if levels is not None and kind != "random":
+        raise InputError(f"levels for {kind} patterns", hint="make patterns of the kind random")
     if kind in CODES:
         return _code(kind, shape, count, inverse, period)
     number = USUAL_COUNT if count is None else count
     check_geometry(shape, number)
-    if kind == "bernoulli":
+    if kind == "random":
+        levels = usual_levels(number, shape[0] * shape[1]) if levels is None else levels
+        if levels != 2:
+            return grey_patterns(shape, number, levels, seed)
+    if kind in ("bernoulli", "random"):
         return BernoulliPatterns(shape, number, density, seed)
     if kind == "hadamard":
         return HadamardPatterns(shape, number, order, permute, seed)

@@ -22,11 +22,17 @@ from numpy.typing import NDArray
 from lightmatrix.capture.exposures import exposure_sequence
 from lightmatrix.capture.folder import read_white_frame
 from lightmatrix.capture.settings import FORMAT, NAME, VERSION, ReadSettings
-from lightmatrix.defaults import FEWEST_MIXED, USUAL_NOISE, USUAL_SIZE
+from lightmatrix.defaults import (
+    FEWEST_BLACK_AND_WHITE,
+    FEWEST_MIXED,
+    USUAL_NOISE,
+    USUAL_SIZE,
+)
 from lightmatrix.errors import InputError
 from lightmatrix.files.kinds import CAPTURE
 from lightmatrix.files.writing import atomic_folder
 from lightmatrix.patterns.folder import fill_pattern_folder
+from lightmatrix.patterns.grey import fewest_frames
 from lightmatrix.patterns.making import make_patterns
 from lightmatrix.patterns.mix import Mix, MixedPatterns, default_mix
 from lightmatrix.patterns.pattern_set import PatternSet
@@ -61,19 +67,25 @@ class ExpectedErrors:
     # Whether this number of frames was measured, and not interpolated.
     measured: bool
 
+    @property
+    def patterns(self) -> str:
+        """The kind of patterns: "grey", "fine" or "mix"."""
+        return kind_for(self.frames)
+
 
 def expectations(frames: int) -> list[ExpectedErrors]:
     """The errors of each estimator at a number of frames, by a power law between measured ones.
 
-    None below the fewest that were measured, where errors are far larger. Patterns are mixed from
-    64 frames on, and exposures are those of `advise_exposures`.
+    None below the fewest that were measured, where errors are far larger. Those below 12 frames are
+    of 64 x 64 pixels, as larger projectors need more. Patterns are grey below
+    16 frames and mixed from 64 on, and exposures are those of `advise_exposures`.
     """
     rows = [
         row
         for row in table()
         if row["exposures"] == "advised"
         and row["density"] == 0.5
-        and row["patterns"] == ("mix" if row["frames"] >= FEWEST_MIXED else "fine")
+        and row["patterns"] == kind_for(row["frames"])
     ]
     result = list[ExpectedErrors]()
     if frames < counts()[0]:
@@ -86,6 +98,17 @@ def expectations(frames: int) -> list[ExpectedErrors]:
         known = any(row["frames"] == frames for row in measured)
         result.append(ExpectedErrors(estimator, frames, of_t, relit, scenes, known))
     return result
+
+
+def kind_for(frames: int) -> str:
+    """The patterns that suit a number of frames, as the table names them."""
+    if frames < FEWEST_BLACK_AND_WHITE:
+        return "grey"
+    return "mix" if frames >= FEWEST_MIXED else "fine"
+
+
+# The kinds of `make_patterns` that these are.
+_MADE = {"grey": "random", "fine": "bernoulli", "mix": "mix"}
 
 
 def counts() -> list[int]:
@@ -142,7 +165,7 @@ class Advice:
         The white frame, scene or truth, and whether it is one of the latter, to be simulated.
     projector : (rows, cols)
         Pixels of the projector.
-    frames, patterns, density : int, {"mix", "bernoulli"}, float
+    frames, patterns, density : int, {"random", "bernoulli", "mix"}, float
         Number K and kind of patterns, and their share of lit pixels.
     mix : sequence of ((rows, cols), share)
         Grids whose cells are lit as a whole, and their shares of the patterns.
@@ -220,10 +243,12 @@ class Advice:
 
     @property
     def _summary(self) -> dict[str, Any]:
-        kind = "fine and coarse mixed" if self.patterns == "mix" else "all fine"
+        lit = f"{100 * self.density:g} % lit"
+        kinds = {"random": "in grey levels", "bernoulli": f"all fine, {lit}"}
+        kind = kinds.get(self.patterns, f"fine and coarse mixed, {lit}")
         summary: dict[str, Any] = {
             "projector": " x ".join(map(str, self.projector)),
-            "patterns": f"{self.frames}, random, {kind}, {100 * self.density:g} % lit",
+            "patterns": f"{self.frames}, random, {kind}",
         }
         for e in self.exposures:
             summary[f"exposure {e.exposure:g}"] = (
@@ -261,7 +286,7 @@ def plan(
     size : (rows, cols), optional
         Projector pixels. None: 128 x 128, or those of a truth.
     frames : int, optional
-        Number of frames, at least 2. None: as many as `error` needs.
+        Number of frames, at least 8 to 16, by the size. None: as many as `error` needs.
     error : float
         Wanted relative error of T, in (0, 1).
     noise : float
@@ -312,7 +337,7 @@ def plan(
     if not 0 < as_float(error) < 1:
         raise InputError(f"an error of {error}", hint="use a relative error, such as 0.05")
     if frames is not None:
-        check_whole("frames", frames, least=2, most=1_000_000, hint="use 2 to 1000000")
+        check_whole("frames", frames, least=2, most=1_000_000, hint="use 16, or more")
     check_camera(noise, shortest)
     of_photograph = {"exposure": exposure, "black": black, "clip": clip, "response": response}
     of_photograph |= {"output": output}
@@ -346,9 +371,16 @@ def plan(
         photograph = read_white_frame(white, settings)
         values = photograph.values[:, 0].astype(np.float64) / unit
         frame = WhiteFrame(values, photograph.clipped[:, 0])
-    count = frames_for(error) if frames is None else frames
+    fewest = fewest_frames(projector[0] * projector[1])
+    count = max(frames_for(error), fewest) if frames is None else frames
+    if count < fewest:
+        raise InputError(
+            f"{count} photographs do not tell {projector[0]} x {projector[1]} pixels apart",
+            hint=f"take {fewest} or more, better {FEWEST_BLACK_AND_WHITE}",
+        )
     exposures = advise_exposures(frame, noise, shortest, count)
-    density = advise_density(frame, exposures)
+    kind = _MADE[kind_for(count)]
+    density = DENSITY if kind == "random" else advise_density(frame, exposures)
     mix = default_mix(projector, count)
     sequence = exposure_sequence(exposures, MixedPatterns(projector, count, mix))
     per_frame = np.broadcast_to(sequence, count)
@@ -357,7 +389,7 @@ def plan(
         simulated=simulated,
         projector=projector,
         frames=count,
-        patterns="mix" if count >= FEWEST_MIXED else "bernoulli",
+        patterns=kind,
         density=density,
         mix=mix,
         exposures=tuple(

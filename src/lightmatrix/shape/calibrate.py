@@ -460,32 +460,31 @@ def calibrate_rig(
             f"a board of {board[0]} x {board[1]} inner corners", hint="use at least 3 x 3"
         )
     _check_count(len(poses), {})
-    corners, names, shapes, left_out = _all_corners(poses, board, progress)
+    corners, shapes, left_out = _all_corners(poses, board, progress)
     points = board_points(board, square)
-    mirrored = bool(np.mean([pose.mirrored for pose in corners]) > 0.5)
-    shown = corners
+    mirrored = bool(np.mean([pose.mirrored for pose in corners.values()]) > 0.5)
     if mirrored:
         warn(
             "the camera sees the projector's image mirrored (rear projection, a mirror, flipped "
             "patterns): the geometry takes it into account"
         )
-        corners = [
-            replace(pose, projector=pose.projector * (-1, 1) + (shapes[1][1] - 1, 0))
-            for pose in corners
-        ]
-    fit = fit_stereo(corners, points, *shapes)
+
+    def fitted() -> StereoFit:
+        flip, last = ((-1, 1), (shapes[1][1] - 1, 0)) if mirrored else ((1, 1), (0, 0))
+        own = [replace(pose, projector=pose.projector * flip + last) for pose in corners.values()]
+        return fit_stereo(own, points, *shapes)
+
+    fit = fitted()
     badly = {
         name: f"only {use.sum()} of {len(use)} corners fit the other poses; did the board move?"
-        for name, use in zip(names, fit.used, strict=True)
+        for name, use in zip(corners, fit.used, strict=True)
         if use.sum() < 0.5 * len(use)
     }
     if badly:
         left_out |= badly
-        keep = [k for k, name in enumerate(names) if name not in badly]
-        corners, names = [corners[k] for k in keep], [names[k] for k in keep]
-        shown = [shown[k] for k in keep]
-        _check_count(len(names), left_out)
-        fit = fit_stereo(corners, points, *shapes)
+        corners = {name: pose for name, pose in corners.items() if name not in badly}
+        _check_count(len(corners), left_out)
+        fit = fitted()
     turn = float(np.degrees(np.arccos(np.abs(fit.normals @ fit.normals.T).clip(0, 1).min())))
     # Zhang's Fig. 4: the error of the focal length falls steeply with the angle between two boards,
     # and is several times its best below 10 degrees.
@@ -518,7 +517,7 @@ def calibrate_rig(
     geometry = replace(fit.geometry, units=units, rms=rms, projector_mirrored=mirrored)
     used_poses = tuple(
         BoardPose(name, corner.camera, corner.projector, use, _rms(a[use]), _rms(b[use]))
-        for name, corner, use, a, b in zip(names, shown, fit.used, seen, lit, strict=True)
+        for (name, corner), use, a, b in zip(corners.items(), fit.used, seen, lit, strict=True)
     )
     for name, reason in left_out.items():
         warn(f"{name} is left out: {reason}")
@@ -537,12 +536,11 @@ def calibrate_rig(
 
 def _all_corners(
     poses: Sequence[Capture | str | Path], board: tuple[int, int], progress: Progress | None
-) -> tuple[list[BoardCorners], list[str], tuple[tuple[int, int], tuple[int, int]], dict[str, str]]:
-    """Corners and names of usable poses, the image sizes, and why the others are not usable."""
-    found: list[BoardCorners] = []
-    names: list[str] = []
+) -> tuple[dict[str, BoardCorners], tuple[Shape, Shape], dict[str, str]]:
+    """The corners of usable poses by name, the image sizes, and why other poses are not usable."""
+    found: dict[str, BoardCorners] = {}
     left_out: dict[str, str] = {}
-    shapes: tuple[tuple[int, int], tuple[int, int]] | None = None
+    shapes: tuple[Shape, Shape] | None = None
     for number, pose in enumerate(poses):
         name = f"pose {number}" if isinstance(pose, Capture) else str(pose)
         capture = open_capture(pose)
@@ -570,13 +568,12 @@ def _all_corners(
                 f"its {len(corners.lit)} corners"
             )
         else:
-            found.append(corners)
-            names.append(name)
+            found[name] = corners
         if progress is not None:
             progress(number + 1, len(poses))
     _check_count(len(found), left_out)
     assert shapes is not None
-    return found, names, shapes, left_out
+    return found, shapes, left_out
 
 
 def _check_count(usable: int, left_out: dict[str, str]) -> None:

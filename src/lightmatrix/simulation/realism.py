@@ -10,7 +10,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter1d
-from scipy.sparse import csr_array
+from scipy.sparse import csr_array, eye_array, kron
 
 from lightmatrix.errors import InputError
 from lightmatrix.ranges import as_float, check_number
@@ -22,6 +22,7 @@ def check_realism(
     projector_shape: tuple[int, int],
     *,
     blur: float = 0.0,
+    camera_blur: float = 0.0,
     vignetting: float = 0.0,
     leak: float = 0.0,
     ambient: float = 0.0,
@@ -30,6 +31,8 @@ def check_realism(
     widest = max(projector_shape)
     hint = f"use projector pixels from 0 to {widest}, as many as the projector has"
     check_number("a blur", blur, most=widest, hint=hint)
+    hint = "use camera pixels from 0 to 100"
+    check_number("a blur of the camera", camera_blur, most=100, hint=hint)
     if not 0 <= as_float(vignetting) < 1:
         raise InputError(f"a vignetting of {vignetting}", hint="use a share from 0 to below 1")
     if not 0 <= as_float(leak) < 1:
@@ -64,6 +67,28 @@ def defocus(truth: Truth, sigma: float) -> Truth:
         row = np.repeat(np.arange(whole.shape[0]), np.diff(whole.indptr))
         straight = blurred(direct[part])[row, whole.indices]
         parts.append(thinned_in_steps(whole, straight, 0.9995))
+    matrix, direct_data = joined(parts)
+    return replace(truth, matrix=matrix, direct_data=direct_data)
+
+
+def camera_defocus(truth: Truth, sigma: float) -> Truth:
+    """Blur the camera by a Gaussian of `sigma` >= 0 camera pixels, which mixes the rows of T."""
+    if sigma == 0:
+        return truth
+    sides = truth.camera_shape[:2]
+    across, along = (
+        csr_array(gaussian_filter1d(np.eye(n), sigma, axis=0, mode="nearest", truncate=3))
+        for n in sides
+    )
+    channels = eye_array(truth.matrix.shape[0] // (sides[0] * sides[1]))
+    mixed = csr_array(kron(kron(across, along), channels), dtype=np.float32)
+    # Direct light travels along as the imaginary part, so that both have the same entries.
+    both = truth.with_data(truth.matrix.data + 1j * truth.direct_data)
+    parts = []
+    for start in range(0, mixed.shape[0], 1024):
+        part = mixed[start : start + 1024] @ both
+        whole = csr_array((part.data.real, part.indices, part.indptr), shape=part.shape)
+        parts.append(thinned_in_steps(whole, np.ascontiguousarray(part.data.imag), 0.9995))
     matrix, direct_data = joined(parts)
     return replace(truth, matrix=matrix, direct_data=direct_data)
 

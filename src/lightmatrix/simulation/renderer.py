@@ -177,9 +177,8 @@ def needed_bytes(size: tuple[int, int], channels: int = 1, entries: int = 1) -> 
     """Memory that a rendering needs: the paths in flight, and `entries` for each sparse row."""
     # A path holds its ray, throughput and random state (200 bytes) and, at each of at most 20
     # points, a place, a value and their key (40 bytes). The renderer and the scene take 256 MiB.
-    # An entry holds value, column and direct part, one of which exists twice while blocks are
-    # joined.
-    return (256 << 20) + WAVEFRONT * (200 + 20 * 40) + size[0] * size[1] * channels * entries * 16
+    # An entry holds value, column and direct part, which exist twice while blocks are joined.
+    return (256 << 20) + WAVEFRONT * (200 + 20 * 40) + size[0] * size[1] * channels * entries * 24
 
 
 def check_memory(
@@ -257,7 +256,7 @@ def render(
 
     Camera pixels are rendered in blocks that share a million paths. Each block is summed to sparse
     rows and thinned before the next begins, which takes about 1.2 GiB at any size. The result adds
-    16 bytes per entry. Where that might not fit, a few camera pixels are rendered first to
+    24 bytes per entry. Where that might not fit, a few camera pixels are rendered first to
     estimate it.
 
     Parameters

@@ -29,6 +29,7 @@ from lightmatrix.simulation.shapes import (
     extrude,
     from_quaternion,
     l_block,
+    merge,
     nut,
     polygon,
     revolve,
@@ -447,6 +448,60 @@ def _mirror_balls() -> Scene:
     return Scene("mirror_balls", description, (Part(sheet(), matt(0.7)), *balls))
 
 
+def _flakes(cell: float, cover: NDArray[np.float64], seed: int) -> Mesh:
+    """Squares of side `cell` that cover a share (n, n) of the plane z = 0 at random.
+
+    They are smaller than pixels, which see what is behind too, and without a pattern or moire.
+    """
+    rows, cols = np.nonzero(np.random.default_rng(seed).random(cover.shape) < cover)
+    middle = np.array(cover.shape) / 2
+    x = (cols[:, None] + (0, 1, 1, 0) - middle[1]) * cell
+    y = (rows[:, None] + (0, 0, 1, 1) - middle[0]) * cell
+    corners = np.arange(4 * len(rows)).reshape(-1, 4)
+    faces = np.concatenate([corners[:, [0, 1, 2]], corners[:, [0, 2, 3]]])
+    return Mesh(np.stack([x, y, 0 * x], axis=-1).reshape(-1, 3), faces)
+
+
+def _curtain() -> Scene:
+    """A wavy curtain of fine threads that hides half of the painted things behind it."""
+    cloth = _flakes(0.007, np.full((230, 230), 0.5), 1)
+    wavy = cloth.vertices + 0.04 * np.sin(5 * cloth.vertices[:, :1]) * (0, 0, 1)
+    hanging = Mesh(wavy, cloth.faces).placed((0.0, 0.0, 1.2), turn("x", 6))
+    vase = _vase()
+    parts = (
+        Part(sheet(), matt(0.6)),
+        Part(vase.placed((-0.42, -0.42, 0.377), _lying()), painted(), _paint(vase)),
+        Part(ball(0.3).placed((0.5, -0.3, 0.0)), matt(0.8)),
+        Part(hanging, matt(0.8)),
+    )
+    return Scene("curtain", "painted things behind a curtain that covers half of them", parts, 6)
+
+
+def _glass() -> Scene:
+    """A leaning glass plate with dust in patches before a wall; glass itself returns no light."""
+    place = np.linspace(0, 3 * np.pi, 300)
+    cover = 0.25 + 0.1 * np.sin(place) * np.sin(place[:, None] + 1)
+    dust = _flakes(0.006, cover, 2).placed((0.0, 0.0, 0.8), turn("y", 14))
+    parts = (Part(sheet(), matt(0.7)), Part(dust, matt(0.9)))
+    return Scene("glass", "a dusty glass plate that leans before a wall", parts, 6)
+
+
+# Where the mirror stands, which returns the light of the dust on it and of what it shows.
+MIRROR_TURN, MIRROR_PLACE = turn("y", -70), (0.35, 0.0, 0.5)
+
+
+def _mirror() -> Scene:
+    """A statue beside a dusty mirror."""
+    silver = {"type": "conductor", "material": "Ag"}
+    dusty = {"type": "blendbsdf", "weight": 0.4, "bsdf_0": silver, "bsdf_1": matt(0.7)["bsdf"]}
+    plate = sheet(1.1).placed(MIRROR_PLACE, MIRROR_TURN)
+    profile = [(0.34, 0.0), (0.34, 0.1), (0.24, 0.14), (0.2, 0.35), (0.14, 0.5), (0.06, 0.56)]
+    statue = merge([revolve(profile, 128), ball(0.15, 64).placed((0.0, 0.0, 0.5))])
+    stone = Part(statue.placed((-0.5, 0.0, 0.0)), matt(0.85))
+    parts = (Part(sheet(), matt(0.4)), Part(plate, {"type": "twosided", "bsdf": dusty}), stone)
+    return Scene("mirror", "a statue beside a dusty mirror that shows it", parts, 6)
+
+
 BUILDERS: dict[str, Callable[[], Scene]] = {
     "l_objects": _l_objects,
     "gripper": _gripper,
@@ -456,6 +511,9 @@ BUILDERS: dict[str, Callable[[], Scene]] = {
     "wall": _wall,
     "vase": _vase_scene,
     "mirror_balls": _mirror_balls,
+    "curtain": _curtain,
+    "glass": _glass,
+    "mirror": _mirror,
 }
 
 

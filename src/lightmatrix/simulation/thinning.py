@@ -8,11 +8,12 @@ neighbours leaves one entry that stands for them all.
 from __future__ import annotations
 
 import itertools
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csr_array
+
+from lightmatrix.transport.sparse_rows import stack_rows
 
 # This many entries are thinned at once. Sorting them takes about 100 bytes each, 200 MiB in all.
 _ENTRIES = 1 << 21
@@ -21,24 +22,9 @@ _ENTRIES = 1 << 21
 def joined(
     parts: list[tuple[csr_array, NDArray[np.float32]]],
 ) -> tuple[csr_array, NDArray[np.float32]]:
-    """Join blocks of rows and direct parts, emptying the list so that little exists twice."""
-    lengths = np.concatenate([np.diff(part.indptr) for part, _ in parts])
-    indptr = np.concatenate([[0], np.cumsum(lengths, dtype=np.int64)])
-    if indptr[-1] <= np.iinfo(np.int32).max:
-        indptr = indptr.astype(np.int32)
-    shape = (len(lengths), parts[0][0].shape[1])
-    arrays = [[part.data for part, _ in parts], [part.indices for part, _ in parts]]
-    arrays.append([direct for _, direct in parts])
-    parts.clear()
-    values, columns, direct = (np.concatenate(_emptied(blocks)) for blocks in arrays)
-    return csr_array((values, columns, indptr), shape=shape), direct
-
-
-def _emptied(blocks: list[NDArray[Any]]) -> list[NDArray[Any]]:
-    """A copy of a list that is emptied, so that its arrays are freed as soon as they are used."""
-    content = blocks.copy()
-    blocks.clear()
-    return content
+    """Join blocks of rows, and the direct parts of their entries."""
+    matrices, direct = zip(*parts, strict=True)
+    return stack_rows(matrices), np.concatenate(direct)
 
 
 def thinned_in_steps(

@@ -72,11 +72,6 @@ class EpipolarGeometry:
     __repr__ = short_repr
 
     @property
-    def perspective(self) -> bool:
-        """Whether epipolar lines meet in a point; else they are parallel."""
-        return bool(self.fundamental[:2, :2].any())
-
-    @property
     def direction(self) -> float:
         """Angle of epipolar lines to the projector's rows, in degrees from -90 to 90.
 
@@ -121,31 +116,18 @@ def mean_surface(
     Its second degree follows keystone, whose exact map, a homography, is less stable where the
     scene is not flat.
     """
-    # Pixels around 0, so that squares do not dominate.
-    middle, size = camera.mean(axis=0), max(float(np.ptp(camera, axis=0).max()), 1.0)
-    design = _monomials((camera - middle) / size)
+    design = _monomials(camera)
+    # Columns of one size, so that squares do not dominate.
+    size = np.abs(design).max(axis=0).clip(1)
     weight = np.ones(len(camera))
     surface: NDArray[np.float64] = np.zeros((6, 2))
     for _ in range(ROBUST.rounds):
         root = np.sqrt(weight)[:, None]
-        surface = np.asarray(np.linalg.lstsq(design * root, projector * root, rcond=None)[0])
+        scaled = np.linalg.lstsq(design / size * root, projector * root, rcond=None)[0]
+        surface = np.asarray(scaled / size[:, None])
         error = ((projector - design @ surface) ** 2).sum(axis=1)
         weight = 1 / (1 + error / max(float(np.median(error)), ROBUST.least_spread_of_spots**2))
-    # The polynomial of (pixel - middle) / size as one of the pixel.
-    one, row, col, row2, rowcol, col2 = surface
-    row, col = row / size, col / size
-    row2, rowcol, col2 = row2 / size**2, rowcol / size**2, col2 / size**2
-    y, x = middle
-    return np.stack(
-        [
-            one - row * y - col * x + row2 * y * y + rowcol * x * y + col2 * x * x,
-            row - 2 * row2 * y - rowcol * x,
-            col - 2 * col2 * x - rowcol * y,
-            row2,
-            rowcol,
-            col2,
-        ]
-    )
+    return surface
 
 
 def on_surface(surface: NDArray[np.float64], camera: NDArray[np.float64]) -> NDArray[np.float64]:

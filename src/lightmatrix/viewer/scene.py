@@ -1,4 +1,4 @@
-"""One matrix that is being viewed: what the page asks for, and whether its store is still there."""
+"""One matrix that is being viewed: what the page asks for."""
 
 from __future__ import annotations
 
@@ -50,11 +50,11 @@ class Scene:
         capture: Capture | str | Path | None = None,
         geometry: RigGeometry | str | Path | None = None,
     ) -> None:
-        self._path = None if isinstance(transport, LightTransport) else as_path(transport)
         self.matrix = opened(transport, page_bytes)
-        name = self.matrix.provenance.get("scene", "Light transport")
+        name = str(self.matrix.provenance.get("scene", "Light transport"))
         # The name of a file may hold bytes that are no text, which no page can.
-        self.title = printable(self._path.name if self._path is not None else str(name))
+        in_memory = isinstance(transport, LightTransport)
+        self.title = printable(name if in_memory else as_path(transport).name)
         channels = self.matrix.camera_shape[2:]
         if channels not in ((), (1,), (3,)):
             raise InputError(
@@ -71,7 +71,6 @@ class Scene:
         else:
             known = self.matrix
         self._layers = LayerSource(known, geometry)
-        self._found = self._stamp()
         self._patterns: PatternSet | None = None
         if capture is not None:
             opened_capture = capture if isinstance(capture, Capture) else Capture.open(capture)
@@ -176,26 +175,6 @@ class Scene:
         # If the store is gone or damaged, the page learns it from what it asks next.
         with suppress(LightMatrixError):
             self._coarse = CoarseLight(self.light)
-
-    def notice(self) -> str:
-        """What became of the store since it was read; empty if nothing did."""
-        if self._found is None or (now := self._stamp()) == self._found:
-            return ""
-        rest = "." if self.light is not None else ". The page goes on with what was read of it."
-        if now is None:
-            return f"{self._path} is gone{rest}"
-        return f"{self._path} has changed. Start the viewer again to see what it holds now."
-
-    def _stamp(self) -> tuple[int, int] | None:
-        """What tells one version of the file or folder from the next; None if it is not there."""
-        if self._path is None:
-            return None
-        marker = self._path / "zarr.json" if self._path.is_dir() else self._path
-        try:
-            status = marker.stat()
-        except OSError:
-            return None
-        return status.st_ino, status.st_mtime_ns
 
 
 def opened(

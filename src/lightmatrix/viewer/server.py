@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import asyncio
 import html
-import json
 import os
 import re
 import secrets
@@ -13,7 +12,7 @@ import tempfile
 import threading
 import webbrowser
 from collections.abc import Awaitable, Callable, Iterator
-from contextlib import contextmanager, nullcontext
+from contextlib import contextmanager, nullcontext, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -115,14 +114,12 @@ def _header(scope: dict[str, Any], name: bytes) -> list[str]:
     return [value.decode("latin-1") for key, value in scope["headers"] if key == name]
 
 
-# What the server answers, as an ASGI application: the page, the matrix, its layers, notices.
+# What the server answers, as an ASGI application: the page, the matrix, its layers.
 
 
 Receive = Callable[[], Awaitable[dict[str, Any]]]
 Send = Callable[[dict[str, Any]], Awaitable[None]]
 
-# Seconds between two looks at the store.
-_WATCH_SECONDS = 1.0
 # WebSocket's code for "you broke the rules".
 _VIOLATION = 1008
 _BINARY, _TEXT = "application/octet-stream", "text/plain; charset=utf-8"
@@ -185,17 +182,10 @@ class Answers:
         if path != "socket":
             await send({"type": "websocket.close", "code": _VIOLATION})
             return
-        watching = None
-        try:
+        # The window may be closed while it is being answered.
+        with suppress(OSError):
             await send({"type": "websocket.accept"})
-            watching = asyncio.create_task(self._watch(send))
             await self._converse(receive, send)
-        except OSError:
-            # The window was closed while it was being answered.
-            return
-        finally:
-            if watching is not None:
-                watching.cancel()
 
     async def _converse(self, receive: Receive, send: Send) -> None:
         """Answer the messages of a window, and meanwhile send what it lacks."""
@@ -226,16 +216,6 @@ class Answers:
                     await send({"type": "websocket.send", "bytes": part})
         finally:
             coming.cancel()
-
-    async def _watch(self, send: Send) -> None:
-        """Tell the page what becomes of the store."""
-        told = ""
-        while True:
-            notice = await asyncio.to_thread(self._scene.notice)
-            if notice != told:
-                await send({"type": "websocket.send", "text": json.dumps({"notice": notice})})
-                told = notice
-            await asyncio.sleep(_WATCH_SECONDS)
 
 
 def serve_viewer(

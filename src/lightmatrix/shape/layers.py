@@ -1,0 +1,170 @@
+"""`lm.layers`: several surfaces that one camera pixel sees, one through the other or mirrored."""
+
+from __future__ import annotations
+
+from contextlib import ExitStack
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import matplotlib as mpl
+import numpy as np
+from numpy.typing import NDArray
+
+from lightmatrix.errors import InputError
+from lightmatrix.files.extras import write_exr
+from lightmatrix.files.kinds import CLOUD, IMAGE, PICTURE
+from lightmatrix.files.writing import atomic_file, check_output
+from lightmatrix.geometry.rig_geometry import RigGeometry
+from lightmatrix.paths import as_path
+from lightmatrix.pictures.style import STYLE, display, panel, white_level
+from lightmatrix.pictures.transport import Picture, draw_into
+from lightmatrix.reprs import short_repr
+from lightmatrix.shape.shape import depth_map, write_ply
+from lightmatrix.shape.spots import check_thresholds, seen_by, surface_probability
+from lightmatrix.shape.triangulation import geometry_of
+from lightmatrix.uses.loading import Transport, loaded
+
+
+@dataclass(frozen=True, eq=False)
+class Layers:
+    """Up to three surfaces that each camera pixel sees: near to far, then what mirrors show.
+
+    Parameters
+    ----------
+    depth, light, probability : (rows, cols, 3) float32
+        Depth and probability as in `Shape`, and light under a white pattern, in units of the clip
+        level; NaN where there is none. Mirrored light has no depth.
+    points : (rows, cols, 3, 3) float32
+        Points of the world.
+    place : (rows, cols, 3, 2) float32
+        Row and column of the projector pixel that lights each.
+    width : (rows, cols, 3) float32
+        Standard deviation of its spot on the projector, in those of a usual spot.
+    mirrored : (rows, cols, 3) bool
+        Whether the light came by a mirror or another surface: it lies off the epipolar line.
+    geometry : RigGeometry
+        Of images of these sizes.
+    """
+
+    depth: NDArray[np.float32]
+    light: NDArray[np.float32]
+    probability: NDArray[np.float32]
+    points: NDArray[np.float32]
+    place: NDArray[np.float32]
+    width: NDArray[np.float32]
+    mirrored: NDArray[np.bool_]
+    geometry: RigGeometry
+
+    __repr__ = short_repr
+
+    def summary(self) -> dict[str, int]:
+        """Pixels that see one, two and three surfaces, and those that see mirrored light."""
+        surfaces = np.isfinite(self.depth).sum(axis=-1)
+        counts = {f"pixels_with_{n}": int((surfaces == n).sum()) for n in (1, 2, 3)}
+        return {**counts, "mirrored_pixels": int(self.mirrored.any(axis=-1).sum())}
+
+    def write(self, part: Path) -> None:
+        """Write points with the number of their layer (.ply), or an image of all layers (.exr)."""
+        if part.suffix.lower() == ".ply":
+            number = np.broadcast_to(np.arange(1, 4, dtype=np.uint8), self.depth.shape)
+            write_ply(
+                part, self.points, self.light, {"probability": self.probability, "layer": number}
+            )
+        else:
+            parts = {"Z": self.depth, "Y": self.light, "probability": self.probability}
+            names = [f"layer{number}.{name}" for number in (1, 2, 3) for name in parts]
+            values = np.stack([*parts.values()], axis=-1)
+            write_exr(part, values.reshape(*values.shape[:2], -1), names)
+
+    def show(self) -> Picture:
+        """A Matplotlib figure: the nearest surface, the one behind it, and what mirrors show."""
+        scale = depth_map(self.depth, self.geometry.units)
+        with mpl.rc_context(STYLE):
+            drawing = Picture(figsize=(11, 3.4), layout="constrained")
+            *surfaces, mirrors = drawing.subplots(1, 3)
+            for number, title in enumerate(("Depth of the first surface", "Of the one behind it")):
+                shown = replace(scale, title=title, values=self.depth[..., number])
+                draw_into(drawing, surfaces[number], shown)
+            light = np.where(self.mirrored, self.light, 0).sum(axis=-1)
+            panel(mirrors, display(light, white_level(light)), "Light by mirrors")
+        return drawing
+
+
+def layers(
+    transport: Transport,
+    geometry: RigGeometry | str | Path,
+    *,
+    tolerance: float = 0.01,
+    least_probability: float = 0.5,
+    output: str | Path | None = None,
+    picture: str | Path | None = None,
+    overwrite: bool = False,
+) -> Layers:
+    """Find the surfaces that camera pixels see through each other, and what mirrors show.
+
+    A pixel that sees a curtain, dusty glass or a mirror, and what is behind or in it, has several
+    spots in its row of T. Two of them are searched beside its epipolar line, where direct light
+    lies, and a third anywhere. Codes tell one place a pixel, or that of the sum.
+
+    Parameters
+    ----------
+    transport : LightTransport, StoredTransport, str or Path
+        T, or where `open` finds it.
+    geometry, tolerance, least_probability, picture, overwrite
+        As in `triangulate`.
+    output : str or Path, optional
+        The file to write: a point cloud with the number of each layer (.ply), or an image (.exr)
+        with the channels Z, Y (light) and probability of layer1 to layer3.
+
+    Returns
+    -------
+    Layers
+        Depth, light and probability of up to three layers. Errors are those of `triangulate`, and
+        MissingExtraError if an EXR file is asked for and OpenEXR is not installed.
+
+    Examples
+    --------
+    >>> import lightmatrix as lm
+    >>> known = lm.truth("metal")
+    >>> found = lm.layers(known.transport(), known.geometry, output="metal.ply")
+    >>> found.depth.shape, bool(found.mirrored.any())
+    ((64, 64, 3), True)
+    """
+    check_thresholds(tolerance, least_probability)
+    outputs = {} if picture is None else {picture: PICTURE}
+    if output is not None:
+        outputs[output] = IMAGE if as_path(output).suffix.lower() == ".exr" else CLOUD
+    for path, kind in outputs.items():
+        check_output(path, kind, overwrite=overwrite)
+    matrix = loaded(transport, 2.5)
+    rig = geometry_of(matrix, geometry)
+    seen = seen_by(matrix, rig)
+    probability = surface_probability(seen, tolerance)
+    kept = seen.direct & (probability >= least_probability)
+    if outputs and not kept.any():
+        raise InputError(
+            "no surface is found",
+            hint="is this the geometry of this rig, and is the scene lit? Or use a smaller "
+            "least_probability",
+        )
+    # Farther off the line than direct light is searched, and no faint stray light.
+    mirrored = (np.abs(seen.away) > 1.5) & (seen.share > 0.1)
+    some = kept | mirrored
+    order = np.argsort(np.where(kept, seen.depth, np.where(mirrored, 1e300, np.inf)), axis=1)
+
+    def mapped(values: NDArray[Any], mask: NDArray[np.bool_]) -> NDArray[np.float32]:
+        more = (*order.shape, *(1,) * (values.ndim - 2))
+        shown = np.where(mask.reshape(more), values, np.nan).astype(np.float32)
+        shown = np.take_along_axis(shown, order.reshape(more), axis=1)
+        return shown.reshape(*seen.grid, *shown.shape[1:])
+
+    depth, points, probable = (mapped(v, kept) for v in (seen.depth, seen.points, probability))
+    light, place, width = (mapped(v, some) for v in (seen.light, seen.place, seen.width))
+    by_mirror = np.isfinite(light) & np.isnan(depth)
+    found = Layers(depth, light, probable, points, place, width, by_mirror, rig)
+    with ExitStack() as files:
+        for path, kind in outputs.items():
+            part = files.enter_context(atomic_file(path, kind, overwrite=overwrite))
+            found.show().draw_file(part) if kind is PICTURE else found.write(part)
+    return found

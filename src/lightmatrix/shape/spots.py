@@ -1,0 +1,332 @@
+"""What camera pixels see: spots on the projector, where each lies, and how probably it is right."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import uniform_filter
+from scipy.sparse import csr_array
+
+from lightmatrix.geometry.rig_geometry import RigGeometry
+from lightmatrix.ranges import check_number
+from lightmatrix.resources.threads import work_ahead
+from lightmatrix.transport.correspondence import Correspondence, pixel_rows
+from lightmatrix.transport.matrix import LightTransport
+from lightmatrix.uses.separation import (
+    SPOTS,
+    blocks_of,
+    camera_pixels,
+    entries_of,
+    shifted,
+    spot_deviation,
+)
+
+# The middle of a spot lies within this distance of the epipolar line, in projector pixels, and the
+# 3 x 3 pixels around it reach as far. Chosen by hand: one pixel and a half leave room for a spot
+# that lies between pixels.
+_REACH = 1.5
+
+
+Array = NDArray[np.float64]
+
+
+def find_line_spots(
+    matrix: csr_array,
+    background: Array,
+    lines: Array,
+    pixels: Array,
+    shape: tuple[int, int],
+    half_width: float,
+) -> tuple[Array, Array, Array, Array]:
+    """Find the spots of each row of T, (P, N): two beside its line, and a third anywhere.
+
+    Of all 3 x 3 pixels whose middle lies within 1.5 pixels of the line, the brightest are the first
+    spot; the second is the brightest that lies apart from it. A spot's place is the centroid of the
+    light in a window around it, whose borders cut pixels in parts, so that it moves smoothly.
+
+    `lines` (P, 3) are a, b, c with a^2 + b^2 = 1 and a col + b row + c = 0, `pixels` (N, 2) the
+    column and row of each projector pixel without distortion. Returns places (P, 3, 2) as (row,
+    col), NaN where there is none, light and standard deviations (P, 3), and the light of rows (P,).
+    """
+    if not matrix.has_sorted_indices:
+        matrix = matrix.copy()
+        matrix.sort_indices()
+
+    def find(rows: slice) -> tuple[Array, ...]:
+        return _of_block(csr_array(matrix[rows]), lines[rows], pixels, shape, half_width)
+
+    # Two at a time, since each block takes about 400 MiB.
+    parts = work_ahead(find, blocks_of(matrix), threads=2)
+    place, light, width, total = map(np.concatenate, zip(*parts, strict=True))
+    return place, light, width, total + np.maximum(background, 0)
+
+
+def uncut_places(place: Array, lines: Array, shape: tuple[int, int], margin: float) -> Array:
+    """Places of spots, corrected where the projector's border cuts a spot off.
+
+    Within `margin` of the outermost pixels, the coordinate across the border is where the line
+    crosses the other coordinate, which nothing cuts. It moves outwards only, and by a pixel at
+    most; distortion hardly matters over so short a way.
+    """
+    result = place.copy()
+    for axis in (0, 1):
+        along, across = lines[:, 1 - axis], lines[:, axis]
+        low, high = place[:, axis] < margin, place[:, axis] > shape[axis] - 1 - margin
+        # Columns of `lines` belong to (col, row), those of `place` to (row, col).
+        with np.errstate(invalid="ignore", divide="ignore"):
+            crossing = -(across * place[:, 1 - axis] + lines[:, 2]) / along
+        # Chosen by hand: errors of the coordinate grow threefold at most.
+        steep = np.abs(along) >= 0.3
+        outwards = np.where(low, place[:, axis] - crossing, crossing - place[:, axis])
+        cut = (low | high) & steep & (outwards > 0) & (outwards <= 1)
+        result[cut, axis] = crossing[cut]
+    return result
+
+
+def _of_block(
+    matrix: csr_array, lines: Array, pixels: Array, shape: tuple[int, int], half_width: float
+) -> tuple[Array, ...]:
+    """Places, light, widths and total light of the spots of some rows."""
+    count = int(matrix.shape[0])
+    owner, row, col = entries_of(matrix, shape[1])
+    # Some estimates allow negative light, which does not count.
+    light = np.maximum(matrix.data, 0).astype(np.float64)
+    # Coordinate by coordinate: NumPy takes several times as long over pairs of them.
+    ideal_col, ideal_row = np.ascontiguousarray(pixels.T).take(matrix.indices, axis=1)
+    across, down, shift = np.ascontiguousarray(lines.T)
+    distance = np.abs(across[owner] * ideal_col + down[owner] * ideal_row + shift[owner])
+    # The light of the 3 x 3 pixels around each entry, in its row of T. Entries are sorted by row
+    # and pixel; the numbers of pixels have a border, so that no neighbour lies across an edge.
+    width = shape[1] + 2
+    pixel = (row.astype(np.int64) + 1) * width + col.astype(np.int64) + 1
+    pixel += owner * ((shape[0] + 2) * width)
+    padded, padded_light = (
+        np.append(pixel, [np.iinfo(np.int64).max] * 3),
+        np.append(light, [0.0] * 3),
+    )
+    sums = np.zeros(len(pixel))
+    for first in (pixel - width - 1, pixel - 1, pixel + width - 1):
+        found = np.searchsorted(pixel, first)
+        for step in range(3):
+            sums += np.where(padded[found + step] <= first + 2, padded_light[found + step], 0)
+    places, lights, widths = np.full((SPOTS, count, 2), np.nan), *np.zeros((2, SPOTS, count))
+    free = light > 0
+    for number in range(SPOTS):
+        chosen = np.flatnonzero(free & ((distance <= _REACH) | (number == 2)))
+        best = np.zeros(count)
+        np.maximum.at(best, owner[chosen], sums[chosen])
+        # In reverse order, so that the first of several equal ones stays.
+        chosen = chosen[sums[chosen] == best[owner[chosen]]][::-1]
+        middle_row, middle_col = np.full((2, count), np.nan)
+        middle_row[owner[chosen]], middle_col[owner[chosen]] = row[chosen], col[chosen]
+        away = np.maximum(np.abs(row - middle_row[owner]), np.abs(col - middle_col[owner]))
+        # The windows of two spots have no pixel in common, but for what they move: by up to one.
+        free &= ~(away < 2 * half_width)
+        inside = np.flatnonzero(away <= half_width + _REACH)
+        own, y, x, held_by = owner[inside], row[inside], col[inside], light[inside]
+        with np.errstate(invalid="ignore", divide="ignore"):
+            # The window is centred on the light within it; it then moves by less than 0.01 pixels.
+            for _ in range(4):
+                share = np.clip(half_width + 0.5 - np.abs(y - middle_row[own]), 0, 1)
+                share *= np.clip(half_width + 0.5 - np.abs(x - middle_col[own]), 0, 1)
+                share *= held_by
+                lights[number] = held = np.bincount(own, share, count).astype(np.float64)
+                middle_row = np.bincount(own, share * y, count) / held
+                middle_col = np.bincount(own, share * x, count) / held
+            squared = share * ((y - middle_row[own]) ** 2 + (x - middle_col[own]) ** 2) / 2
+            widths[number] = np.sqrt(np.bincount(own, squared, count) / held)
+        places[number] = np.stack([middle_row, middle_col], axis=1)
+    total = np.bincount(owner, light, count).astype(np.float64)
+    return places.swapaxes(0, 1), lights.T, widths.T, total
+
+
+@dataclass(frozen=True, eq=False)
+class Seen:
+    """What P camera pixels see in up to n places each, and where that lies."""
+
+    # Row and column on the projector, (P, n, 2); NaN where there is none.
+    place: Array
+    # The light of a spot, its share of the row's, and its standard deviation in those of a usual
+    # spot, (P, n). Of a decoded place the share is the confidence.
+    light: Array
+    share: Array
+    width: Array
+    # The row's stated error, or the uncertainty of a decoded place in projector pixels, (P,).
+    error: Array
+    # Whether the projector's border may cut the spot off, (P, n).
+    cut: NDArray[np.bool_]
+    # Signed distance from the epipolar line in projector pixels, (P, n).
+    away: Array
+    # Points of the world, (P, n, 3), their depth, and how far a projector pixel along the line
+    # moves it, (P, n). Points behind the camera or the projector have no depth.
+    points: Array
+    depth: Array
+    slope: Array
+    # The pixels of camera and projector, and whether a code told the places.
+    grid: tuple[int, int]
+    decoded: bool
+
+    @property
+    def on_line(self) -> NDArray[np.bool_]:
+        """Spots (P, n) of light that may have met one surface: within a pixel of their line."""
+        return np.abs(self.away) <= 1
+
+    @property
+    def direct(self) -> NDArray[np.bool_]:
+        """Spots (P, n) on their line whose points lie before camera and projector."""
+        return self.on_line & np.isfinite(self.depth)
+
+
+def seen_by(source: LightTransport | Correspondence, geometry: RigGeometry) -> Seen:
+    """What the camera's pixels see of the projector, in T or in a correspondence."""
+    camera = camera_pixels(geometry.camera_shape)[:, ::-1]
+    # The epipolar lines (P, 3) on the projector without distortion: a col + b row + c = 0 with
+    # a^2 + b^2 = 1.
+    lines = np.column_stack([geometry.undistort_camera(camera), np.ones(len(camera))])
+    lines = lines @ geometry.fundamental_matrix().T
+    lines = lines / np.hypot(lines[:, 0], lines[:, 1])[:, None]
+    # Lines and their directions for columns as the projector counts them, which mirrors may
+    # reverse.
+    counted, along = lines, np.column_stack([-lines[:, 1], lines[:, 0]])
+    if geometry.projector_mirrored:
+        a, b, c = lines.T
+        counted = np.column_stack([-a, b, c + a * (geometry.projector_shape[1] - 1)])
+        along *= (-1, 1)
+    shape, usual, margin = geometry.projector_shape, 1.0, 0.5
+    if isinstance(source, Correspondence):
+        # Places within half a pixel of the border may be cut off, as for a sharp spot of T.
+        place, light, width, total, error = _decoded(source, counted)
+    else:
+        rows, background = pixel_rows(source)
+        usual = spot_deviation(source, rows)
+        pixels = geometry.undistort_projector(camera_pixels(shape)[:, ::-1])
+        # The window reaches 1.5 projector pixels to each side of sharp spots, and 2.5 under a blur
+        # of 1 pixel. Chosen by hand.
+        half_width = max(1.5, 2.4 * usual)
+        margin = half_width - 1
+        found = find_line_spots(rows, background, lines, pixels, shape, half_width)
+        place, light, width, total = found
+        channels = int(np.prod(source.camera_shape[2:]))
+        stated = source.diagnostics.get("estimated_error", np.zeros(len(lines) * channels))
+        error = np.nan_to_num(np.asarray(stated, float).reshape(-1, channels).mean(axis=1))
+    with np.errstate(invalid="ignore", divide="ignore"):
+        share = np.nan_to_num(light / total[:, None])
+        cut = ((place < margin) | (place > np.array(shape) - 1 - margin)).any(axis=-1)
+    away, depth, slope = np.full((3, *light.shape), np.nan)
+    points = np.full((*light.shape, 3), np.nan)
+    axis = geometry.projector_matrix[2]
+    for number in range(light.shape[1]):
+        some = np.flatnonzero(np.isfinite(place[:, number]).all(axis=1))
+        # A spot that the projector's border cuts off seems to lie farther inside than it does.
+        place[some, number] = uncut_places(place[some, number], counted[some], shape, margin)
+        lit, pixel = place[some, number, ::-1], camera[some]
+        ideal = geometry.undistort_projector(lit)
+        away[some, number] = (lines[some, :2] * ideal).sum(axis=1) + lines[some, 2]
+        points[some, number] = found_points = geometry.triangulate(pixel, lit)
+        deep = geometry.depth(found_points)
+        moved = geometry.depth(geometry.triangulate(pixel, lit + 0.1 * along[some]))
+        slope[some, number] = np.abs(moved - deep) / 0.1
+        before = (deep > 0) & (found_points @ axis[:3] + axis[3] > 0)
+        depth[some, number] = np.where(before, deep, np.nan)
+    decoded, width = isinstance(source, Correspondence), width / max(usual, 0.3)
+    of_spots = (light, share, width, error, np.asarray(cut), away, points, depth, slope)
+    return Seen(place, *of_spots, geometry.camera_shape, decoded)
+
+
+def _decoded(matches: Correspondence, lines: Array) -> tuple[Array, ...]:
+    """Places, light, widths, light of rows and errors; with one axis, where it crosses the line."""
+    place = matches.place.reshape(-1, 2).astype(np.float64)
+    known = np.isfinite(place)
+    if not known.all(axis=1).any():
+        a, b, c = lines.T
+        with np.errstate(invalid="ignore", divide="ignore"):
+            crossing = -np.column_stack([a * place[:, 1] + c, b * place[:, 0] + c])
+            place = np.where(known, place, crossing / np.column_stack([b, a]))
+    confidence = matches.confidence.ravel().astype(np.float64)
+    light = confidence if matches.light is None else matches.light.ravel().astype(np.float64)
+    error = np.zeros(len(place))
+    if matches.uncertainty is not None:
+        error = np.nan_to_num(matches.uncertainty.reshape(-1, 2).astype(np.float64)).max(axis=1)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        total = light / confidence
+    return place[:, None], light[:, None], np.ones((len(place), 1)), total, error
+
+
+# How probably a spot is a surface.
+
+# What `features` tells of a spot, and the coefficients of the logistic regression on it, for T
+# (False) and for decoded places (True). The last two: how much steeper the score rises, and from
+# where on. `python -m benchmarks.shape_probability` fits them, and tests them on other scenes.
+FEATURES = (
+    *("one", "away", "share", "error", "width", "bend", "step", "largest_step"),
+    *("bend_nearby", "cut"),
+)
+COEFFICIENTS = {
+    False: (1.16, -0.98, 0.42, -0.2, -0.46, -0.32, -0.76, 0.28, -0.3, -0.48, 2.04, 1.22),
+    True: (1.03, -0.58, 0.0, -0.1, 0.0, -0.19, -0.94, 0.02, 0.09, -0.25, 1.88, 1.33),
+}
+
+
+def features(seen: Seen, tolerance: float) -> dict[str, Array]:
+    """What is known of each spot, by name, (P, n) each: distances from its line, shares of light.
+
+    A surface continues in the 8 neighbours of its camera pixel: `step` and `largest_step` are how
+    far the depth is from the nearest one in them, `bend` how far from the middle of two opposite
+    ones, in logarithms of the tolerated error.
+    """
+    count, spots = seen.light.shape
+    light = np.where(seen.direct, seen.light, 0)
+    # Fainter spots than a twentieth of a pixel's are no neighbours.
+    strong = light > 0.05 * light.sum(axis=1, keepdims=True)
+    depth = seen.depth.T.reshape(spots, *seen.grid).astype(np.float32)
+    other = np.where(strong.T.reshape(depth.shape), depth, np.float32(np.nan))
+    rows, cols = seen.grid
+    steps, bends = [], []
+    for down, right in ((0, 1), (1, 0), (1, 1), (1, -1)):
+        # Relative steps to the nearest depth in two opposite neighbours: a tenth where they have
+        # none, or none as near, and NaN outside of the image.
+        pair = np.full((2, *depth.shape), np.nan, np.float32)
+        for step, sign in zip(pair, (1, -1), strict=True):
+            y, x = sign * down, sign * right
+            here = slice(None), shifted(rows, -y), shifted(cols, -x)
+            step[here] = 0.1
+            for surface in other[:, shifted(rows, y), shifted(cols, x)]:
+                with np.errstate(invalid="ignore"):
+                    away = surface / depth[here] - 1
+                    step[here] = np.where(np.abs(away) < np.abs(step[here]), away, step[here])
+        steps += [*np.abs(pair)]
+        bends.append(np.abs(pair.sum(axis=0)) / 2)
+    # No neighbour says nothing; corners of the image have no opposite ones.
+    bend, largest = (np.nan_to_num(np.fmax.reduce(e), nan=0.1) for e in (bends, steps))
+    first = np.nan_to_num([each[0] for each in bends])
+    known = np.maximum(np.isfinite([each[0] for each in bends]).sum(axis=0), 1)
+    nearby = np.broadcast_to(uniform_filter(first.sum(axis=0) / known, 3), bend.shape)
+    three = np.nan_to_num(np.partition(np.stack(steps), 2, axis=0)[:3], nan=0.1).mean(axis=0)
+
+    def relative(values: NDArray[np.float32]) -> Array:
+        flat = values.reshape(spots, -1).T / tolerance
+        return np.log(np.maximum(flat, 0.05)).astype(np.float64)
+
+    share = np.log(np.maximum(seen.share, 1e-3))
+    error = np.repeat(np.log(np.maximum(seen.error, 1e-3))[:, None], spots, axis=1)
+    own = (np.ones((count, spots)), np.abs(seen.away), share, error, seen.width)
+    around = [relative(values) for values in (bend, three, largest, nearby)]
+    return dict(zip(FEATURES, (*own, *around, seen.cut.astype(float)), strict=True))
+
+
+def check_thresholds(tolerance: float, least_probability: float) -> None:
+    """Refuse a tolerated error that is no share of the distance, and what is no probability."""
+    hint = "use a share such as 0.01"
+    check_number("a tolerance", tolerance, most=1, above=True, hint=hint)
+    check_number("a least probability", least_probability, most=1, hint="use 0 to 1")
+
+
+def surface_probability(seen: Seen, tolerance: float) -> Array:
+    """How probably each spot (P, n) lies within a share of the distance of a surface; 0 off it."""
+    *weights, steeper, start = COEFFICIENTS[seen.decoded]
+    values = features(seen, tolerance).values()
+    score = np.sum([weight * each for weight, each in zip(weights, values, strict=True)], axis=0)
+    score += steeper * np.maximum(score - start, 0)
+    return np.where(seen.direct, 1 / (1 + np.exp(-np.clip(score, -50, 50))), 0)
