@@ -354,7 +354,15 @@ def make_decoder(stack: Frames, settings: ReadSettings) -> Decoder:
     The black level is 0 unless it is stated. It is not taken from the black frame, whose room light
     must not change the unit of the samples.
     """
-    response = _stated_response(settings.response, stack)
+    response = settings.response
+    if not isinstance(response, Response):
+        first = stack.paths[0] if isinstance(stack, ImageStack) else None
+        if response is None and first is not None and (tag := nonlinear_tag(first)) is not None:
+            warn(
+                f"{first}: {tag}, so probably not linear, but no response is given; "
+                "give one (srgb, gamma:2.2, ...), or linear if it is"
+            )
+        response = Response() if response is None else Response.parse(str(response))
     measured, full_scale = response.full_scale, settings.full_scale
     stated = None if isinstance(settings.clip, str) else settings.clip
     top = range_end(stack.dtype, stated)
@@ -515,21 +523,6 @@ def read_mask(mask: str | Path | None, shape: tuple[int, ...]) -> NDArray[np.boo
             hint="save the mask as PNG, with 0 where camera pixels are left out",
         )
     return np.asarray(image > 0)
-
-
-def _stated_response(response: Response | str | None, stack: Frames) -> Response:
-    """The stated response, or the linear one, with a warning if the files are tagged otherwise."""
-    if isinstance(response, Response):
-        return response
-    if response is not None:
-        return Response.parse(str(response))
-    first = stack.paths[0] if isinstance(stack, ImageStack) else None
-    if first is not None and (tag := nonlinear_tag(first)) is not None:
-        warn(
-            f"{first}: {tag}, so probably not linear, but no response is given; "
-            "give one (srgb, gamma:2.2, ...), or linear if it is"
-        )
-    return Response()
 
 
 def read_white_frame(path: str | Path, settings: ReadSettings) -> Samples:
