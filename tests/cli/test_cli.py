@@ -184,6 +184,7 @@ def test_two_folders_and_a_capture_give_the_same_up_to_the_exposure(
 # Options of each kind of patterns, and how many patterns of 8 x 8 pixels it makes.
 KINDS = {
     "bernoulli": ("-k 5", 5),
+    "random": ("-k 9", 9),
     "hadamard": ("-k 5", 5),
     "onepixel": ("", 64),
     "blocks": ("--block 4", 4),

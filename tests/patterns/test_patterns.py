@@ -12,7 +12,9 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from PIL import Image
 
+import lightmatrix as lm
 from lightmatrix.capture.samples import Samples
 from lightmatrix.errors import InputError
 from lightmatrix.files.images import write_image
@@ -330,6 +332,40 @@ def test_patterns_of_other_shapes_share_nothing(make: Callable[[Any], Any]) -> N
 def test_patterns_of_other_densities_are_not_nested() -> None:
     dark, bright = (BernoulliPatterns((16, 16), 4, density).images() for density in (0.3, 0.6))
     assert (bright[dark == 1] == 0).any()
+
+
+@pytest.mark.parametrize("order", ["grb", "bgr"])
+def test_bit_planes_hold_the_patterns(order: str, tmp_path: Path) -> None:
+    patterns = lm.BernoulliPatterns((6, 8), 27, seed=3)
+    lm.write_patterns(tmp_path / "p", patterns, bit_planes=order)
+    folder = tmp_path / "p" / "bit_planes"
+    table = (folder / "sequence.csv").read_text().split()[1:]
+    for k, line in enumerate(table):
+        number, image, plane, bit = line.split(",")
+        assert (int(number), int(plane)) == (k, k % 24)
+        planes = np.asarray(Image.open(folder / image))
+        shown = planes[..., "RGB".index(bit[0])] >> int(bit[1]) & 1
+        assert (shown == patterns.images(k, k + 1)[0]).all()
+        assert bit == f"{order[k % 24 // 8].upper()}{k % 8}"
+    assert len(table) == 27
+    # The bit planes beside them are no patterns.
+    assert lm.read_patterns(tmp_path / "p").count == 27
+
+
+@pytest.mark.parametrize(
+    ("patterns", "order", "words"),
+    [
+        (lm.BernoulliPatterns((6, 8), 4), "rgg", "order 'rgg'"),
+        (lm.make_patterns("phase", (8, 8)), "grb", "patterns in grey"),
+        (lm.colour_bernoulli((8, 8), 4), "grb", "patterns in colour"),
+    ],
+)
+def test_bit_planes_are_refused(
+    patterns: lm.PatternSet, order: str, words: str, tmp_path: Path
+) -> None:
+    with pytest.raises(lm.InputError, match=words):
+        lm.write_patterns(tmp_path / "p", patterns, bit_planes=order)
+    assert not (tmp_path / "p").exists()
 
 
 @pytest.mark.parametrize(("count", "levels"), [(8, 4), (10, 3), (16, 2)])

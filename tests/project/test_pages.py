@@ -41,7 +41,7 @@ SMALLER = {
     r"--bin-camera 8": "--bin-camera 2",
     r"--workers 4": "--workers 2",
     r"--focal 3400": "--focal 32 --principal 1.1,11.5",
-    r"slice\(0, (512|1024)\)": "slice(0, 8)",
+    r"\(512, 1024\)": "(8, 16)",
     r"9x7": "7x5",
     r"0 1 2 3 4": "0 1 2 3",
     r"300,450:256x320": "40,60:64x64",

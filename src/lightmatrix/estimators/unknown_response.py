@@ -9,7 +9,7 @@ a whole, leave of its samples (see `rig_model/`).
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -282,13 +282,6 @@ def refined(
     """
     with one_blas_thread():
         seen = Prediction.of(capture, capture, transport)
-        # What T predicts as a whole is projected out, too: where light is blurred, the strongest
-        # pixels are only a part of it.
-        along = seen.projected(seen.predicted)
-        length = np.linalg.norm(along, axis=1, keepdims=True)
-        along = along / np.where(length > 1e-6 * length.max(initial=0.0), length, np.inf)
-        basis = np.concatenate([seen.basis, along[:, None, :]], axis=1)
-        seen = replace(seen, basis=basis, free=seen.free - 1)
         changes = [CameraCurve().regressors(seen)] if camera else []
         if known.gamma is not None:
             changes.append(np.asarray(ProjectorCurve().regressors(seen)))
