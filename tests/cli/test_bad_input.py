@@ -108,13 +108,6 @@ def resize(name: str) -> Fault:
     return lambda folder: write_image(folder / name, np.zeros((4, 4), np.uint8), overwrite=True)
 
 
-def text(name: str) -> Fault:
-    def fault(folder: Path) -> None:
-        (folder / name).write_text("not what it should be")
-
-    return fault
-
-
 def nan(folder: Path) -> None:
     for file in sorted((folder / "images").glob("*.png")):
         pixels = read_image(file).astype(np.float32) / 255

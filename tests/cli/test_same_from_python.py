@@ -132,17 +132,6 @@ def test_simulate(
     _same_matrix(known.matrix, capture.truth.matrix)
 
 
-def test_the_frames_show_the_truth_beside_them(work: Path) -> None:
-    """Without black and exposure, the frames are T p of the T beside them."""
-    patterns = lm.read_patterns(work / "patterns")
-    capture = lm.simulate(
-        f"{work}/T.npz", patterns, exposure=0.1, bits=16, noise=0,
-        leak=0.1, ambient=0.2, blur=0.7, vignetting=0.3,
-    )  # fmt: skip
-    light = capture.truth.transport().relight(patterns.images()).reshape(48, -1).T
-    np.testing.assert_allclose(capture.samples().values, light, atol=4e-4)
-
-
 @pytest.mark.parametrize(
     ("words", "settings"),
     [
@@ -483,14 +472,6 @@ def test_rig(part: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> N
     assert {**shown.as_dict(), "measured": ""} == {
         **lm.RigMeasurements.load(tmp_path / "made.json").as_dict(), "measured": ""
     }  # fmt: skip
-
-
-def test_a_stated_settle_time_is_called_stated(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    rig = "rig settle --rig virtual:procedural,size=16,real=0 --settle 0.5"
-    assert main([*rig.split(), "--rig-file", str(tmp_path / "rig.json")]) == 0
-    assert capsys.readouterr().out == "stated: 0.5 s\n"
 
 
 @pytest.mark.parametrize("device", ["camera", "projector"])
