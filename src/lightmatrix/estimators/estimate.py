@@ -34,7 +34,7 @@ from lightmatrix.estimators.plain import PlainEstimator
 from lightmatrix.estimators.resource_estimate import estimate_resources
 from lightmatrix.estimators.rig_findings import rig_findings
 from lightmatrix.estimators.settings import EstimateSettings
-from lightmatrix.estimators.unknown_response import find_responses
+from lightmatrix.estimators.unknown_response import find_projector_response, find_response
 from lightmatrix.estimators.workers import dask_pool
 from lightmatrix.files.kinds import STORE
 from lightmatrix.files.writing import check_output
@@ -214,7 +214,8 @@ def estimate(
         camera_unknown = capture.decoder.response.name == AUTOMATIC
         if camera_unknown or capture.projector_unknown:
             with _bar("looking for the response", progress is True):
-                found = find_responses(capture, settings)
+                unknown = capture.projector_unknown
+                found = (find_projector_response if unknown else find_response)(capture, settings)
             warn(f"response: {found}")
             capture = found.applied_to(capture)
             remarks = {FOUND_RESPONSE: found.provenance()}

@@ -46,14 +46,6 @@ class PlainEstimator(Estimator):
         Rows solved at a time. None: as many as fit half a gigabyte. Results do not depend on it.
     judged : bool
         Whether rows say if their strongest pixel is certain. T does not depend on it.
-
-    Examples
-    --------
-    >>> import lightmatrix as lm
-    >>> from lightmatrix.estimators.plain import PlainEstimator
-    >>> capture = lm.simulate("metal", lm.BernoulliPatterns((64, 64), 8))
-    >>> PlainEstimator(lm.ROMP(max_iterations=2)).estimate(capture).camera_shape
-    (64, 64)
     """
 
     solver: Solver
