@@ -277,13 +277,3 @@ def test_suspicious_input_is_used_with_a_warning(
         main(f"{ESTIMATE} --iterations 2 --bin-camera 4 --response srgb --overwrite".split()) == 0
     )
     assert "sRGB" not in capsys.readouterr().err
-
-
-def test_swapped_images_can_be_taken_as_they_are(
-    good: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    folder = tmp_path / "work"
-    shutil.copytree(good, folder)
-    swap(7, 30)(folder)
-    monkeypatch.chdir(folder)
-    assert main(f"{ESTIMATE} --no-check --iterations 2 --bin-camera 4".split()) == 0

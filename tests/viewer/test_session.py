@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import os
-import random
 import struct
 import sys
 from dataclasses import replace
@@ -287,20 +286,6 @@ def test_what_the_page_would_not_send_is_refused(scene: Scene) -> None:
             window.session.answer(message)
     # It is the window that is closed; another one goes on.
     Window(scene).paint(0, 0, np.zeros((1, 1), np.uint8))
-
-
-def test_mutated_messages_are_answered_or_refused(scene: Scene) -> None:
-    window, generator = Window(scene), random.Random(0)
-    whole = hostile.messages((24, 20), (16, 18))
-    answered = 0
-    for _ in range(500):
-        try:
-            parts = window.session.answer(hostile.mutated(generator, generator.choice(whole)))
-        except MessageError:
-            continue
-        assert parts
-        answered += 1
-    assert answered > 25
 
 
 def test_a_matrix_that_the_page_has_takes_no_messages(transport: lm.LightTransport) -> None:
