@@ -86,11 +86,6 @@ def test_pictures_and_binned_grey_values_are_refused() -> None:
         lm.find_projector_response(taken.bin(projector=2))
 
 
-def test_a_few_frames_determine_nothing() -> None:
-    with pytest.raises(lm.InputError, match="do not determine"):
-        lm.find_projector_response(capture(1.0, 2.2).select(np.arange(4)), camera=True)
-
-
 def write_folder(folder: Path, taken: lm.Capture, **described: str) -> None:
     """A capture folder, with a capture.json if something is `described`."""
     for number in range(taken.count):

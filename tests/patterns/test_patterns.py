@@ -25,7 +25,7 @@ from lightmatrix.patterns.hadamard import HadamardPatterns
 from lightmatrix.patterns.inverse import inverse
 from lightmatrix.patterns.making import make_patterns, remake_patterns
 from lightmatrix.patterns.mix import MixedPatterns, default_mix, parse_mix
-from lightmatrix.patterns.pattern_set import ImagePatterns, PatternSet, block_mean, grid_cells
+from lightmatrix.patterns.pattern_set import ImagePatterns, PatternSet, grid_cells
 from lightmatrix.patterns.stripes import (
     GrayCodePatterns,
     MicroPhasePatterns,
@@ -177,11 +177,6 @@ def test_sampled_pixels_are_the_papers_256() -> None:
     assert index[0] == 4 * 128 + 4
 
 
-def test_block_mean_handles_uneven_blocks() -> None:
-    image = np.arange(15, dtype=float).reshape(3, 5)
-    np.testing.assert_allclose(block_mean(image, (2, 3)), [[3.5, 6.0], [11.0, 13.5]])
-
-
 @given(pattern_sets(), st.data())
 @settings(max_examples=60, deadline=None)
 def test_subsets_are_the_chosen_patterns(patterns: PatternSet, data: st.DataObject) -> None:
@@ -224,15 +219,6 @@ def test_default_mix_is_fine_for_few_patterns_and_small_projectors() -> None:
     assert default_mix((4, 4), 64) == (((4, 4), 1.0),)
     assert parse_mix("fine:0.75,32x32:0.125,8x8:0.125", (128, 128)) == default_mix((128, 128), 64)
     assert parse_mix("8x8", (16, 16)) == (((8, 8), 1.0),)
-
-
-def test_mix_comes_back_from_disk(tmp_path: Path) -> None:
-    patterns = MixedPatterns((20, 30), 16, parse_mix("fine:0.5,5x6:0.5", (20, 30)), seed=2)
-    write_patterns(tmp_path / "patterns", patterns)
-    remade = read_patterns(tmp_path / "patterns")
-    assert isinstance(remade, MixedPatterns)
-    assert remade.description == patterns.description
-    np.testing.assert_array_equal(remade.bits, patterns.bits)
 
 
 def test_the_fast_solver_takes_a_mix_as_bits() -> None:
