@@ -115,15 +115,16 @@ def _oracle(truth: Truth, capture: Capture) -> LightTransport:
     for row, out, values, clipped in zip(
         rows, result, samples.values, samples.clipped, strict=True
     ):
-        order, seen, best = np.argsort(-row), ~clipped, math.inf
+        order, seen, best = np.argsort(-row)[:48], ~clipped, math.inf
+        matrix = np.column_stack([capture.patterns.means, columns[:, order]])[seen]
+        gram, along = matrix.T @ matrix, matrix.T @ values[seen]
         for number in (1, 2, 3, 4, 6, 8, 12, 16, 24, 32, 48):
-            if number >= seen.sum():
+            if number + 1 >= seen.sum():
                 break
-            some = order[:number]
-            matrix = np.column_stack([columns[seen][:, some], capture.patterns.means[seen]])
-            found = np.linalg.lstsq(matrix, values[seen], rcond=None)[0]
-            guess = np.full_like(row, found[-1] / row.size)
-            guess[some] += found[:-1]
+            used = slice(0, number + 1)
+            found = np.linalg.lstsq(gram[used, used], along[used], rcond=1e-9)[0]
+            guess = np.full_like(row, found[0] / row.size)
+            guess[order[:number]] += found[1:]
             missed = float(np.linalg.norm(guess - row))
             if missed < best:
                 best, out[:] = missed, guess

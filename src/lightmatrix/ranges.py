@@ -52,6 +52,14 @@ def whole(value: Any) -> int | None:
         return None
 
 
+def check_list(values: Any, *, hint: str) -> None:
+    """Refuse a number or nothing where several things belong."""
+    try:
+        len(values)
+    except TypeError:
+        raise InputError(f"a {type(values).__name__} in place of a list", hint=hint) from None
+
+
 def check_sides(what: str, shape: Any) -> None:
     """Refuse all but (rows, cols) of 1 to 2^31 - 1 pixels; `what` names it in the message.
 

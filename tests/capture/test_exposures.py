@@ -25,7 +25,7 @@ from lightmatrix.errors import InputError
 from lightmatrix.estimators.plain import PlainEstimator
 from lightmatrix.judgement.metrics import benchmark_exposure, relative_error, unclipped_rows
 from lightmatrix.patterns.bits import BernoulliPatterns
-from lightmatrix.patterns.mix import MixedPatterns, default_mix, interleave, parse_shares
+from lightmatrix.patterns.mix import MixedPatterns, default_mix, interleave
 from lightmatrix.patterns.pattern_set import PatternSet
 from lightmatrix.simulation.irradiance import irradiance
 from lightmatrix.simulation.library import truth
@@ -79,12 +79,6 @@ def test_every_exposure_sees_every_kind_of_pattern() -> None:
 def test_malformed_exposures_are_refused(text: str, message: str) -> None:
     with pytest.raises(InputError, match=message):
         parse_exposures(text)
-
-
-def test_shares_are_normalised() -> None:
-    assert sum(share for _, share in parse_shares("a:0.3333,b:0.6666", "x", "y")) == pytest.approx(
-        1
-    )
 
 
 @pytest.fixture(scope="module")

@@ -173,15 +173,6 @@ def test_a_tile_reads_only_its_own_chunks(tmp_path: Path, small_chunks: None) ->
         frames.levels(14, 22)
 
 
-def test_a_packed_capture_is_packed_again(tmp_path: Path, small_chunks: None) -> None:
-    original = capture(dtype=np.uint16)
-    steps: list[tuple[int, int]] = []
-    lm.pack(original, tmp_path / "c.zarr", progress=lambda *step: steps.append(step))
-    assert steps == [(k + 1, 5) for k in range(5)]
-    lm.pack(tmp_path / "c.zarr", tmp_path / "d.zarr")
-    assert_same(Capture.open(tmp_path / "d.zarr"), original)
-
-
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A simulated capture as a folder, and packed."""
@@ -216,19 +207,6 @@ def test_the_command_packs_plain_folders(folder: Path, capsys: pytest.CaptureFix
     inside = folder / "capture"
     original = Capture.from_folders(inside / "patterns", inside / "images", ReadSettings(black=3))
     assert Capture.open(folder / "plain.zarr").digest == original.digest
-
-
-def test_messages_name_the_wrong_kind_of_output(folder: Path, tmp_path: Path) -> None:
-    scene = lm.truth(folder / "capture" / "truth.npz").transport()
-    with pytest.raises(InputError, match="is not a light transport matrix"):
-        lm.open(folder / "packed.zarr")
-    shutil.copytree(folder / "packed.zarr", tmp_path / "c.zarr")
-    with pytest.raises(OutputError, match="holds a capture"):
-        lm.save(tmp_path / "c.zarr", scene, overwrite=True)
-    with pytest.raises(InputError, match="a binned capture cannot be packed"):
-        lm.pack(Capture.open(folder / "capture").bin(camera=2), tmp_path / "binned")
-    with pytest.raises(OutputError, match="exists already"):
-        lm.pack(folder / "capture", tmp_path / "c.zarr")
 
 
 def _header(change: dict[str, Any], name: str = "zarr.json") -> Any:

@@ -133,32 +133,6 @@ def test_the_estimate_explains_the_frames_it_was_made_from(
     assert coherent[fine].max() > 0.2
 
 
-@pytest.mark.parametrize("held", [2, 6, 26])
-def test_gray_codes_cannot_show_that_an_estimate_generalises(
-    capture: Capture, photographs: NDArray[np.float32], held: int
-) -> None:
-    """A frame held out is white less its inverse, if that is kept; without it nothing tells it.
-
-    So no test here holds frames out: scenes whose T is known do (`test_coherent.py`).
-    """
-    samples = capture.samples()
-    rows = lit(photographs)
-    rows = rows[~samples.clipped[rows][:, [held, held + 1, WHITE]].any(axis=1)]
-    frame, inverse, white = samples.values[rows][:, [held, held + 1, WHITE]].T
-    by_formula = np.sqrt(np.mean((white - inverse - frame) ** 2)) / white.mean()
-    assert by_formula < 0.011
-    rest = np.delete(np.arange(capture.count), [held, held + 1])
-    rows = rows[:: -(-len(rows) // 500)]
-    kept = capture.select(rest)
-    result = estimate(kept, rows, automatic_regularization(kept))
-    shown = capture.patterns.rows(held, held + 1)[0]
-    predicted = result.coefficients @ shown + result.background * shown.mean()
-    observed = samples.values[rows, held]
-    error = np.sqrt(np.mean((predicted - observed) ** 2)) / white.mean()
-    print(f"frame {held}: formula {by_formula:.4f}, estimate without both {error:.3f}")
-    assert error > 0.3
-
-
 def test_stripes_finer_than_a_bin_become_constant_without_error(capture: Capture) -> None:
     spread = np.ptp(capture.patterns.dense(), axis=1)
     assert (spread[:WHITE] < 1e-6).any()

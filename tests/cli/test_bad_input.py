@@ -108,13 +108,6 @@ def resize(name: str) -> Fault:
     return lambda folder: write_image(folder / name, np.zeros((4, 4), np.uint8), overwrite=True)
 
 
-def text(name: str) -> Fault:
-    def fault(folder: Path) -> None:
-        (folder / name).write_text("not what it should be")
-
-    return fault
-
-
 def nan(folder: Path) -> None:
     for file in sorted((folder / "images").glob("*.png")):
         pixels = read_image(file).astype(np.float32) / 255
@@ -284,13 +277,3 @@ def test_suspicious_input_is_used_with_a_warning(
         main(f"{ESTIMATE} --iterations 2 --bin-camera 4 --response srgb --overwrite".split()) == 0
     )
     assert "sRGB" not in capsys.readouterr().err
-
-
-def test_swapped_images_can_be_taken_as_they_are(
-    good: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    folder = tmp_path / "work"
-    shutil.copytree(good, folder)
-    swap(7, 30)(folder)
-    monkeypatch.chdir(folder)
-    assert main(f"{ESTIMATE} --no-check --iterations 2 --bin-camera 4".split()) == 0

@@ -18,8 +18,6 @@ import lightmatrix
 from lightmatrix.cli import main
 from lightmatrix.cli.app import app
 from lightmatrix.files.images import read_image, write_image
-from lightmatrix.patterns.folder import read_patterns
-from lightmatrix.simulation import library
 from lightmatrix.simulation.procedural import ProceduralScene
 from lightmatrix.transport import store
 
@@ -51,20 +49,6 @@ def _json(line: str, folder: Path, capsys: pytest.CaptureFixture[str]) -> dict[s
     assert main([*_placed(line, folder), "--json"]) == 0
     result: dict[str, object] = json.loads(capsys.readouterr().out)
     return result
-
-
-def test_info_and_evaluate(work: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    info = _json("info scene.zarr", work, capsys)
-    assert info["camera"] == "8 x 9"
-    assert info["fidelity"] == "one-sided"
-    errors = _json("evaluate scene.zarr --truth T.npz --exposure 1.2", work, capsys)
-    assert 0 < float(str(errors["relative_error"])) < 0.3
-
-
-def test_relight(work: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    write_image(work / "P.png", np.full((8, 8), 255, np.uint8))
-    _json("relight scene.zarr P.png -o out.png --exposure 0.5", work, capsys)
-    assert read_image(work / "out.png").shape == (8, 9)
 
 
 @pytest.mark.parametrize(
@@ -137,13 +121,6 @@ def test_info_has_labels_instead_of_keys(work: Path, capsys: pytest.CaptureFixtu
     assert "_" not in shown.replace(str(work), "")
 
 
-def test_a_scene_is_a_truth(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    store.save(tmp_path / "T.zarr", library.truth("metal").transport())
-    line = ["evaluate", str(tmp_path / "T.zarr"), "--truth", "metal", "--json"]
-    assert main(line) == 0
-    assert json.loads(capsys.readouterr().out)["relative_error"] == pytest.approx(0, abs=1e-3)
-
-
 def test_export(work: Path, capsys: pytest.CaptureFixture[str]) -> None:
     _json("export scene.zarr X.npz", work, capsys)
     assert load_npz(work / "X.npz").shape == (72, 64)
@@ -160,76 +137,11 @@ def test_export(work: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert (work / "X.mat").stat().st_size > 0
 
 
-def test_two_folders_and_a_capture_give_the_same_up_to_the_exposure(
-    work: Path, tmp_path: Path
-) -> None:
-    """Folders do not state the exposure of 1.2: T and the regularization are 1.2 times larger."""
-    first = store.open(work / "scene.zarr")
-    estimate = ["estimate", str(work / "capture"), "-o", str(tmp_path / "again.zarr")]
-    assert main([*estimate, "--regularization", "0.05"]) == 0
-    again = store.open(tmp_path / "again.zarr")
-    np.testing.assert_array_equal(again.sparse.toarray(), first.sparse.toarray())
-    np.testing.assert_array_equal(again.background, first.background)
-    folders = ["--patterns", str(work / "patterns"), "--images", str(work / "capture" / "images")]
-    estimate = ["estimate", *folders, "-o", str(tmp_path / "bare.zarr")]
-    assert main([*estimate, "--regularization", "0.06"]) == 0
-    bare = store.open(tmp_path / "bare.zarr")
-    scale = np.abs(first.sparse.data).max()
-    np.testing.assert_allclose(
-        bare.sparse.toarray() / 1.2, first.sparse.toarray(), rtol=1e-3, atol=1e-3 * scale
-    )
-    np.testing.assert_allclose(bare.background / 1.2, first.background, atol=1e-3 * scale)
-
-
-# Options of each kind of patterns, and how many patterns of 8 x 8 pixels it makes.
-KINDS = {
-    "bernoulli": ("-k 5", 5),
-    "hadamard": ("-k 5", 5),
-    "onepixel": ("", 64),
-    "blocks": ("--block 4", 4),
-    "mix": ("-k 6 --mix fine:0.5,2x4:0.5", 6),
-    "graycode": ("--inverse", 14),
-    "phase": ("--period 4", 12),
-    "microphase": ("-k 12", 12),
-}
-
-
-def test_patterns_of_every_kind(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["patterns", "--help"]) == 0
-    offered = re.search(r"KIND (\S+)\n", capsys.readouterr().out)
-    assert offered
-    assert set(offered[1].split("|")) == set(KINDS)
-    for kind, (options, count) in KINDS.items():
-        line = f"patterns {kind} --size 8x8 {options} --json -o"
-        assert main([*line.split(), str(tmp_path / kind)]) == 0
-        assert json.loads(capsys.readouterr().out)["count"] == count
-        assert len(list((tmp_path / kind).glob("*.png"))) == count
-        # The description and the images agree.
-        opened = read_patterns(tmp_path / kind)
-        shown = np.stack([read_image(f) for f in sorted((tmp_path / kind).glob("*.png"))])
-        np.testing.assert_array_equal(np.rint(opened.images() * 255), shown)
-
-
-def test_scenes(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["scenes", "--json"]) == 0
-    listed = json.loads(capsys.readouterr().out)["scenes"]
-    assert {"l_objects", "gripper", "metal", "corner"} <= {
-        scene["name"] for scene in listed if scene["bundled"]
-    }
-
-
 def test_unknown_scene_suggests_the_nearest(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert main(["render", "l_object", "--size", "8", "-o", str(tmp_path / "T.npz")]) == 2
     assert "did you mean l_objects" in capsys.readouterr().err
-    assert not list(tmp_path.iterdir())
-
-
-@pytest.mark.parametrize("size", ["0x8", "8x", "many", "-3"])
-def test_bad_sizes(size: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["patterns", "bernoulli", f"--size={size}", "-o", str(tmp_path / "p")]) == 2
-    assert "size" in capsys.readouterr().err
     assert not list(tmp_path.iterdir())
 
 

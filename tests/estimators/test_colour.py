@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 import lightmatrix as lm
 from lightmatrix.cli import main
 from lightmatrix.errors import InputError
-from lightmatrix.estimators.coherent.estimator import CoherentEstimator
 from lightmatrix.estimators.colour import (
     ColourSamples,
     fit_gains,
@@ -21,7 +20,6 @@ from lightmatrix.estimators.colour import (
     light_of_primaries,
     unmixed_capture,
 )
-from lightmatrix.judgement.metrics import relative_error
 from lightmatrix.simulation.colour import in_all_primaries
 from lightmatrix.simulation.simulate import SimulatedCapture
 
@@ -54,15 +52,6 @@ def test_gains_are_found_from_samples_that_do_not_clip() -> None:
     assert off.mean() < 2e-3
     ignored = replace(samples, clipped=np.zeros_like(samples.clipped))
     assert np.abs(fit_gains(ignored, light, 1e-6)[lit] - SCALED[lit]).mean() > 5e-3
-
-
-def test_gains_are_drawn_to_the_mixing_of_the_frame() -> None:
-    samples, light = _samples()
-    drawn = fit_gains(samples, light, 1e6)
-    shares = drawn / drawn.sum(axis=2, keepdims=True)
-    expected = GAINS[0] / GAINS[0].sum(axis=1, keepdims=True)
-    lit = light.mean(axis=(1, 2)) > 0.1 * light.mean()
-    np.testing.assert_allclose(shares[lit], np.broadcast_to(expected, shares[lit].shape), atol=0.01)
 
 
 def test_unmixed_samples_are_those_of_a_grey_camera() -> None:
@@ -98,21 +87,6 @@ def capture() -> SimulatedCapture:
     """Part of 32 photographs by a camera whose channels mix, of which some samples clip."""
     patterns = lm.colour_bernoulli((64, 64), 32)
     return lm.simulate("l_objects", patterns, exposure=0.445).crop((20, 20), (20, 20))
-
-
-def test_channels_share_what_one_projector_three_times_as_wide_does_not(
-    capture: SimulatedCapture,
-) -> None:
-    assert capture.clipped_share > 0.03
-    colour = lm.estimate_colour(capture)
-    assert lm.evaluate_colour(colour, capture.truth).relative_error < 0.025
-    wide = CoherentEstimator().estimate(capture)
-    assert relative_error(wide, capture.truth.transport()) > 0.04
-    assert colour.red.camera_shape == (20, 20, 3)
-    assert colour.blue.projector_shape == (64, 64)
-    assert 0.005 < np.median(colour.red.diagnostics["estimated_error"]) < 0.03
-    shares = colour.red.diagnostics["clipped_share"]
-    assert shares.mean() == pytest.approx(capture.samples().clipped.mean())
 
 
 def test_without_grey_patterns_a_usual_mixing_is_the_start() -> None:

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.sparse import csr_array
 
-from lightmatrix.estimators.coherent.neighbourhood import measure_jacobian, strongest_entries
+from lightmatrix.estimators.coherent.neighbourhood import measure_jacobian
 
 CAMERA = (48, 56, 1)
 PROJECTOR = (160, 160)
@@ -61,9 +61,3 @@ def test_nothing_lit_does_not_move() -> None:
     assert not measure_jacobian(dark, CAMERA, PROJECTOR).any()
     single = csr_array(np.ones((1, 4), np.float32))
     assert not measure_jacobian(single, (1, 1, 1), (2, 2)).any()
-
-
-def test_the_strongest_entry_of_a_row_is_the_last_of_equals() -> None:
-    rows = csr_array(np.array([[0, 0, 0], [1, 3, 3], [0, 0, 2], [0, 0, 0], [4, 1, 0]], np.float32))
-    assert strongest_entries(rows).tolist() == [0, 2, 2, 0, 0]
-    assert strongest_entries(csr_array((2, 3), dtype=np.float32)).tolist() == [0, 0]

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 import subprocess
 import sys
 from collections.abc import Sequence
@@ -18,7 +17,6 @@ from numpy.typing import NDArray
 import lightmatrix as lm
 from lightmatrix.cli import main
 from lightmatrix.estimators import resource_estimate
-from lightmatrix.resources.threads import core_threads
 
 GIB = 2**30
 
@@ -127,12 +125,6 @@ def test_large_frames_take_less_than_a_search_by_all_rows(large: lm.Capture) -> 
     assert seconds[0] is not None
     assert seconds[1] is not None
     assert seconds[1] / large.rows < 0.1 * seconds[0] / small.rows
-
-
-def test_threads_of_the_core(monkeypatch: pytest.MonkeyPatch) -> None:
-    for wanted, threads in (("3", 3), ("0", os.cpu_count()), ("", os.cpu_count()), ("x", None)):
-        monkeypatch.setenv("RAYON_NUM_THREADS", wanted)
-        assert core_threads() == (threads or os.cpu_count())
 
 
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="reads /proc")

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import pickle
 import signal
 import subprocess
 import sys
@@ -31,7 +30,7 @@ from lightmatrix.estimators.coherent.estimator import CoherentEstimator
 from lightmatrix.estimators.multiscale import MultiScaleEstimator
 from lightmatrix.estimators.plain import PlainEstimator
 from lightmatrix.estimators.work import LEAST_TILE, cut_rows
-from lightmatrix.estimators.workers import dask_pool, pack_work
+from lightmatrix.estimators.workers import dask_pool
 from lightmatrix.solvers import ActiveSet
 from lightmatrix.transport import store
 from lightmatrix.transport.matrix import LightTransport
@@ -358,31 +357,3 @@ def test_workers_do_not_import_the_script_that_starts_them(monkeypatch: pytest.M
         assert not script_keys("Dask Worker process (from Nanny)")
         assert script_keys("another's")
     assert script_keys("Dask Worker process (from Nanny)")
-
-
-def test_a_packed_estimate_leaves_cached_values_behind(
-    capture: lm.Capture, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    folder = Path("c")
-    patterns = lm.BernoulliPatterns((24, 24), 24)
-    lm.simulate(lm.ProceduralScene((8, 8), (24, 24)).truth(), patterns).save(folder / "c.zarr")
-    near = lm.Capture.open(folder / "c.zarr")
-    plan = ESTIMATORS["plain"].plan(near)
-    assert near.digest
-    assert near.patterns.prepared
-    data = pack_work(plan.work)
-    assert len(data) < 20_000
-    monkeypatch.chdir("/")
-    there = pickle.loads(data)
-    assert "digest" not in vars(there.capture)
-    assert there.capture.digest == near.digest
-    solver = type("Local", (ActiveSet,), {})()
-    own = replace(ESTIMATORS["plain"], solver=solver).plan(capture)
-    with pytest.raises(InputError, match="cannot be sent to workers"):
-        pack_work(own.work)
-
-
-def test_errors_keep_their_hints_on_their_way() -> None:
-    error = pickle.loads(pickle.dumps(ClusterError("what", hint="how")))
-    assert (type(error), error.message, error.hint) == (ClusterError, "what", "how")

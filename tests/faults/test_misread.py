@@ -11,7 +11,6 @@ from lightmatrix.files.images import decode_image
 
 from .case import Case, bear
 from .put import array, described, text
-from .test_streams import by_shell
 from .work import SHAPE
 
 NEEDS = ("capture", "scene.zarr", "photos", "projected")
@@ -30,16 +29,6 @@ def _float_levels(folder: Path) -> None:
 
 def _relit(file: str) -> str:
     return f"relight scene.zarr {file} -o new.npy"
-
-
-def _surroundings(name: str, value: str, command: str) -> Case:
-    """A variable of the environment that our libraries read."""
-    return Case(
-        f"a wrong {name}",
-        command,
-        f"unset {name}",
-        scenario=by_shell(f"lm {command}", **{name: value}),
-    )
 
 
 CASES = [

@@ -447,17 +447,6 @@ def test_bad_files_are_named(bad_files: Path, name: str) -> None:
     assert "index out of range" not in caught.value.message
 
 
-@pytest.mark.parametrize("share", [0.3, 0.7, 0.99])
-@pytest.mark.parametrize("suffix", [".png", ".tif", ".npy"])
-def test_no_truncation_is_read_as_an_image(tmp_path: Path, suffix: str, share: float) -> None:
-    file = tmp_path / f"image{suffix}"
-    write_image(file, noise((50, 60), np.uint16))
-    data = file.read_bytes()
-    file.write_bytes(data[: int(len(data) * share)])
-    with pytest.raises(InputError, match="truncated"):
-        read_image(file)
-
-
 @pytest.fixture
 def forbid(monkeypatch: pytest.MonkeyPatch) -> Any:
     """Makes a file unreadable, for root too, whom the system lets read anything."""

@@ -13,7 +13,7 @@ import pytest
 
 from lightmatrix.errors import LightMatrixWarning, OutputError
 from lightmatrix.files.kinds import FolderKind
-from lightmatrix.files.running import RunningResults, setting_differences
+from lightmatrix.files.running import RunningResults
 from lightmatrix.files.writing import check_output
 
 
@@ -86,22 +86,3 @@ def test_results_continue_under_the_same_settings_only(tmp_path: Path) -> None:
     with pytest.raises(OutputError, match=words):
         resume(tmp_path, {})
     assert resume(tmp_path, {}, overwrite=True).names == ["settings.json"]
-
-
-def test_results_without_settings_are_refused(tmp_path: Path) -> None:
-    running = resume(tmp_path, SETTINGS)
-    with running.keep("frame") as part:
-        part.write_text("one")
-    running.file("settings.json").write_text("damaged")
-    with pytest.raises(OutputError, match="unknown settings"):
-        resume(tmp_path, SETTINGS)
-    assert resume(tmp_path, SETTINGS, overwrite=True).names == ["settings.json"]
-
-
-def test_differences_of_settings_in_words() -> None:
-    now = {"capture": "fedcba9876543210", "solver": {"rows": 8}, "new": 1}
-    assert setting_differences(SETTINGS, now) == (
-        "different capture; new was not given, is 1; regularization was 0.3, is not given; "
-        "the solver: rows was 4, is 8"
-    )
-    assert setting_differences(SETTINGS, SETTINGS) == ""

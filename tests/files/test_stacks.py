@@ -17,7 +17,7 @@ import lightmatrix as lm
 from lightmatrix.cli import main
 from lightmatrix.errors import InputError
 from lightmatrix.files.images import write_image
-from lightmatrix.files.stacks import ImageStack, list_images, pages
+from lightmatrix.files.stacks import ImageStack, list_images
 
 PATTERNS = lm.BernoulliPatterns((8, 8), 12)
 
@@ -207,12 +207,6 @@ def test_patterns_of_zeros_and_ones_in_integers_are_refused(tmp_path: Path) -> N
         lm.read_patterns(tmp_path / "p.npy")
 
 
-def test_a_page_is_named_by_its_number(tmp_path: Path) -> None:
-    stack = pages(save(tmp_path / "s.tif", noise(np.uint8)))
-    assert str(stack[3]) == f"{tmp_path}/s.tif, image 3"
-    assert ImageStack.open(tmp_path / "s.tif").name(3) == "s.tif, image 3"
-
-
 def test_grey_images_in_three_channels_are_read_as_one(tmp_path: Path) -> None:
     frames = [noise(np.uint8, (12, 10)) // (k + 1) for k in range(5)]
     frames[0][:] = 0
@@ -252,22 +246,6 @@ def test_folders_that_are_no_stacks(tmp_path: Path) -> None:
     write_image(tmp_path / "a.tif", noise(np.uint8, (2, 2)))
     with pytest.raises(InputError, match=r"several formats \(\.png, \.tif\)"):
         list_images(tmp_path)
-
-
-def test_a_stack_has_one_shape_and_type(tmp_path: Path) -> None:
-    images = [noise(np.uint8, (3, 4), seed) for seed in range(3)]
-    for k, image in enumerate(images):
-        write_image(tmp_path / f"{k}.png", image)
-    stack = ImageStack.open(tmp_path)
-    assert (stack.count, stack.shape, stack.dtype.name) == (3, (3, 4), "uint8")
-    np.testing.assert_array_equal(list(stack), images)
-    np.testing.assert_array_equal(stack.select([2, 0]).read(0), images[2])
-    write_image(tmp_path / "1.png", noise(np.uint8, (4, 3)), overwrite=True)
-    with pytest.raises(InputError, match=r"1\.png: is 4 x 3, but 0\.png is 3 x 4"):
-        stack.read(1)
-    write_image(tmp_path / "1.png", noise(np.uint16, (3, 4)), overwrite=True)
-    with pytest.raises(InputError, match=r"1\.png: is uint16, but 0\.png is uint8"):
-        stack.read(1)
 
 
 @given(st.lists(st.text(st.sampled_from("0a1²٣Ⅷ_"), min_size=1, max_size=4), unique=True))

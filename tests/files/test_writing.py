@@ -14,14 +14,11 @@ from collections.abc import Iterator
 from contextlib import suppress
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 from lightmatrix.cli import main
 from lightmatrix.errors import LightMatrixWarning, OutputError
-from lightmatrix.files.images import read_image, write_image
-from lightmatrix.files.kinds import NPZ
-from lightmatrix.files.writing import atomic_file, atomic_folder, check_output, claimed, locked
+from lightmatrix.files.writing import atomic_folder, check_output, claimed, locked
 from tests.helpers.limits import largest_file
 from tests.helpers.systems import FLOCKS, FORKS, LIMITS, PIPES, SIGNALS
 
@@ -181,16 +178,6 @@ def test_a_full_disk_spares_the_old_folder(tmp_path: Path, size: int) -> None:
     assert snapshot(tmp_path) == before
 
 
-def test_endings_in_capitals(tmp_path: Path) -> None:
-    write_image(tmp_path / "a.PNG", np.zeros((2, 2)))
-    with atomic_file(tmp_path / "T.NPZ", NPZ) as part:
-        np.savez(part, lightmatrix_transport=np.array(1))
-    with atomic_file(tmp_path / "T.NPZ", NPZ, overwrite=True) as part:
-        np.savez(part, lightmatrix_transport=np.array(1))
-    assert sorted(os.listdir(tmp_path)) == ["T.NPZ", "a.PNG"]
-    assert read_image(tmp_path / "a.PNG").shape == (2, 2)
-
-
 @pytest.mark.skipif(sys.platform != "linux", reason="pretends with Linux's /proc")
 def test_outputs_are_written_and_replaced_as_windows_lets_them(tmp_path: Path) -> None:
     ended = subprocess.run(
@@ -307,46 +294,6 @@ def test_a_forked_child_does_not_hold_or_remove_the_lock_of_its_parent(tmp_path:
 
 
 # ---- commands
-
-
-@pytest.fixture(scope="module")
-def work(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder with patterns p and a capture cap."""
-    folder = tmp_path_factory.mktemp("work")
-    patterns = f"patterns bernoulli -k 16 --size 64x64 -o {folder}/p"
-    capture = f"simulate l_objects --patterns {folder}/p -o {folder}/cap"
-    assert [main(line.split()) for line in (patterns, capture)] == [0, 0]
-    return folder
-
-
-@pytest.mark.parametrize(
-    "line",
-    [
-        "patterns bernoulli -k 0 --size 4x4 -o new/p",
-        "patterns bernoulli --size 4x4 -o link",
-        "patterns bernoulli --size 4x4 -o . --overwrite",
-        "simulate l_objects --patterns none -o new/cap",
-        "simulate l_objects --patterns p --exposure dark -o new/cap",
-        "estimate cap -o new/s.zarr --regularization 0",
-        "estimate cap -o new/s.zarr --bin-camera 0",
-        "estimate cap -o link/s.zarr",
-        "export none.zarr new/T.NPZ",
-    ],
-)
-def test_refused_commands_leave_nothing(
-    line: str,
-    work: Path,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    shutil.copytree(work, tmp_path, dirs_exist_ok=True)
-    (tmp_path / "link").symlink_to("nowhere/x")
-    before = snapshot(tmp_path)
-    assert main(line.split()) == 2
-    assert "error: " in capsys.readouterr().err
-    assert snapshot(tmp_path) == before
 
 
 def test_what_another_thread_still_writes_is_removed_too(tmp_path: Path) -> None:

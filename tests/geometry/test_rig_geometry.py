@@ -269,13 +269,6 @@ def test_a_geometry_of_other_images_needs_a_stated_bin() -> None:
     assert lm.geometry_of(replace(transport, provenance=stated), geometry).camera_shape == (64, 64)
 
 
-def test_sizes_that_are_given_win_over_those_of_the_file(tmp_path: Path) -> None:
-    rig().save(tmp_path / "rig.json")
-    given = lm.RigGeometry.load(tmp_path / "rig.json", camera_shape=(240, 320))
-    assert given.camera_shape == (240, 320)
-    assert given.projector_shape == (600, 800)
-
-
 def test_files_of_slstudio_and_slmaster(tmp_path: Path) -> None:
     cv2: Any = pytest.importorskip("cv2")
     known = rig(3)

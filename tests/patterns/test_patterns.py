@@ -12,7 +12,9 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from PIL import Image
 
+import lightmatrix as lm
 from lightmatrix.capture.samples import Samples
 from lightmatrix.errors import InputError
 from lightmatrix.files.images import write_image
@@ -23,7 +25,7 @@ from lightmatrix.patterns.hadamard import HadamardPatterns
 from lightmatrix.patterns.inverse import inverse
 from lightmatrix.patterns.making import make_patterns, remake_patterns
 from lightmatrix.patterns.mix import MixedPatterns, default_mix, parse_mix
-from lightmatrix.patterns.pattern_set import ImagePatterns, PatternSet, block_mean, grid_cells
+from lightmatrix.patterns.pattern_set import ImagePatterns, PatternSet, grid_cells
 from lightmatrix.patterns.stripes import (
     GrayCodePatterns,
     MicroPhasePatterns,
@@ -175,11 +177,6 @@ def test_sampled_pixels_are_the_papers_256() -> None:
     assert index[0] == 4 * 128 + 4
 
 
-def test_block_mean_handles_uneven_blocks() -> None:
-    image = np.arange(15, dtype=float).reshape(3, 5)
-    np.testing.assert_allclose(block_mean(image, (2, 3)), [[3.5, 6.0], [11.0, 13.5]])
-
-
 @given(pattern_sets(), st.data())
 @settings(max_examples=60, deadline=None)
 def test_subsets_are_the_chosen_patterns(patterns: PatternSet, data: st.DataObject) -> None:
@@ -222,15 +219,6 @@ def test_default_mix_is_fine_for_few_patterns_and_small_projectors() -> None:
     assert default_mix((4, 4), 64) == (((4, 4), 1.0),)
     assert parse_mix("fine:0.75,32x32:0.125,8x8:0.125", (128, 128)) == default_mix((128, 128), 64)
     assert parse_mix("8x8", (16, 16)) == (((8, 8), 1.0),)
-
-
-def test_mix_comes_back_from_disk(tmp_path: Path) -> None:
-    patterns = MixedPatterns((20, 30), 16, parse_mix("fine:0.5,5x6:0.5", (20, 30)), seed=2)
-    write_patterns(tmp_path / "patterns", patterns)
-    remade = read_patterns(tmp_path / "patterns")
-    assert isinstance(remade, MixedPatterns)
-    assert remade.description == patterns.description
-    np.testing.assert_array_equal(remade.bits, patterns.bits)
 
 
 def test_the_fast_solver_takes_a_mix_as_bits() -> None:
@@ -330,6 +318,40 @@ def test_patterns_of_other_shapes_share_nothing(make: Callable[[Any], Any]) -> N
 def test_patterns_of_other_densities_are_not_nested() -> None:
     dark, bright = (BernoulliPatterns((16, 16), 4, density).images() for density in (0.3, 0.6))
     assert (bright[dark == 1] == 0).any()
+
+
+@pytest.mark.parametrize("order", ["grb", "bgr"])
+def test_bit_planes_hold_the_patterns(order: str, tmp_path: Path) -> None:
+    patterns = lm.BernoulliPatterns((6, 8), 27, seed=3)
+    lm.write_patterns(tmp_path / "p", patterns, bit_planes=order)
+    folder = tmp_path / "p" / "bit_planes"
+    table = (folder / "sequence.csv").read_text().split()[1:]
+    for k, line in enumerate(table):
+        number, image, plane, bit = line.split(",")
+        assert (int(number), int(plane)) == (k, k % 24)
+        planes = np.asarray(Image.open(folder / image))
+        shown = planes[..., "RGB".index(bit[0])] >> int(bit[1]) & 1
+        assert (shown == patterns.images(k, k + 1)[0]).all()
+        assert bit == f"{order[k % 24 // 8].upper()}{k % 8}"
+    assert len(table) == 27
+    # The bit planes beside them are no patterns.
+    assert lm.read_patterns(tmp_path / "p").count == 27
+
+
+@pytest.mark.parametrize(
+    ("patterns", "order", "words"),
+    [
+        (lm.BernoulliPatterns((6, 8), 4), "rgg", "order 'rgg'"),
+        (lm.make_patterns("phase", (8, 8)), "grb", "patterns in grey"),
+        (lm.colour_bernoulli((8, 8), 4), "grb", "patterns in colour"),
+    ],
+)
+def test_bit_planes_are_refused(
+    patterns: lm.PatternSet, order: str, words: str, tmp_path: Path
+) -> None:
+    with pytest.raises(lm.InputError, match=words):
+        lm.write_patterns(tmp_path / "p", patterns, bit_planes=order)
+    assert not (tmp_path / "p").exists()
 
 
 @pytest.mark.parametrize(("count", "levels"), [(8, 4), (10, 3), (16, 2)])

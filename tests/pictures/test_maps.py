@@ -9,7 +9,6 @@ import pytest
 
 import lightmatrix as lm
 from lightmatrix.pictures import maps
-from lightmatrix.pictures.transport import draw_parts
 from tests.helpers.transports import random_transport
 
 
@@ -37,7 +36,7 @@ def test_maps_are_read_without_colour(transport: lm.LightTransport) -> None:
     for one in drawn:
         colours = one.colour_map(np.linspace(0, 1, 64))[:, :3] ** 2.2
         steps = np.diff(colours @ (0.2126, 0.7152, 0.0722))
-        assert (steps > 0).all() or (steps < 0).all(), one.name
+        assert (steps > 0).all() or (steps < 0).all(), one.title
         pixels = one.pixels()
         assert pixels.shape == (5, 6, 3)
         assert pixels.dtype == np.uint8
@@ -49,11 +48,3 @@ def test_maps_of_missing_diagnostics_are_refused(transport: lm.LightTransport) -
     for view in ("clipping", "gap", "footprint", "estimated-error"):
         with pytest.raises(lm.InputError, match="this matrix has no"):
             lm.show(transport, view)
-
-
-def test_a_black_part_does_not_darken_the_others() -> None:
-    drawing = draw_parts({"direct": np.full((8, 8), 0.01), "global": np.zeros((8, 8))})
-    assert [axes.get_title() for axes in drawing.axes] == ["Direct light", "Global light"]
-    # Light at the common white level is shown white.
-    shown = [float(np.asarray(axes.images[0].get_array()).max()) for axes in drawing.axes]
-    assert shown == [1, 0]

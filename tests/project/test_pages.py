@@ -31,7 +31,7 @@ BLOCKS = re.compile(r"^```(sh|python|py)\n(.*?)^```", flags=re.DOTALL | re.MULTI
 # The same at a smaller size, as only whether it runs is tested: sizes and numbers of patterns,
 # places in them, photographs of a small board, and virtual devices that need not be waited for.
 SMALLER = {
-    r"\b(768x1024|1024x1024|128x128|64x64)\b": "16x16",
+    r"\b(768x1024|1024x1024|1140x912|128x128|64x64)\b": "16x16",
     r"(?<=--size )64\b": "16",
     r"(?<=\()64, 64(?=[,)])": "16, 16",
     r"(?<=-k )\d+|(?<=count=)64|(?<=frames=)32": "24",
@@ -41,7 +41,7 @@ SMALLER = {
     r"--bin-camera 8": "--bin-camera 2",
     r"--workers 4": "--workers 2",
     r"--focal 3400": "--focal 32 --principal 1.1,11.5",
-    r"slice\(0, (512|1024)\)": "slice(0, 8)",
+    r"\(512, 1024\)": "(8, 16)",
     r"9x7": "7x5",
     r"0 1 2 3 4": "0 1 2 3",
     r"300,450:256x320": "40,60:64x64",

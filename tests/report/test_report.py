@@ -135,14 +135,6 @@ def test_the_page_has_its_sections_and_numbers(written: Path, estimate: lm.Light
         assert phrase in words, phrase
 
 
-def test_the_first_screen_shows_the_scene_and_photographs_come_last(written: Path) -> None:
-    page = (written / "report.html").read_text()
-    order = ["Dual image", 'id="relighting"', 'id="accuracy"', 'id="photographs"', ">Photograph 0<"]
-    places = [page.index(words) for words in order]
-    assert places == sorted(places)
-    assert page.count('alt="Photograph') <= 4
-
-
 def test_the_numbers_are_those_of_the_estimate(
     written: Path, capture: SimulatedCapture, estimate: lm.LightTransport
 ) -> None:
@@ -278,15 +270,6 @@ def test_the_second_estimate_does_not_see_the_frames(capture: SimulatedCapture) 
     assert isinstance(nothing, report_facts.Validation)
     assert nothing.error == pytest.approx(1)
     assert tested.mean_error > 10 * tested.error
-
-
-def test_an_estimate_that_needs_every_frame_is_not_tested(capture: SimulatedCapture) -> None:
-    class Refusing:
-        def estimate(self, capture: lm.Capture, *, progress: Any = None) -> lm.LightTransport:
-            raise lm.InputError("too few patterns")
-
-    reason = report_facts.validate(capture, Refusing())
-    assert reason == "the estimate is impossible without the unseen photographs (too few patterns)"
 
 
 def test_large_cameras_are_tested_on_a_part(

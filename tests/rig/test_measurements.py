@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -179,12 +178,3 @@ def test_a_damaged_file(key: str, value: object, tmp_path: Path) -> None:
     with pytest.raises(lm.InputError, match=r"rig\.json: is damaged") as caught:
         lm.measure_rig(_rig(), ["settle"], keep=file)
     assert "remove it" in str(caught.value.hint)
-
-
-def test_a_file_that_is_not_ours_is_not_replaced(tmp_path: Path) -> None:
-    file = tmp_path / "rig.json"
-    file.write_text('{"format": "something else", "version": 1}')
-    with pytest.raises(lm.InputError, match="lightmatrix-rig"):
-        lm.measure_rig(_rig(), ["settle"], keep=file)
-    with pytest.raises(lm.OutputError, match="not written by lightmatrix"):
-        replace(lm.measure_rig(_rig(), ["settle"])).save(file)

@@ -54,10 +54,6 @@ def test_colour_channels_are_not_mixed() -> None:
     np.testing.assert_allclose(small.matrix.toarray(), expected.reshape(18, 6), rtol=1e-5)
 
 
-def test_a_factor_of_one_changes_nothing(truth: Truth) -> None:
-    assert binned(truth, 1) is truth
-
-
 @pytest.mark.parametrize("factor", [0, -2, 3, 8])
 def test_factors_that_do_not_divide_are_refused(truth: Truth, factor: int) -> None:
     with pytest.raises(InputError, match="common divisor"):

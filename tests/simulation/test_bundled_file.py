@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from importlib.resources import files
 from pathlib import Path
 
 import numpy as np
@@ -92,13 +91,6 @@ def test_bundled_scenes_are_current(bundled: Truth) -> None:
     assert bundled.metadata["scene_version"] == scene(name).version
     assert bundled.metadata["samples"] == SAMPLES
     assert bundled.metadata["noise_entries"] < 0.01
-
-
-def test_bundled_files_are_small() -> None:
-    folder = Path(str(files("lightmatrix.simulation"))) / "data"
-    sizes = {path.stem: path.stat().st_size for path in folder.glob("*.npz")}
-    assert sorted(sizes) == sorted(library.BUNDLED)
-    assert sum(sizes.values()) <= 12e6
 
 
 def test_the_corner_clips_by_global_light_alone() -> None:

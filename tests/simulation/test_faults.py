@@ -139,11 +139,6 @@ def test_sharpening_raises_the_contrast_and_keeps_the_mean(name: str, truth: Tru
     assert across > 1.05
 
 
-def test_a_projector_sharpens_grey_only(truth: Truth) -> None:
-    sharp = taken(truth, BLACK_AND_WHITE, faults={"sharpening": 1.0})
-    np.testing.assert_allclose(sharp, taken(truth, BLACK_AND_WHITE), rtol=1e-5)
-
-
 def test_tone_mapping_brightens_what_is_dark_around(truth: Truth) -> None:
     still = taken(truth)
     gain = (taken(truth, faults={"tone-mapping": 0.3}) / still).mean(axis=0)
@@ -177,15 +172,6 @@ def test_every_fault_changes_frames_and_is_the_same_again(truth: Truth) -> None:
         frames = taken(truth, ambient=0.1, faults=given)
         assert not np.allclose(frames, still, rtol=1e-3), name
         np.testing.assert_array_equal(frames, taken(truth, ambient=0.1, faults=given))
-
-
-def test_draws_of_a_fault_are_its_own(truth: Truth) -> None:
-    """Another fault beside it changes none of them, and neither changes the noise."""
-    settings: dict[str, Any] = {"exposure": 0.1, "bits": None, "noise": 0.01}
-    noise = lm.simulate(truth, GREY, **settings).frame(4) - taken(truth)[4]
-    both = lm.simulate(truth, GREY, faults={"gain": 0.1, "exposure": 0.5}, **settings)
-    gain = taken(truth, faults={"gain": 0.1})[4]
-    np.testing.assert_allclose(both.frame(4) - gain, noise, atol=1e-6)
 
 
 def test_a_colour_projector_has_crosstalk_within_each_primary(truth: Truth) -> None:

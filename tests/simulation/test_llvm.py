@@ -85,12 +85,3 @@ def test_without_llvm_its_package_is_named(monkeypatch: pytest.MonkeyPatch) -> N
     with pytest.raises(MissingExtraError, match="needs LLVM") as caught:
         llvm.load_mitsuba()
     assert "apt-get install libllvm19" in str(caught.value.hint)
-
-
-def test_without_the_extra_its_name_is_given(monkeypatch: pytest.MonkeyPatch) -> None:
-    find = importlib.util.find_spec
-    monkeypatch.setattr(
-        importlib.util, "find_spec", lambda name: None if name == "mitsuba" else find(name)
-    )
-    with pytest.raises(MissingExtraError, match=r"lightmatrix\[render\]"):
-        llvm.load_mitsuba()

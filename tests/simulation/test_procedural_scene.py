@@ -65,11 +65,6 @@ def test_without_bounces_and_background_only_direct_light_is_left() -> None:
     np.testing.assert_array_equal(truth.direct_data, truth.matrix.data)
 
 
-def test_seeds_differ() -> None:
-    first, second = (ProceduralScene((8, 8), (8, 8), seed).truth() for seed in (0, 1))
-    assert abs(first.matrix - second.matrix).sum() > 0
-
-
 def test_a_large_one_is_made_in_pieces() -> None:
     scene = ProceduralScene((2048, 2048), (1024, 1024))
     rows, _ = scene.rows(1_000_000, 1_000_256)

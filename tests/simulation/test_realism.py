@@ -80,12 +80,6 @@ def test_vignetting_darkens_corners_only(truth: Truth) -> None:
     )
 
 
-def test_zero_changes_nothing(truth: Truth) -> None:
-    same = realism.vignetting(realism.defocus(truth, 0), 0)
-    np.testing.assert_array_equal(same.matrix.toarray(), truth.matrix.toarray())
-    assert (realism.ambient(truth, 0) == 0).all()
-
-
 def test_leak_lifts_black_and_leaves_white(truth: Truth) -> None:
     levels = np.array([0.0, 0.5, 1.0])
     patterns = lm.ImagePatterns(np.broadcast_to(levels[:, None, None], (3, 12, 10)))

@@ -63,14 +63,6 @@ def test_blocks_of_rows_do_not_change_the_picture(monkeypatch: pytest.MonkeyPatc
 
 
 @needs_llvm
-def test_noise_falls_with_the_root_of_the_samples() -> None:
-    few = render("l_objects", (16, 16), samples=128, seed=1).metadata
-    many = render("l_objects", (16, 16), samples=128 * 16, seed=2).metadata
-    assert few["noise_entries"] / many["noise_entries"] == pytest.approx(4, rel=0.25)
-    assert few["noise_white"] / many["noise_white"] == pytest.approx(4, rel=0.35)
-
-
-@needs_llvm
 def test_thinning_keeps_rows_and_the_stated_energy() -> None:
     whole = render("corner", (10, 10), samples=1024, keep=1)
     thin = render("corner", (10, 10), samples=1024, keep=0.9)

@@ -6,22 +6,16 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from lightmatrix.errors import InputError
 from lightmatrix.simulation.scenes import names, scene
 from lightmatrix.simulation.shapes import (
     Mesh,
     ball,
-    bolt,
     box,
     bracket,
-    inset,
     l_block,
     nut,
-    polygon,
-    rectangle,
     ring,
     rod,
-    turn,
 )
 
 
@@ -56,12 +50,6 @@ def test_shapes_are_closed_and_face_outwards(name: str) -> None:
     assert open_edges(mesh) == 0
     # Bevels and facets take a little away.
     assert 0.9 * expected < volume(mesh) < 1.001 * expected
-
-
-def test_a_bolt_is_a_head_and_a_shaft() -> None:
-    mesh = bolt(0.06, 0.46, 0.115, 0.085)
-    assert open_edges(mesh) == 0
-    assert np.ptp(mesh.vertices[:, 2]) == pytest.approx(0.545)
 
 
 @pytest.mark.parametrize("name", names())
@@ -155,23 +143,3 @@ def to_faces(points: NDArray[np.float64], mesh: Mesh) -> NDArray[np.float64]:
     from scipy.spatial import cKDTree
 
     return np.asarray(cKDTree(surface_points(mesh, 20_000)).query(points)[0])
-
-
-def test_turning_follows_the_right_hand() -> None:
-    np.testing.assert_allclose(turn("z", 90) @ [1, 0, 0], [0, 1, 0], atol=1e-12)
-    np.testing.assert_allclose(turn("x", 90) @ [0, 1, 0], [0, 0, 1], atol=1e-12)
-    np.testing.assert_allclose(turn("y", 90) @ [0, 0, 1], [1, 0, 0], atol=1e-12)
-
-
-def test_insets_move_edges_by_their_distance() -> None:
-    np.testing.assert_allclose(inset(rectangle(1.0, 0.6), 0.1), rectangle(0.8, 0.4), atol=1e-12)
-    hexagon = polygon(6, 1.0)
-    reach = np.cos(np.pi / 6)
-    np.testing.assert_allclose(inset(hexagon, 0.1), hexagon * (reach - 0.1) / reach, atol=1e-12)
-
-
-def test_unknown_scenes_suggest_near_names() -> None:
-    with pytest.raises(InputError, match="did you mean gripper"):
-        scene("griper")
-    with pytest.raises(InputError, match="lightmatrix scenes"):
-        scene("zzzz")

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import scipy.sparse
 
-from lightmatrix.errors import InputError, OutputError
+from lightmatrix.errors import InputError
 from lightmatrix.simulation.procedural import ProceduralScene
 from lightmatrix.simulation.truth import Truth
 
@@ -39,34 +39,6 @@ def test_scipy_reads_a_truth_file(truth: Truth, tmp_path: Path) -> None:
 def test_direct_and_global_light_make_the_whole(truth: Truth) -> None:
     whole = truth.direct.toarray() + truth.indirect.toarray()
     np.testing.assert_allclose(whole, truth.matrix.toarray(), rtol=1e-6)
-
-
-def test_an_existing_file_needs_overwrite(truth: Truth, tmp_path: Path) -> None:
-    path = tmp_path / "T.npz"
-    path.write_bytes(b"precious")
-    for overwrite in (False, True):
-        with pytest.raises(OutputError, match="not written by lightmatrix"):
-            truth.save(path, overwrite=overwrite)
-    assert path.read_bytes() == b"precious"
-    path.unlink()
-    truth.save(path)
-    with pytest.raises(OutputError, match="exists"):
-        truth.save(path)
-    truth.save(path, overwrite=True)
-    assert Truth.load(path).camera_shape == (5, 7)
-
-
-def test_an_interrupted_write_leaves_nothing(
-    truth: Truth, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def interrupted(stream: object, **_: object) -> None:
-        stream.write(b"half")  # type: ignore[attr-defined]
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr(np, "savez_compressed", interrupted)
-    with pytest.raises(KeyboardInterrupt):
-        truth.save(tmp_path / "T.npz")
-    assert list(tmp_path.iterdir()) == []
 
 
 def test_files_that_are_no_truth_are_named(truth: Truth, tmp_path: Path) -> None:

@@ -225,26 +225,6 @@ def test_single_and_double_precision_agree(size: tuple[int, int], count: int) ->
         assert np.linalg.norm(difference) < 0.01 * np.linalg.norm(two.coefficients.toarray())
 
 
-@pytest.mark.slow
-def test_single_precision_is_safe_at_full_size() -> None:
-    """N = 16,384 and K = 1,024: the factor is double, the rows are single; both answers agree."""
-    double, _ = clipping_problem(rows=3, shape=(128, 128), count=1024, regularization=0.3)
-    single = with_samples(
-        double,
-        values=double.samples.values.astype(np.float32),
-        clip_level=double.samples.clip_level.astype(np.float32),
-    )
-    assert double.samples.clipped.any()
-    for solver in (ADMM(max_iterations=25), SaturationADMM(max_iterations=25)):
-        one, two = solve(single, solver), solve(double, solver)
-        assert one.coefficients.dtype == np.float32
-        difference = one.coefficients.toarray() - two.coefficients.toarray()
-        assert two.coefficients.nnz > 0
-        assert np.linalg.norm(difference) < 1e-4 * np.linalg.norm(two.coefficients.toarray())
-        np.testing.assert_allclose(one.background, two.background, atol=1e-4)
-        np.testing.assert_allclose(one.objective, two.objective, rtol=1e-4)
-
-
 def test_system_solves_wide_and_tall_problems_alike() -> None:
     random = np.random.default_rng(1)
     for shape, count in (((3, 4), 40), ((7, 8), 20)):

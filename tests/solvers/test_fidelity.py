@@ -14,7 +14,6 @@ from lightmatrix.errors import InputError, LightMatrixError
 from lightmatrix.estimators.coherent.estimator import CoherentEstimator
 from lightmatrix.solvers import ROMP, ActiveSet, Fidelity, SaturationADMM
 from lightmatrix.solvers.fidelity import Observed
-from tests.helpers.problems import clipping_problem
 
 values = st.floats(-3, 6, allow_nan=False, width=32)
 positive = st.floats(0.01, 30)
@@ -94,32 +93,6 @@ def updated(
 ) -> float:
     observed = one(y, clipped, level, weight)
     return float(fidelity.term.update(np.array([[v]]), observed, c)[0, 0])
-
-
-@given(v=values, y=st.floats(0, 3), lam=positive, nu=positive)
-@settings(max_examples=200, deadline=None)
-def test_equation_19_as_it_is_printed(v: float, y: float, lam: float, nu: float) -> None:
-    """With weight 1 the update is Eq. 19, also at y = Y."""
-    for level in (3.0, y):
-        threshold = y + np.sqrt(1 + 1 / (lam * nu)) * (level - y)
-        expected = (y + lam * nu * v) / (1 + lam * nu) if v <= threshold else v
-        update = updated(v, y, False, level, 1.0, lam * nu, Fidelity.CLIPPED)
-        assert update == pytest.approx(expected, abs=1e-9) or v == pytest.approx(threshold)
-
-
-@EVERY
-def test_used_and_two_sided_samples(fidelity: Fidelity) -> None:
-    problem, _ = clipping_problem()
-    observed, f = problem.observed, fidelity.term
-    u = np.random.default_rng(0).random(problem.samples.values.shape) * 3
-    # Unused samples have no influence, whatever their values.
-    unused = ~f.used(observed)
-    assert not f.residual(u, observed)[unused].any()
-    assert unused.any() == (fidelity is Fidelity.REJECTION)
-    # The residual of a two-sided sample takes either sign.
-    low, high = (f.residual(np.full_like(u, value), observed) for value in (-50.0, 50.0))
-    if fidelity.convex:
-        np.testing.assert_array_equal(f.two_sided(observed), (low > 0) & (high < 0))
 
 
 MAKERS: dict[str, Callable[[str], Any]] = {

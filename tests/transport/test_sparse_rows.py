@@ -96,13 +96,6 @@ def test_damaged_arrays_are_refused(name: str, change: Any) -> None:
         SparseRows.from_arrays(_with(name, change))
 
 
-def test_missing_arrays_are_refused() -> None:
-    arrays = rows().arrays()
-    del arrays["indptr"]
-    with pytest.raises(InputError, match="indptr"):
-        SparseRows.from_arrays(arrays)
-
-
 def test_stacked_rows_have_indices_of_32_bits() -> None:
     wide = csr_array(rows().coefficients)
     wide.indices, wide.indptr = (part.astype(np.int64) for part in (wide.indices, wide.indptr))

@@ -50,24 +50,6 @@ def test_a_matrix_comes_back_from_disk(
     assert [entry.name for entry in tmp_path.iterdir()] == ["scene.zarr"]
 
 
-def test_an_existing_matrix_needs_overwrite(tmp_path: Path) -> None:
-    path = tmp_path / "scene.zarr"
-    store.save(path, transport(seed=1))
-    with pytest.raises(OutputError, match="overwrite=True"):
-        store.save(path, transport(seed=2))
-    assert_same(store.open(path), transport(seed=1))
-    store.save(path, transport(seed=2), overwrite=True)
-    assert_same(store.open(path), transport(seed=2))
-
-
-def test_outputs_of_the_wrong_name(tmp_path: Path) -> None:
-    with pytest.raises(OutputError, match=r"ends in \.h5"):
-        store.save(tmp_path / "scene.h5", transport())
-    with pytest.raises(OutputError, match=r"ends in \.csv"):
-        export(tmp_path / "T.csv", transport())
-    assert not list(tmp_path.iterdir())
-
-
 @LIMITS
 @pytest.mark.parametrize("name", ["scene.zarr", "T.npz", "T.mat"])
 def test_a_full_disk_leaves_the_old_output_and_nothing_else(tmp_path: Path, name: str) -> None:
@@ -314,14 +296,3 @@ def test_tiles_under_each_others_names_are_computed_again(tmp_path: Path) -> Non
     (tmp_path / "other").rename(second)
     assert run(path) == 0
     assert_same(store.open(path), transport())
-
-
-@LIMITS
-def test_a_full_disk_keeps_the_finished_tiles(tmp_path: Path) -> None:
-    path = tmp_path / "scene.zarr"
-    with pytest.raises(KeyboardInterrupt):
-        run(path, fail_at=16)
-    with largest_file(500), pytest.raises(OutputError, match="cannot be written"):
-        run(path)
-    assert not path.exists()
-    assert run(path) == 16

@@ -68,21 +68,6 @@ def test_parts_equal_those_of_the_whole_matrix(
     assert sum(map(stores._bytes, stored._kept.values())) <= memory
 
 
-def test_a_region_is_a_matrix_of_its_own(tmp_path: Path) -> None:
-    whole = transport()
-    lm.save(tmp_path / "s.zarr", whole)
-    region = lm.StoredTransport.open(tmp_path / "s.zarr").crop((2, 3), (3, 5))
-    rows = np.arange(72).reshape(9, 8)[2:5, 3:8].ravel()
-    assert (region.sparse != whole.sparse[rows]).nnz == 0
-    np.testing.assert_array_equal(region.background, whole.background[rows])
-    np.testing.assert_array_equal(region.diagnostics["gap"], whole.diagnostics["gap"][rows])
-    assert region.camera_shape == (3, 5)
-    with pytest.raises(
-        InputError, match="a crop of 3 x 6 pixels from row 2, column 3, of photographs of 9 x 8"
-    ):
-        lm.StoredTransport.open(tmp_path / "s.zarr").crop((2, 3), (3, 6))
-
-
 def test_a_region_is_exported(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     whole = transport()
     lm.save(tmp_path / "s.zarr", whole)
@@ -129,16 +114,6 @@ def test_only_the_chunks_that_are_asked_for_are_read_and_damage_is_named(tmp_pat
         stored.row(8, 7)
     with pytest.raises(InputError, match=rf"is damaged .*data/c/{last - 4} is missing"):
         stored.relight(np.ones((6, 7)))
-
-
-def test_where_rows_begin_is_checked_at_once(tmp_path: Path) -> None:
-    lm.save(tmp_path / "s.zarr", transport())
-    chunk = tmp_path / "s.zarr" / "indptr" / "c" / "1"
-    chunk.write_bytes(chunk.read_bytes()[::-1])
-    with pytest.raises(InputError, match="is damaged"):
-        lm.StoredTransport.open(tmp_path / "s.zarr")
-    with pytest.raises(InputError, match="no such file"):
-        lm.StoredTransport.open(tmp_path / "none.zarr")
 
 
 def test_a_chunk_of_another_matrix_is_named_when_it_is_read(tmp_path: Path) -> None:

@@ -48,10 +48,3 @@ def test_max_min_of_a_sharp_scene() -> None:
     assert (parts.direct >= 0).all()
     assert (parts.global_ >= 0).all()
     assert len(repr(parts)) < 200
-
-
-def test_dark_patterns_tell_nothing() -> None:
-    patterns = lm.ImagePatterns(np.zeros((3, 64, 64), np.float32))
-    capture = lm.simulate("metal", patterns)
-    with pytest.raises(lm.InputError, match="all dark"):
-        lm.max_min(capture)

@@ -15,9 +15,7 @@ from lightmatrix.simulation.realism import defocus
 from lightmatrix.uses import loading
 from lightmatrix.uses.separation import (
     Separation,
-    by_pixel,
     crossing_spots,
-    near_spots,
     outshone_spots,
 )
 
@@ -257,27 +255,6 @@ def test_files_hold_what_is_returned(tmp_path: Path) -> None:
 # Spots of neighbouring camera pixels, and those that lie on their epipolar line by chance.
 
 SHAPE = (7, 9)
-
-
-def test_spots_of_each_neighbour_are_compared_once() -> None:
-    random = np.random.default_rng(3)
-    place = random.uniform(0, 4, (63, 2, 2))
-    place[random.random((63, 2)) < 0.2] = np.nan
-    number = np.arange(126).reshape(63, 2).T.reshape(2, *SHAPE)
-    found: set[tuple[int, int]] = set()
-    for here, there, near in near_spots(place, SHAPE, reach=2, radius=1.5):
-        own = np.broadcast_to(number[here][:, None], near.shape)
-        other = np.broadcast_to(number[there], near.shape)
-        pairs = list(zip(own[near].tolist(), other[near].tolist(), strict=True))
-        assert not found.intersection(pairs)
-        found.update(pairs)
-    row, col = np.repeat(np.indices(SHAPE).reshape(2, -1), 2, axis=1)
-    beside = (abs(row[:, None] - row) <= 2) & (abs(col[:, None] - col) <= 2)
-    beside &= (row[:, None] != row) | (col[:, None] != col)
-    flat = place.reshape(-1, 2)
-    beside &= np.linalg.norm(flat[:, None] - flat, axis=2) <= 1.5
-    assert found == set(zip(*(axis.tolist() for axis in beside.nonzero()), strict=True))
-    np.testing.assert_array_equal(by_pixel(number), np.arange(126).reshape(63, 2))
 
 
 def test_a_mirror_image_that_crosses_its_line_is_told_from_a_surface() -> None:

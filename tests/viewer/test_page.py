@@ -421,18 +421,3 @@ def test_titles_are_text(browser: Browser, transport: lm.LightTransport, tmp_pat
 
 def _can_be_named(path: Path) -> bool:
     return "/" not in path.name
-
-
-def test_only_pages_of_the_viewer_are_replaced(
-    transport: lm.LightTransport, tmp_path: Path
-) -> None:
-    page = tmp_path / "page.html"
-    lm.export_viewer(page, transport)
-    with pytest.raises(lm.OutputError, match="exists"):
-        lm.export_viewer(page, transport)
-    lm.export_viewer(page, transport, overwrite=True)
-    page.write_text("<html>somebody else's</html>")
-    with pytest.raises(lm.OutputError):
-        lm.export_viewer(page, transport, overwrite=True)
-    with pytest.raises(lm.OutputError, match=r"end it in \.html"):
-        lm.export_viewer(tmp_path / "page.txt", transport)

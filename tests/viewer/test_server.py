@@ -8,8 +8,6 @@ import os
 import random
 import signal
 import socket
-import subprocess
-import sys
 import threading
 import time
 from collections.abc import Iterator
@@ -289,15 +287,3 @@ def test_the_command_writes_the_page_of_the_function(store: Path, tmp_path: Path
     assert main(["view", str(store), "--export", str(tmp_path / "one.html")]) == 0
     lm.export_viewer(tmp_path / "two.html", store)
     assert (tmp_path / "one.html").read_bytes() == (tmp_path / "two.html").read_bytes()
-
-
-def test_without_the_extra_it_says_what_to_install(store: Path) -> None:
-    program = (
-        "import sys; sys.modules['uvicorn'] = None\n"
-        "import lightmatrix as lm\n"
-        f"lm.export_viewer({str(store.parent / 'alone.html')!r}, {str(store)!r})\n"
-        f"try: lm.serve_viewer({str(store)!r})\n"
-        "except lm.MissingExtraError as error: print(error)"
-    )
-    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
-    assert 'pip install "lightmatrix[viewer]"' in done.stdout, done.stderr

@@ -184,7 +184,11 @@ def write_capture(
         for count, frame in enumerate(frames, 1):
             image = part / "images" / f"image_{count - 1:0{digits}d}{suffix}"
             if isinstance(frame, Path):
-                _link(frame, image.with_suffix(frame.suffix))
+                image = image.with_suffix(frame.suffix)
+                try:
+                    os.link(frame, image)
+                except OSError:
+                    shutil.copyfile(frame, image)
                 continue
             shape = shape or frame.shape
             if frame.shape != shape:
@@ -227,7 +231,11 @@ def write_description(
     if isinstance(patterns, ColourPatterns):
         images = patterns.colour_images
     # The images of a pattern folder have 8 bits.
-    if patterns.kind == PatternSet.kind and not _in_8_bits(patterns):
+    in_8_bits = patterns.kind != PatternSet.kind or all(
+        np.array_equal(patterns.greys(k, k + 1)[0] / np.float32(255), patterns.images(k, k + 1)[0])
+        for k in range(patterns.count)
+    )
+    if not in_8_bits:
         np.save(part / "patterns.npy", images())
     else:
         (part / "patterns").mkdir()
@@ -262,22 +270,6 @@ def write_description(
     if projector_unknown:
         content["projector_response"] = AUTOMATIC
     (part / NAME).write_text(json.dumps(content, indent=2, default=jsonable) + "\n")
-
-
-def _in_8_bits(patterns: PatternSet) -> bool:
-    """Whether patterns have no values between the grey values of 8 bits."""
-    return all(
-        np.array_equal(patterns.greys(k, k + 1)[0] / np.float32(255), patterns.images(k, k + 1)[0])
-        for k in range(patterns.count)
-    )
-
-
-def _link(file: Path, image: Path) -> None:
-    """Link a file to a second name, or copy it if the file system has no links."""
-    try:
-        os.link(file, image)
-    except OSError:
-        shutil.copyfile(file, image)
 
 
 def _find_images(place: Path, name: str) -> Path:
@@ -362,7 +354,15 @@ def make_decoder(stack: Frames, settings: ReadSettings) -> Decoder:
     The black level is 0 unless it is stated. It is not taken from the black frame, whose room light
     must not change the unit of the samples.
     """
-    response = _stated_response(settings.response, stack)
+    response = settings.response
+    if not isinstance(response, Response):
+        first = stack.paths[0] if isinstance(stack, ImageStack) else None
+        if response is None and first is not None and (tag := nonlinear_tag(first)) is not None:
+            warn(
+                f"{first}: {tag}, so probably not linear, but no response is given; "
+                "give one (srgb, gamma:2.2, ...), or linear if it is"
+            )
+        response = Response() if response is None else Response.parse(str(response))
     measured, full_scale = response.full_scale, settings.full_scale
     stated = None if isinstance(settings.clip, str) else settings.clip
     top = range_end(stack.dtype, stated)
@@ -523,21 +523,6 @@ def read_mask(mask: str | Path | None, shape: tuple[int, ...]) -> NDArray[np.boo
             hint="save the mask as PNG, with 0 where camera pixels are left out",
         )
     return np.asarray(image > 0)
-
-
-def _stated_response(response: Response | str | None, stack: Frames) -> Response:
-    """The stated response, or the linear one, with a warning if the files are tagged otherwise."""
-    if isinstance(response, Response):
-        return response
-    if response is not None:
-        return Response.parse(str(response))
-    first = stack.paths[0] if isinstance(stack, ImageStack) else None
-    if first is not None and (tag := nonlinear_tag(first)) is not None:
-        warn(
-            f"{first}: {tag}, so probably not linear, but no response is given; "
-            "give one (srgb, gamma:2.2, ...), or linear if it is"
-        )
-    return Response()
 
 
 def read_white_frame(path: str | Path, settings: ReadSettings) -> Samples:

@@ -136,20 +136,17 @@ def check_capture(capture: Capture) -> list[Finding]:
     photographs.
     """
     with one_blas_thread():
-        return _check(capture)
-
-
-def _check(capture: Capture) -> list[Finding]:
-    survey = _survey(capture.whole)
-    findings = check_interchanged(survey)
-    if findings:
-        return findings
-    # What follows judges by the level at which the photographs do clip, and by the pixels that see.
-    of_clip, survey = check_clip_level(survey)
-    unseen, survey = check_unseen(survey)
-    if capture.whole is not capture:
-        unseen, _ = check_unseen(_survey(capture))
-    return of_clip + unseen + _check_surveyed(survey, capture)
+        survey = _survey(capture.whole)
+        findings = check_interchanged(survey)
+        if findings:
+            return findings
+        # What follows judges by the level at which the photographs do clip, and by the pixels that
+        # see the projector.
+        of_clip, survey = check_clip_level(survey)
+        unseen, survey = check_unseen(survey)
+        if capture.whole is not capture:
+            unseen, _ = check_unseen(_survey(capture))
+        return of_clip + unseen + _check_surveyed(survey, capture)
 
 
 def _check_surveyed(survey: Survey, capture: Capture) -> list[Finding]:

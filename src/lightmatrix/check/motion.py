@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Mapping, Sequence
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -82,7 +81,11 @@ class _Follower:
         if shift != (0, 0):
             there = self.survey.samples(self.survey.neighbour(self.rows, shift))
             late = np.arange(self.survey.count) >= start
-            pairs = zip(_arrays(there), _arrays(self.here), strict=True)
+            parts = (
+                (each.values, each.clipped, each.clip_levels_of_all())
+                for each in (there, self.here)
+            )
+            pairs = zip(*parts, strict=True)
             samples = Samples(*(np.where(late, moved, stayed) for moved, stayed in pairs))
         missed = predict(self.survey.patterns, samples, doubted=self.doubted).miss
         # Samples without noise may be predicted exactly.
@@ -107,12 +110,6 @@ class _Follower:
         error = float(gain.std() / np.sqrt(len(gain)))
         certain = gain.mean() > max(0.15, _CERTAIN * error)
         return best if certain else None
-
-
-def _arrays(samples: Samples) -> tuple[NDArray[Any], NDArray[Any], NDArray[Any]]:
-    """Values, clipping and clip level, (m, K) each."""
-    level = np.broadcast_to(samples.clip_level, samples.values.shape)
-    return samples.values, samples.clipped, level
 
 
 def find_shift(

@@ -7,9 +7,7 @@ from collections.abc import Iterable
 import numpy as np
 
 from lightmatrix.capture.capture import Capture
-from lightmatrix.capture.decoder import Decoder
 from lightmatrix.capture.folder import check_depth
-from lightmatrix.capture.samples import Samples
 from lightmatrix.check.all_checks import check_capture
 from lightmatrix.check.finding import Finding
 from lightmatrix.errors import InputError, warn
@@ -25,7 +23,31 @@ def refuse_unusable(capture: Capture) -> None:
     """
     _refuse_useless_patterns(capture.patterns)
     check_depth(capture.frames, capture.decoder)
-    _refuse_useless_light(capture.tiles(), int(capture.valid.sum()), capture.decoder)
+    valid, decoder = int(capture.valid.sum()), capture.decoder
+    if valid == 0:
+        raise InputError(
+            "all camera pixels are masked", hint="correct the mask, or take a darker black frame"
+        )
+    brightest, clipped, total = 0.0, 0, 0
+    for _, tile in capture.tiles():
+        level = np.broadcast_to(tile.clip_level, tile.values.shape)
+        # The level of a pixel that clips without light is 0. It is masked, and has no light.
+        shares = np.divide(tile.values, level, out=np.zeros_like(tile.values), where=level > 0)
+        brightest = max(brightest, float(shares.max(initial=0)))
+        clipped += int(tile.clipped.sum())
+        total = valid * tile.values.shape[1]
+    span = np.min(np.asarray(decoder.clip) - np.asarray(decoder.black_level))
+    # Two raw levels above black are no signal.
+    if brightest <= (2.5 / span if decoder.full_scale > 1 else 1e-6):
+        raise InputError(
+            "all images are dark: no sample rises above the black level",
+            hint="expose longer, and check the black frame and black level",
+        )
+    if clipped > 0.99 * total:
+        raise InputError(
+            f"{100 * clipped / total:.1f} % of the samples are clipped",
+            hint="expose so that most samples stay below the clip level; 1 to 20 % may clip",
+        )
 
 
 def refuse_unordered(capture: Capture) -> list[Finding]:
@@ -74,33 +96,3 @@ def _refuse_useless_patterns(patterns: PatternSet) -> None:
         )
     if alike:
         raise InputError("all patterns are the same", hint="use patterns that differ")
-
-
-def _refuse_useless_light(
-    tiles: Iterable[tuple[int, Samples]], valid: int, decoder: Decoder
-) -> None:
-    """Refuse frames that are dark, clipped or masked throughout; `valid` samples count."""
-    if valid == 0:
-        raise InputError(
-            "all camera pixels are masked", hint="correct the mask, or take a darker black frame"
-        )
-    brightest, clipped, total = 0.0, 0, 0
-    for _, tile in tiles:
-        level = np.broadcast_to(tile.clip_level, tile.values.shape)
-        # The level of a pixel that clips without light is 0. It is masked, and has no light.
-        shares = np.divide(tile.values, level, out=np.zeros_like(tile.values), where=level > 0)
-        brightest = max(brightest, float(shares.max(initial=0)))
-        clipped += int(tile.clipped.sum())
-        total = valid * tile.values.shape[1]
-    span = np.min(np.asarray(decoder.clip) - np.asarray(decoder.black_level))
-    # Two raw levels above black are no signal.
-    if brightest <= (2.5 / span if decoder.full_scale > 1 else 1e-6):
-        raise InputError(
-            "all images are dark: no sample rises above the black level",
-            hint="expose longer, and check the black frame and black level",
-        )
-    if clipped > 0.99 * total:
-        raise InputError(
-            f"{100 * clipped / total:.1f} % of the samples are clipped",
-            hint="expose so that most samples stay below the clip level; 1 to 20 % may clip",
-        )

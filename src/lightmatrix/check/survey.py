@@ -76,7 +76,9 @@ class Survey:
         `share` is that of the most levels which are kept.
         """
         most = int(share * _MOST_LEVELS) // frames.count
-        places, grid = _places(frames.shape, most, _first_block(frames))
+        # The first whole block of JPEG in frames that may be cut.
+        row, col = frames.region.corner if isinstance(frames, CutFrames) else (0, 0)
+        places, grid = _places(frames.shape, most, (-row % BLOCK, -col % BLOCK))
         raw = levels_at(frames, places)
         valid = np.ones(len(places), bool)
         if decoder.hot is not None:
@@ -121,16 +123,16 @@ class Survey:
     @cached_property
     def statistics(self) -> Statistics:
         """Extremes, spread and clipping of every sample."""
-        whole = Statistics(*(np.zeros(len(self.raw), np.float32) for _ in range(6)))
+        whole = np.zeros((6, len(self.raw)), np.float32)
         third = max(1, self.count // 3)
         for part, tile in self.chunks():
-            whole.spread[part] = tile.values.std(axis=1)
-            whole.lowest[part] = tile.values.min(axis=1)
-            whole.highest[part] = tile.values.max(axis=1)
-            whole.clipped[part] = tile.clipped.mean(axis=1)
-            whole.first[part] = tile.values[:, :third].max(axis=1)
-            whole.last[part] = tile.values[:, -third:].max(axis=1)
-        return whole
+            values = tile.values
+            whole[:, part] = (
+                *(values.std(axis=1), values.min(axis=1), values.max(axis=1)),
+                *(tile.clipped.mean(axis=1), values[:, :third].max(axis=1)),
+                values[:, -third:].max(axis=1),
+            )
+        return Statistics(*whole)
 
     @cached_property
     def inner(self) -> NDArray[np.bool_]:
@@ -162,14 +164,6 @@ def high_variance_rows(survey: Survey) -> NDArray[np.int64]:
         chosen.append(generator.permutation(rows)[:left])
         left, least = left - len(chosen[-1]), most
     return np.sort(np.concatenate(chosen))
-
-
-def _first_block(frames: Frames) -> tuple[int, int]:
-    """Row and column at which the first whole block of JPEG begins in frames that may be cut."""
-    if not isinstance(frames, CutFrames):
-        return 0, 0
-    row, col = frames.region.corner
-    return -row % BLOCK, -col % BLOCK
 
 
 def _places(

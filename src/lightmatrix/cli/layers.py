@@ -24,7 +24,7 @@ def layers(
     overwrite: Overwrite = False,
     as_json: Json = False,
 ) -> None:
-    """Find surfaces behind curtains and dusty glass, and what mirrors show.
+    """Find surfaces behind gauze and glass, and those in mirrors.
 
     They come near to far, up to three a camera pixel.
     """

@@ -85,6 +85,14 @@ def patterns(
             min=0,
         ),
     ] = None,
+    bit_planes: Annotated[
+        str | None,
+        Option(
+            metavar="ORDER",
+            help="Also write black and white patterns as bit planes of colour images, for boards "
+            "with micromirrors: grb for the LightCrafter 4500.",
+        ),
+    ] = None,
     seed: Seed = 0,
     overwrite: Overwrite = False,
     as_json: Json = False,
@@ -118,7 +126,13 @@ def patterns(
             period=period,
             seed=seed,
         )
-    lm.write_patterns(output, made, colour=None if in_colour else primary, overwrite=overwrite)
+    lm.write_patterns(
+        output,
+        made,
+        colour=None if in_colour else primary,
+        bit_planes=bit_planes,
+        overwrite=overwrite,
+    )
     result = {**made.description, "count": made.count, "digest": made.digest, "output": output}
     if as_json:
         show_json(result)

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lightmatrix.capture.capture import Capture
+from lightmatrix.capture.samples import Samples
 from lightmatrix.defaults import USUAL_NOISE
 from lightmatrix.patterns.pattern_set import PatternSet
 
@@ -54,8 +55,6 @@ def reached_level(capture: Capture) -> float:
     """
     values, weights = spread_samples(capture)
     largest = np.where(weights > 0, values, 0).max(axis=1, initial=0)
-    if not len(largest):
-        return capture.reference_level
     # Glints and hot pixels may be brighter than this quantile. Chosen by hand.
     return float(min(np.quantile(largest, 0.99), capture.reference_level))
 
@@ -75,9 +74,5 @@ def spread_samples(capture: Capture) -> tuple[NDArray[Any], NDArray[Any]]:
     else:
         starts = np.linspace(0, count - _STRETCH, _STRETCHES).astype(np.int64)
     parts = [capture.samples(int(s), min(int(s) + _STRETCH, count)) for s in starts]
-    ones = np.ones(capture.count, np.float32)
-    weights = [
-        np.broadcast_to(ones if part.weights is None else part.weights, part.values.shape)
-        for part in parts
-    ]
-    return np.concatenate([part.values for part in parts]), np.concatenate(weights)
+    some = Samples.joined(parts)
+    return some.values, some.weights_of_all()

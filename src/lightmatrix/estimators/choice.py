@@ -57,7 +57,7 @@ def choose_estimator(
         and settings.may_be_direct
         and inverse(capture.patterns) is not None
     ):
-        return DirectEstimator(solver, tile_rows)
+        return DirectEstimator(solver, tile_rows=tile_rows)
     row_by_row = PlainEstimator(solver, regularization, nonnegative, settings.background, tile_rows)
     if not (resources.coherent and isinstance(solver, ActiveSet)):
         return row_by_row

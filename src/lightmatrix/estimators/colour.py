@@ -181,7 +181,16 @@ def unmixed_capture(
             for name in ("values", "clipped", "clip_level", "weights")
         )
     )
-    patterns = _grey_patterns(samples.patterns, grey, coloured)
+    # The grey patterns, then those of red, green and blue in the others.
+    sets = [one.subset(coloured) for one in samples.patterns.primaries]
+    if len(grey):
+        sets.insert(0, samples.patterns.red.subset(grey))
+    bits = [each for each in (one.as_bits() for one in sets) if each is not None]
+    patterns: PatternSet = (
+        BitPatterns(samples.patterns.primary_shape, np.concatenate(bits))
+        if len(bits) == len(sets)
+        else ImagePatterns(np.concatenate([one.images() for one in sets]))
+    )
     return capture_of_samples(patterns, known, camera_shape, exposure)
 
 
@@ -221,20 +230,6 @@ def _bounded(
     single = values.astype(np.float32)
     levels = np.where(clipped, single, _NEVER)
     return Samples(single, clipped, levels, weights.astype(np.float32))
-
-
-def _grey_patterns(
-    patterns: ColourPatterns, grey: NDArray[np.int64], coloured: NDArray[np.int64]
-) -> PatternSet:
-    """The grey patterns, then those of red, green and blue in the others."""
-    parts = [one.subset(coloured) for one in patterns.primaries]
-    if len(grey):
-        parts.insert(0, patterns.red.subset(grey))
-    bits = [part.as_bits() for part in parts]
-    if all(each is not None for each in bits):
-        whole = np.concatenate([each for each in bits if each is not None])
-        return BitPatterns(patterns.primary_shape, whole)
-    return ImagePatterns(np.concatenate([part.images() for part in parts]))
 
 
 # How much gains are drawn to the mixing of the whole frame, in each round after the start. First

@@ -101,14 +101,16 @@ def corrected(
         if left > _BETTER and others:
             break
         others = left > _CLEARLY or (number == 0 and torn is not None)
-    # Photographs are sharper than what a blurred T predicts, whatever blurs it. It looks as if the
-    # camera sharpened them, so this term stays only if it helps by a tenth.
-    rest = {name: each for name, each in model.values.items() if name != "camera-sharpening"}
-    if len(rest) < len(model.values):
-        simpler = replace(model, values=rest)
-        transport = estimate(simpler.corrected(capture, best)) if rest else first
-        if _missed(transport) * _CLEARLY <= _missed(best):
-            model, best = simpler, transport
+    # What a large fault leaves as long as it is not known well looks like others, and photographs
+    # are sharper than what a blurred T predicts, as if the camera sharpened them. So beside others,
+    # or if it is the camera's sharpening, a term stays only if it helps by a tenth.
+    for name in tuple(model.values):
+        rest = {other: each for other, each in model.values.items() if other != name}
+        if rest or name == "camera-sharpening":
+            simpler = replace(model, values=rest)
+            transport = estimate(simpler.corrected(capture, best)) if rest else first
+            if _missed(transport) * _CLEARLY <= _missed(best):
+                model, best = simpler, transport
     provenance = {**first.provenance, **({RIG: model.as_dict()} if model.names else {})}
     return model, replace(best, provenance=provenance)
 

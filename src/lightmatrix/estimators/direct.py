@@ -8,65 +8,49 @@ standard deviations, of a picture (a bucket detector under complete Hadamard pat
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
 from lightmatrix.capture.capture import Capture
 from lightmatrix.defaults import USUAL_NOISE
 from lightmatrix.estimators.automatic_regularization import default_regularization, spread_samples
-from lightmatrix.estimators.base import (
-    Estimator,
-    Plan,
-    capture_provenance,
-    solver_provenance,
-)
+from lightmatrix.estimators.base import Plan
 from lightmatrix.estimators.certainty import with_certainty
-from lightmatrix.estimators.work import TILE_BYTES, ReadStep, SolveTile, Work, cut_rows
+from lightmatrix.estimators.plain import PlainEstimator, PlainRows
+from lightmatrix.estimators.work import TILE_BYTES, Work, cut_rows
 from lightmatrix.patterns.inverse import Inverse, inverse
 from lightmatrix.resources.threads import computed_once
-from lightmatrix.solvers import ActiveSet, solve
+from lightmatrix.solvers import solve
 from lightmatrix.solvers.loop import Progress
-from lightmatrix.solvers.problem import Problem
 from lightmatrix.transport.checkpoint import Span
 from lightmatrix.transport.sparse_rows import SparseRows
 
 
 @dataclass(frozen=True)
-class DirectEstimator(Estimator):
-    """Reads T from patterns that have an `inverse`; rows of sums that clip are solved by `solver`.
+class DirectEstimator(PlainEstimator):
+    """Reads T from patterns that have an `inverse`; its regularization is the measured noise.
 
     Rows have the diagnostics clipped_share, only_bounded (whether an entry clipped) and
     estimated_error: the noise of what stays, and what remains of the rest beyond noise; NaN if
-    hardly an entry is dark, so that the noise is unknown, and where `solver` is used.
+    hardly an entry is dark, so that the noise is unknown. Rows of sums that clip are solved.
     """
-
-    solver: ActiveSet
-    tile_rows: int | None = None
 
     name: ClassVar[str] = "direct"
 
     def plan(self, capture: Capture) -> Plan:
-        """The estimate before it is made; its regularization is the noise of a sample."""
-        work = _Inverted(capture, self)
-        provenance = {
-            "estimator": self.name,
-            **solver_provenance(self.solver),
-            "regularization": work.noise[0],
-            "certificate": "none: entries are read, and those below the noise are 0",
-            **capture_provenance(capture),
-        }
-        return Plan(work, provenance)
+        """The estimate before it is made."""
+        measured = replace(self, regularization=_Inverted(capture, self, 0.0).noise[0])
+        return super(DirectEstimator, measured).plan(capture)
+
+    def work(self, capture: Capture, regularization: float) -> Work:
+        """The rows of a capture, in tiles."""
+        return _Inverted(capture, self, regularization)
 
 
-@dataclass(frozen=True, eq=False)
-class _Inverted(Work):
-    capture: Capture
-    estimator: DirectEstimator
-
+class _Inverted(PlainRows):
     @computed_once
     def inverse(self) -> Inverse:
         found = inverse(self.capture.patterns)
@@ -92,18 +76,14 @@ class _Inverted(Work):
         most = TILE_BYTES // (40 * (patterns.count + patterns.pixels))
         return cut_rows(self.capture.rows, self.estimator.tile_rows or max(1, most), parts)
 
-    def prepare(self, step: str, read: ReadStep) -> SolveTile:
-        return self._solve
-
     def _solve(self, start: int, stop: int, progress: Progress) -> SparseRows:
         samples, patterns = self.capture.samples(start, stop), self.capture.patterns
         entries, (noise, measured) = self.inverse.solve(samples.values), self.noise
         variances = np.square(noise * self.inverse.gains)
-        below = np.minimum(
-            2 * np.mean(entries <= 0, axis=1, keepdims=True), 1 - 1 / entries.shape[1]
-        )
+        dark = 2 * np.mean(entries <= 0, axis=1, keepdims=True)
+        dark = np.minimum(dark, 1 - 1 / entries.shape[1])
         # A dark pixel exceeds this many variances as seldom as a tenth of the pixels are light.
-        least = 2 * np.log1p(10 * below / (1 - below)) * variances
+        least = 2 * np.log1p(10 * dark / (1 - dark)) * variances
         kept = (entries > 0) & (np.square(entries) > least)
         # What is missed of the light is what the dark entries have beyond their noise. Chance makes
         # this too much rather than too little.
@@ -112,24 +92,23 @@ class _Inverted(Work):
         entries *= kept
         clipped, known = samples.clipped.any(axis=1), samples.counted.all(axis=1)
         lost = np.flatnonzero((clipped & (not self.inverse.lone)) | ~known)
+        background = np.zeros(len(entries), np.float32)
         if len(lost):
             # The penalty follows the noise alone, not the level of samples.
             penalty = default_regularization(patterns, 1e-9 * noise, noise)
-            result = solve(Problem(patterns, samples.rows(lost), penalty), self.estimator.solver)
-            entries[lost] = result.coefficients.toarray()
+            problem = self.estimator.problem(patterns, samples.rows(lost), penalty)
+            solved = solve(problem, self.estimator.solver)
+            entries[lost], background[lost] = solved.coefficients.toarray(), solved.background
             missed[lost] = np.nan
         length = np.linalg.norm(entries, axis=1)
         with np.errstate(divide="ignore", invalid="ignore"):
             error = np.where(measured & (length > 0), np.sqrt(missed) / length, np.nan)
-        diagnostics: dict[str, NDArray[np.floating]] = {
-            "clipped_share": samples.clipped.mean(axis=1),
-            "only_bounded": (clipped & self.inverse.lone).astype(float),
-            "estimated_error": error,
+        diagnostics = {
+            "clipped_share": samples.clipped.mean(axis=1, dtype=np.float32),
+            "only_bounded": (clipped & self.inverse.lone).astype(np.float32),
+            "estimated_error": error.astype(np.float32),
         }
-        rows = SparseRows(
-            csr_array(entries.astype(np.float32)),
-            np.zeros((len(entries), 1), np.float32),
-            {name: each.astype(np.float32) for name, each in diagnostics.items()},
-        )
+        coefficients = csr_array(entries.astype(np.float32))
+        rows = SparseRows(coefficients, background[:, None], diagnostics)
         progress(len(entries), len(entries))
         return with_certainty(rows, samples, patterns, start, self.capture.rows)

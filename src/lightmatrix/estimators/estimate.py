@@ -9,7 +9,7 @@ A tile of rows is solved six calls below it:
 5. `RowSolver.near` (`coherent/row_solver.py`) sets up the weighted problem of these rows.
 6. `solve_weighted` (`solvers/active_set.py`) hands it to the compiled core.
 
-Row by row, `_Rows.solve` (`plain.py`) replaces 4 and 5, and `solvers.solve` replaces 6.
+Row by row, `PlainRows._solve` (`plain.py`) replaces 4 and 5, and `solvers.solve` replaces 6.
 With workers, 3 hands the tiles to `DaskPool.solve` (`workers.py`), and each worker does the rest.
 """
 
@@ -34,7 +34,7 @@ from lightmatrix.estimators.plain import PlainEstimator
 from lightmatrix.estimators.resource_estimate import estimate_resources
 from lightmatrix.estimators.rig_findings import rig_findings
 from lightmatrix.estimators.settings import EstimateSettings
-from lightmatrix.estimators.unknown_response import find_responses
+from lightmatrix.estimators.unknown_response import find_projector_response, find_response
 from lightmatrix.estimators.workers import dask_pool
 from lightmatrix.files.kinds import STORE
 from lightmatrix.files.writing import check_output
@@ -214,13 +214,14 @@ def estimate(
         camera_unknown = capture.decoder.response.name == AUTOMATIC
         if camera_unknown or capture.projector_unknown:
             with _bar("looking for the response", progress is True):
-                found = find_responses(capture, settings)
+                unknown = capture.projector_unknown
+                found = (find_projector_response if unknown else find_response)(capture, settings)
             warn(f"response: {found}")
             capture = found.applied_to(capture)
             remarks = {FOUND_RESPONSE: found.provenance()}
         estimator = choose_estimator(capture, settings, resources)
         warn_of(findings)
-        if resources.coherent and isinstance(estimator, PlainEstimator):
+        if resources.coherent and type(estimator) is PlainEstimator:
             warn(
                 "estimating row by row, which predicts photographs held out better than "
                 "coherent=True"

@@ -119,14 +119,6 @@ class MultiScaleEstimator(PlainEstimator):
 
     The parameters are those of `PlainEstimator`, of which `tile_rows` and `judged` have no effect.
     At coarser scales the regularization falls with the length of the patterns' columns.
-
-    Examples
-    --------
-    >>> import lightmatrix as lm
-    >>> from lightmatrix.estimators.multiscale import MultiScaleEstimator
-    >>> capture = lm.simulate("metal", lm.BernoulliPatterns((64, 64), 8))
-    >>> MultiScaleEstimator(lm.ROMP(max_iterations=2)).estimate(capture).camera_shape
-    (64, 64)
     """
 
     name: ClassVar[str] = "multi-scale"

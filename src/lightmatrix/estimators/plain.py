@@ -46,14 +46,6 @@ class PlainEstimator(Estimator):
         Rows solved at a time. None: as many as fit half a gigabyte. Results do not depend on it.
     judged : bool
         Whether rows say if their strongest pixel is certain. T does not depend on it.
-
-    Examples
-    --------
-    >>> import lightmatrix as lm
-    >>> from lightmatrix.estimators.plain import PlainEstimator
-    >>> capture = lm.simulate("metal", lm.BernoulliPatterns((64, 64), 8))
-    >>> PlainEstimator(lm.ROMP(max_iterations=2)).estimate(capture).camera_shape
-    (64, 64)
     """
 
     solver: Solver
@@ -87,7 +79,7 @@ class PlainEstimator(Estimator):
 
     def work(self, capture: Capture, regularization: float) -> Work:
         """The rows of a capture, in tiles."""
-        return _Rows(capture, self, regularization)
+        return PlainRows(capture, self, regularization)
 
     def problem(self, patterns: PatternSet, samples: Samples, regularization: float) -> Problem:
         """The problem of some rows."""
@@ -101,7 +93,7 @@ class PlainEstimator(Estimator):
 
 
 @dataclass(frozen=True, eq=False)
-class _Rows(Work):
+class PlainRows(Work):
     """The rows of a capture, solved tile by tile."""
 
     capture: Capture

@@ -70,11 +70,35 @@ class EstimateSettings:
         if self.iterations is not None:
             hint = f"use 1 to {MOST_ITERATIONS}"
             check_whole("iterations", self.iterations, most=MOST_ITERATIONS, hint=hint)
-        self._check_tiles()
+        check_at_least_one(tile_rows=self.tile_rows)
+        limits = {"tile rows": self.tile_rows, "a memory limit": self.memory}
+        names = [name for name, value in limits.items() if value is not None]
+        if len(names) > 1:
+            raise InputError(" and ".join(names), hint="leave out one of the two")
+        if self.multi_scale and names:
+            raise InputError(
+                f"{names[0]} with the multi-scale estimate, which solves strips of camera blocks",
+                hint="leave out one of the two",
+            )
+        limit = self.memory_limit
+        if limit is not None and limit < 1:
+            raise InputError(f"a memory limit of {limit} bytes", hint="give one such as 4GiB")
         if self.workers is not None and self.cluster is not None:
             raise InputError("workers here and a cluster", hint="leave out one of the two")
         check_at_least_one(workers=self.workers)
-        self._check_regularization()
+        value = self.regularization
+        if not isinstance(value, str):
+            check_number(
+                "a regularization",
+                value,
+                least=LEAST_REGULARIZATION,
+                most=MOST_REGULARIZATION,
+                hint="use auto or a positive number in units of camera sample, such as 0.3",
+            )
+        elif value != "auto":
+            raise InputError(
+                f"a regularization of {value!r}", hint="use auto or a number such as 0.3"
+            )
         reason = self._reason_against_coherent
         if self.coherent and reason is not None:
             raise InputError(f"the coherent estimate {reason}", hint="leave out one of the two")
@@ -115,36 +139,6 @@ class EstimateSettings:
         """Whether T may be read from patterns that determine it, if nothing else is asked for."""
         left_open = self.coherent is None and self.fidelity is None and self.iterations is None
         return left_open and self.regularization == "auto" and not (self.signed or self.multi_scale)
-
-    def _check_tiles(self) -> None:
-        check_at_least_one(tile_rows=self.tile_rows)
-        limits = {"tile rows": self.tile_rows, "a memory limit": self.memory}
-        names = [name for name, value in limits.items() if value is not None]
-        if len(names) > 1:
-            raise InputError(" and ".join(names), hint="leave out one of the two")
-        if self.multi_scale and names:
-            raise InputError(
-                f"{names[0]} with the multi-scale estimate, which solves strips of camera blocks",
-                hint="leave out one of the two",
-            )
-        limit = self.memory_limit
-        if limit is not None and limit < 1:
-            raise InputError(f"a memory limit of {limit} bytes", hint="give one such as 4GiB")
-
-    def _check_regularization(self) -> None:
-        value = self.regularization
-        if not isinstance(value, str):
-            check_number(
-                "a regularization",
-                value,
-                least=LEAST_REGULARIZATION,
-                most=MOST_REGULARIZATION,
-                hint="use auto or a positive number in units of camera sample, such as 0.3",
-            )
-        elif value != "auto":
-            raise InputError(
-                f"a regularization of {value!r}", hint="use auto or a number such as 0.3"
-            )
 
     @property
     def _reason_against_coherent(self) -> str | None:

@@ -8,7 +8,8 @@ a whole, leave of its samples (see `rig_model/`).
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -35,7 +36,6 @@ from lightmatrix.estimators.choice import choose_estimator
 from lightmatrix.estimators.settings import EstimateSettings
 from lightmatrix.files.images import JPEG
 from lightmatrix.patterns.colour import ColourPatterns
-from lightmatrix.patterns.pattern_set import PatternSet
 from lightmatrix.patterns.projector_curve import ProjectorResponse
 from lightmatrix.resources.threads import one_blas_thread
 from lightmatrix.rig_model.camera_curve import CameraCurve, bent_light
@@ -110,7 +110,7 @@ def find_response(
     """
     settings = settings or EstimateSettings()
     whole = open_capture(capture)
-    refuse_pictures(whole)
+    _refuse_patterns(whole, projector=False)
     compressed = any(whole.frames.name(k).lower().endswith(JPEG) for k in range(whole.count))
     if compressed:
         warn(
@@ -119,12 +119,12 @@ def find_response(
         )
     stated = whole.decoder.response
     search = _Search(window_of_levels(whole), settings, curves=not compressed)
-    found = search.settled(Curves(stated))
-    # A search may end at a wrong curve, under which T explains few frames as well.
-    if found is None or found.missed > _MISSED:
-        other = search.settled(Curves(raised(stated, search.scanned(stated))))
-        if other is not None and (found is None or other.missed < _CLEARLY * found.missed):
-            found = other
+
+    def starts() -> Iterator[Curves]:
+        yield Curves(stated)
+        yield Curves(raised(stated, search.scanned(stated)))
+
+    found = search.best(starts())
     if found is None:
         raise _undetermined()
     return search.found(found, stated)
@@ -176,16 +176,14 @@ def find_projector_response(
     """
     settings = settings or EstimateSettings()
     whole = open_capture(capture)
-    _refuse_other_patterns(whole)
+    _refuse_patterns(whole, projector=True)
     stated = whole.decoder.response
     camera = camera or stated.name == AUTOMATIC
     read = with_response(whole, Response()) if stated.name == AUTOMATIC else whole
     # Windows of 64 x 64 camera pixels gave the same gammas to 0.4 %, for 1.7 times the time.
     part = window_of_levels(read, 45)
     search = _Search(part, settings, camera=camera, curves=False)
-    # Most searches end at the right gammas from wherever they begin.
-    starts = (Curves(read.decoder.response, gamma) for gamma in (1.0, 2.2))
-    found = next((each for each in map(search.settled, starts) if each is not None), None)
+    found = search.best(Curves(read.decoder.response, gamma) for gamma in (1.0, 2.2))
     # A gamma whose standard error is above 2.5 % is not determined.
     if found is None or max(found.errors) > 0.025:
         raise _undetermined("projector's gamma")
@@ -211,10 +209,22 @@ class _Search:
         # A small difference is removed by one step, a gamma of 3 takes about six.
         for _ in range(8):
             better = refined(*self.estimated(now), now, camera=self.camera, curves=self.curves)
-            if better is None or better.difference(now) < 0.01:
+            if better is None or better.difference(now) < 0.005:
                 return better
             now = better
         return None
+
+    def best(self, starts: Iterable[Curves]) -> Curves | None:
+        """The curves at which searches end; None if none settles."""
+        best = None
+        for start in starts:
+            found = self.settled(start)
+            if found and (best is None or found.missed < _CLEARLY * best.missed):
+                best = found
+            # A search may end at wrong curves, under which T explains few frames as well.
+            if best and best.missed <= _MISSED:
+                break
+        return best
 
     def scanned(self, stated: Response) -> float:
         """The power of the light, among those of a scan, at which T predicts best."""
@@ -272,13 +282,6 @@ def refined(
     """
     with one_blas_thread():
         seen = Prediction.of(capture, capture, transport)
-        # What T predicts as a whole is projected out, too: where light is blurred, the strongest
-        # pixels are only a part of it.
-        along = seen.projected(seen.predicted)
-        length = np.linalg.norm(along, axis=1, keepdims=True)
-        along = along / np.where(length > 1e-6 * length.max(initial=0.0), length, np.inf)
-        basis = np.concatenate([seen.basis, along[:, None, :]], axis=1)
-        seen = replace(seen, basis=basis, free=seen.free - 1)
         changes = [CameraCurve().regressors(seen)] if camera else []
         if known.gamma is not None:
             changes.append(np.asarray(ProjectorCurve().regressors(seen)))
@@ -340,30 +343,6 @@ def _solved(seen: Prediction, changes: Array) -> tuple[Array, Array] | None:
     return sizes, np.sqrt((scatter**2).sum(axis=0))
 
 
-def show_pictures(patterns: PatternSet) -> bool:
-    """Whether neighbouring pixels of grey patterns are alike, as those of photographs are."""
-    if patterns.as_bits() is not None or patterns.shape[1] < 2:
-        return False
-    rows, cols = patterns.shape
-    drawn = np.random.default_rng(0).integers(0, rows * (cols - 1), 500)
-    left = drawn // (cols - 1) * cols + drawn % (cols - 1)
-    one, other = (patterns.columns(pixels).astype(np.float64) for pixels in (left, left + 1))
-    one, other = one - one.mean(axis=0), other - other.mean(axis=0)
-    both = np.sqrt((one**2).sum() * (other**2).sum())
-    # Neighbours in random grey patterns do not correlate, those in photographs by more than 0.9.
-    return float((one * other).sum() / max(both, 1e-12)) > 0.5
-
-
-def refuse_pictures(capture: Capture) -> None:
-    """Refuse grey patterns whose neighbouring pixels are alike, such as photographs."""
-    if capture.bin_projector == (1, 1) and show_pictures(capture.patterns):
-        raise InputError(
-            "patterns of pictures determine only the quotient of the camera's and the projector's "
-            "curves",
-            hint="measure the curves with `lightmatrix response`, or use random patterns",
-        )
-
-
 def _undetermined(what: str = "camera's response") -> InputError:
     return InputError(
         f"the photographs do not determine the {what}",
@@ -371,23 +350,31 @@ def _undetermined(what: str = "camera's response") -> InputError:
     )
 
 
-def find_responses(capture: Capture, settings: EstimateSettings) -> FoundResponse:
-    """The responses that a capture leaves to be found."""
-    find = find_projector_response if capture.projector_unknown else find_response
-    return find(capture, settings)
-
-
-def _refuse_other_patterns(capture: Capture) -> None:
-    """Refuse patterns from which no gamma of the projector can be found."""
-    patterns = capture.patterns
+def _refuse_patterns(capture: Capture, *, projector: bool) -> None:
+    """Refuse patterns from which no curve of the camera, or none of the projector, can be found."""
+    patterns, binned = capture.patterns, capture.bin_projector != (1, 1)
     hint = 'leave out projector_response="auto"'
-    if isinstance(patterns, ColourPatterns):
+    if projector and isinstance(patterns, ColourPatterns):
         raise InputError("the projector's gamma cannot be found from patterns in colour", hint=hint)
-    if patterns.as_bits() is not None:
+    if projector and patterns.as_bits() is not None:
         raise InputError("black and white patterns need no curve of the projector", hint=hint)
-    if capture.bin_projector != (1, 1):
+    if projector and binned:
         raise InputError(
             "grey values are averaged before their light is known",
             hint="do not bin the projector, or measure its curve with `projector_response`",
         )
-    refuse_pictures(capture)
+    rows, cols = patterns.shape
+    if binned or patterns.as_bits() is not None or cols < 2:
+        return
+    drawn = np.random.default_rng(0).integers(0, rows * (cols - 1), 500)
+    left = drawn // (cols - 1) * cols + drawn % (cols - 1)
+    one, other = (patterns.columns(pixels).astype(np.float64) for pixels in (left, left + 1))
+    one, other = one - one.mean(axis=0), other - other.mean(axis=0)
+    both = np.sqrt((one**2).sum() * (other**2).sum())
+    # Neighbours in random grey patterns do not correlate, those in photographs by more than 0.9.
+    if (one * other).sum() > 0.5 * max(both, 1e-12):
+        raise InputError(
+            "patterns of pictures determine only the quotient of the camera's and the projector's "
+            "curves",
+            hint="measure the curves with `lightmatrix response`, or use random patterns",
+        )

@@ -23,7 +23,7 @@ from lightmatrix.judgement.metrics import (
     unseen_patterns,
 )
 from lightmatrix.paths import as_path
-from lightmatrix.ranges import check_number
+from lightmatrix.ranges import check_list, check_number
 from lightmatrix.reprs import html_table, labelled, text_table
 from lightmatrix.simulation import library
 from lightmatrix.simulation.colour import is_of_all_primaries, of_primary
@@ -236,6 +236,7 @@ def evaluate_colour(
                 )
             truths = [of_primary(known, colour) for colour in COLOURS]
     for matrices, word in ((estimates, "estimates"), (truths, "truths")):
+        check_list(matrices, hint="give those of red, green and blue")
         if len(matrices) != 3:
             raise InputError(f"{len(matrices)} {word}", hint="give those of red, green and blue")
     pairs = [_matrices(*pair, progress) for pair in zip(estimates, truths, strict=True)]

@@ -30,6 +30,7 @@ from lightmatrix.files.reading import errors_naming, read_json
 from lightmatrix.files.stacks import ImageStack, Page, list_entries
 from lightmatrix.files.writing import atomic_folder
 from lightmatrix.paths import as_path
+from lightmatrix.patterns.bit_planes import check_order, fill_bit_planes
 from lightmatrix.patterns.bits import BitPatterns
 from lightmatrix.patterns.colour import ColourPatterns, colour_images
 from lightmatrix.patterns.making import remake_patterns
@@ -43,7 +44,12 @@ FORMAT, VERSION = "lightmatrix-patterns", 1
 
 
 def write_patterns(
-    folder: str | Path, patterns: PatternSet, *, colour: str | None = None, overwrite: bool = False
+    folder: str | Path,
+    patterns: PatternSet,
+    *,
+    colour: str | None = None,
+    bit_planes: str | None = None,
+    overwrite: bool = False,
 ) -> None:
     """Write a pattern set as 8-bit PNG files and patterns.json.
 
@@ -56,13 +62,18 @@ def write_patterns(
     colour : {"red", "green", "blue"}, optional
         The primary of a colour projector to show them in; None: white, or the colours that the
         patterns have.
+    bit_planes : str, optional
+        Also write the folder bit_planes: black and white patterns as the bits of colour images, 24
+        in each, for boards with micromirrors. It says in which order the board shows the primaries,
+        the lowest bit first: "grb" for TI's LightCrafter 4500. sequence.csv lists the image and the
+        number of the bit plane of each pattern.
     overwrite : bool
         Whether an existing folder of patterns may be replaced.
 
     Raises
     ------
     InputError
-        On another colour.
+        On another colour or order, and on bit planes of patterns that are not black and white.
     OutputError
         If the folder exists, was not written by lightmatrix, or cannot be written.
 
@@ -77,8 +88,12 @@ def write_patterns(
         raise InputError(
             f"patterns in colour, to be written in {colour}", hint="leave out one of the two"
         )
+    if bit_planes is not None:
+        check_order(patterns, bit_planes)
     with atomic_folder(folder, PATTERNS, overwrite=overwrite) as part:
         fill_pattern_folder(part, patterns, colour)
+        if bit_planes is not None:
+            fill_bit_planes(part / "bit_planes", patterns, bit_planes)
 
 
 def fill_pattern_folder(folder: Path, patterns: PatternSet, colour: str | None = None) -> None:

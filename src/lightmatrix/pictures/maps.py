@@ -27,8 +27,6 @@ UNKNOWN = (0.7, 0.7, 0.7)
 class Map:
     """One value for each camera pixel, and how to colour it."""
 
-    # The map in one word, as in file names.
-    name: str
     title: str
     # The quantity and unit of the colour scale.
     label: str
@@ -66,7 +64,7 @@ def light_map(light: NDArray[np.floating], title: str) -> Map:
     """A row or column of T as an image, whose light fades over four decades around its peak."""
     peak = max(float(light.max()), 1e-12)
     label = "camera full scale per projector pixel"
-    return Map("light", title, label, light, peak / 1e4, peak, "inferno", logarithmic=True)
+    return Map(title, label, light, peak / 1e4, peak, "inferno", logarithmic=True)
 
 
 def clipping_map(transport: LightTransport) -> Map:
@@ -74,7 +72,7 @@ def clipping_map(transport: LightTransport) -> Map:
     shares = 100 * _diagnostic(transport, "clipped_share")
     title = f"Clipped samples: {np.mean(shares):.1f} %"
     label = "clipped share of a camera pixel's samples, %"
-    return Map("clipping", title, label, shares, 0, 100, WHITE_TO_RED)
+    return Map(title, label, shares, 0, 100, WHITE_TO_RED)
 
 
 def gap_map(transport: LightTransport) -> Map:
@@ -86,7 +84,7 @@ def gap_map(transport: LightTransport) -> Map:
     title = f"Duality gap: median {percent(np.median(known))}, largest {percent(known.max())}"
     label = "relative duality gap; dark: converged"
     # Gaps below the usual tolerance look alike: bright pixels are rows that did not converge.
-    return Map("gap", title, label, gaps, 1e-3, 1, logarithmic=True)
+    return Map(title, label, gaps, 1e-3, 1, logarithmic=True)
 
 
 def footprint_map(transport: LightTransport) -> Map:
@@ -95,27 +93,27 @@ def footprint_map(transport: LightTransport) -> Map:
     known = sizes[np.isfinite(sizes)]
     middle, high = np.quantile(known, (0.5, 0.99)).tolist() if known.size else (0.0, 1.0)
     title = f"Footprint size: median {middle:.2g} projector pixels"
-    return Map("footprint", title, "projector pixels", sizes, 0, max(high, 1.0))
+    return Map(title, "projector pixels", sizes, 0, max(high, 1.0))
 
 
 def estimated_error_map(transport: LightTransport) -> Map:
     """The estimated relative error of each camera pixel's rows."""
     errors = _diagnostic(transport, "estimated_error")
-    return _of_errors("estimated-error", "Estimated error per camera pixel", "estimated ", errors)
+    return _of_errors("Estimated error per camera pixel", "estimated ", errors)
 
 
 def error_map(values: NDArray[np.floating]) -> Map:
     """Relative error of each camera pixel against the truth, (rows, cols); NaN where T is dark."""
-    return _of_errors("error", "Error against the truth", "", values.astype(float))
+    return _of_errors("Error against the truth", "", values.astype(float))
 
 
-def _of_errors(name: str, title: str, kind: str, errors: NDArray[np.float64]) -> Map:
+def _of_errors(title: str, kind: str, errors: NDArray[np.float64]) -> Map:
     known = errors[np.isfinite(errors)]
     middle = 100 * float(np.median(known)) if known.size else np.nan
     label = f"{kind}relative error of a camera pixel's row"
     title += f": median {middle:.2g} %"
     # The scale ends at 100 %, the error of T = 0, and begins at 0.1 %, which noise hides.
-    return Map(name, title, label, errors, 1e-3, 1.0, "magma", logarithmic=True)
+    return Map(title, label, errors, 1e-3, 1.0, "magma", logarithmic=True)
 
 
 def correspondence_maps(matches: Correspondence) -> tuple[Map, Map, Map]:
@@ -125,9 +123,9 @@ def correspondence_maps(matches: Correspondence) -> tuple[Map, Map, Map]:
     middle = 100 * float(np.median(confidence[matches.valid])) if matches.valid.any() else 0.0
     label = "share of the light from 5 x 5 projector pixels"
     return (
-        Map("row", "Projector row", "projector row", row, *_ends(row)),
-        Map("column", "Projector column", "projector column", col, *_ends(col)),
-        Map("confidence", f"Confidence: median {middle:.0f} %", label, confidence, 0, 1, "gray"),
+        Map("Projector row", "projector row", row, *_ends(row)),
+        Map("Projector column", "projector column", col, *_ends(col)),
+        Map(f"Confidence: median {middle:.0f} %", label, confidence, 0, 1, "gray"),
     )
 
 

@@ -126,13 +126,10 @@ def advise_exposures(
         least = max(least, RULES.shortest_frames / frames)
     last = min(least, 1 / len(ladder)) if longer else 1.0
     shares = [*[(1 - last) / max(1, longer)] * longer, last]
-    return [(_three_digits(e), share) for e, share in zip(ladder, shares, strict=True)]
-
-
-def _three_digits(exposure: float) -> float:
-    """An exposure > 0 rounded down to three digits, so that rounding makes nothing clip."""
-    unit = 10.0 ** (math.floor(math.log10(exposure)) - 2)
-    return float(f"{math.floor(exposure / unit * (1 + 1e-12)) * unit:.3g}")
+    # Rounded down to three digits, so that rounding makes nothing clip.
+    units = [10.0 ** (math.floor(math.log10(exposure)) - 2) for exposure in ladder]
+    rounded = [math.floor(e / u * (1 + 1e-12)) * u for e, u in zip(ladder, units, strict=True)]
+    return [(float(f"{e:.3g}"), share) for e, share in zip(rounded, shares, strict=True)]
 
 
 def check_camera(noise: float, shortest: float | None) -> None:

@@ -14,7 +14,7 @@ from lightmatrix.defaults import FEWEST_BLACK_AND_WHITE
 from lightmatrix.errors import LightMatrixError
 from lightmatrix.estimators.camera_window import mean_image, window_of_light
 from lightmatrix.estimators.choice import choose_estimator
-from lightmatrix.estimators.coherent.row_errors import HeldOut
+from lightmatrix.estimators.coherent.row_errors import FEWEST, HeldOut
 from lightmatrix.estimators.settings import EstimateSettings
 from lightmatrix.geometry.rig_geometry import RigGeometry
 from lightmatrix.judgement.evaluate import Errors, errors_by_rows
@@ -87,7 +87,8 @@ def validate(
     # More would leave too few for the second estimate. Chosen by hand.
     held = HeldOut.choose(capture.patterns, judged=4)
     frames = held.judged
-    if capture.count < FEWEST_BLACK_AND_WHITE:
+    # Four of fewer than 16 would be missed; each row's own error holds out one at a time.
+    if capture.count < FEWEST or (len(frames) and capture.count < FEWEST_BLACK_AND_WHITE):
         return f"{capture.count} photographs are too few to hold any out"
     if not len(frames):
         return "each photograph is needed, or follows from others whatever T is (as in a Gray code)"

@@ -33,12 +33,18 @@ class Limits:
         A term with fewer numbers is there in place of one that explains more, if it explains this
         share of it: light that varies along the rows may vary alike in all of them, and a curve
         changes frames of several exposures as their light does.
+    shared : float
+        A term whose numbers all frames share is there in place of one with numbers for each frame,
+        if it explains this share of it. A camera with a gamma of 2.2 changes glossy scenes as light
+        that varies does, and explains half of what that explains; where light truly varies, no
+        curve explains more than a fiftieth of it.
     """
 
     explained: float = 0.01
     chance: float = 25.0
     beside: float = 0.1
     alike: float = 0.75
+    shared: float = 0.25
 
 
 LIMITS = Limits()
@@ -115,6 +121,13 @@ def _forward(
                 continue
             if regression.size(name, numbers[name]) > smallest[name]:
                 candidates.append((score, name, numbers, stated, together))
+        most = max((each[0] for each in candidates), default=0.0)
+        common = [
+            each
+            for each in candidates
+            if not terms[each[1]].per_frame and each[0] >= LIMITS.shared * most
+        ]
+        candidates = common or candidates
         # Of terms that explain nearly the same, the one with the fewest numbers is there.
         enough = LIMITS.alike * max((each[0] for each in candidates), default=0.0)
         alike = [each for each in candidates if each[0] >= enough]

@@ -1,8 +1,9 @@
 """The projected least squares: all numbers of all terms at once, and any subset of the terms.
 
-T has swallowed a part of every fault. The strongest entries of a row and a constant are therefore
-projected out of its samples and of the regressors (variable projection, Golub and Pereyra, SIAM J.
-Numer. Anal. 10, 1973). What is left of the samples, r, is explained by sum_j x_j f_j:
+T has swallowed a part of every fault. The strongest entries of a row, a constant and the prediction
+itself are therefore projected out of its samples and of the regressors (variable projection, Golub
+and Pereyra, SIAM J. Numer. Anal. 10, 1973). What is left of the samples, r, is explained by
+sum_j x_j f_j:
 
     minimize  sum over rows m of  w_m || R_m (r_m - sum_j x_j f_jm) ||^2,
 

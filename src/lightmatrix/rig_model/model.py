@@ -110,7 +110,8 @@ class RigModel:
         for name, step in steps.items():
             term = TERMS[name]()
             step = term.based(step)
-            values[name] = term.based(term.added(values[name], step)) if name in values else step
+            before = values.get(name, np.zeros_like(step))
+            values[name] = term.based(term.added(before, step))
         ordered = {name: values[name] for name in TERMS if name in values}
         return RigModel(ordered, {**self.errors, **errors}, largest)
 

@@ -52,7 +52,8 @@ class Prediction:
     chosen: NDArray[np.int64]
     samples: Samples
     around: Array
-    # An orthonormal basis of the columns of each row's strongest pixels and a constant, (m, d, K).
+    # An orthonormal basis of what T may hold wrongly in each row, (m, d, K): the columns of its
+    # strongest pixels, a constant, and T p itself, since an l1 estimate is too dark as a whole.
     basis: Array
     usable: NDArray[np.bool_]
     free: NDArray[np.int64]
@@ -80,7 +81,9 @@ class Prediction:
         counted = samples.counted & ~samples.clipped
         pixels, _ = strongest_pixels(transport, inner[chosen], capture.count)
         lit = np.moveaxis(capture.patterns.at(pixels), 0, 1).astype(np.float64)
-        columns = np.concatenate([np.ones((*lit.shape[:2], 1)), lit], axis=2) * counted[..., None]
+        whole = around[INNER].reshape(-1, capture.count)[chosen]
+        beside = np.stack([np.ones_like(whole), whole], axis=2)
+        columns = np.concatenate([lit, beside], axis=2) * counted[..., None]
         basis, strength, _ = np.linalg.svd(columns, full_matrices=False)
         # Weaker directions are rounding errors of columns that depend on each other.
         strong = strength > 1e-6 * np.maximum(strength[:, :1], 1e-12)
@@ -125,7 +128,7 @@ class Prediction:
         return predicted_light(self.transport, self.rows, self.sent.patterns, change)
 
     def projected(self, values: Array) -> Array:
-        """What the strongest pixels and a constant cannot explain of values (m, K)."""
+        """What the basis of each row cannot explain of values (m, K)."""
         masked = values * self.usable
         inside = np.einsum("mdk,mk->md", self.basis, masked)
         return np.asarray((masked - np.einsum("mdk,md->mk", self.basis, inside)) * self.usable)

@@ -20,5 +20,9 @@ class Previous(Term):
         share = float(values[0])
         draft.patterns.append(lambda images, before: (1 - share) * images + share * before)
 
+    def added(self, values: Array, step: Array) -> Array:
+        # T has taken on the light of the pattern itself, 1 - a of what it should be.
+        return values + step / (1 + step)
+
     def sentence(self, values: Array) -> str:
         return f"each photograph shows {100 * values[0]:.1f} % of the picture before it"

@@ -33,7 +33,7 @@ from lightmatrix.geometry.matches import fit_fundamental, fit_homography, moved,
 from lightmatrix.geometry.rig_geometry import RigGeometry, decomposed, normalised
 from lightmatrix.patterns.codes import find_codes
 from lightmatrix.patterns.stripes import stripes_of
-from lightmatrix.ranges import check_number
+from lightmatrix.ranges import check_list, check_number
 from lightmatrix.reprs import short_repr
 from lightmatrix.shape.decode import decode
 from lightmatrix.transport.correspondence import Correspondence, correspondence
@@ -459,6 +459,7 @@ def calibrate_rig(
         raise InputError(
             f"a board of {board[0]} x {board[1]} inner corners", hint="use at least 3 x 3"
         )
+    check_list(poses, hint="give a capture for each pose of the board")
     _check_count(len(poses), {})
     corners, shapes, left_out = _all_corners(poses, board, progress)
     points = board_points(board, square)

@@ -147,7 +147,6 @@ def depth_map(depth: NDArray[np.floating], units: str | None) -> Map:
     # A plane that faces the camera has one depth only.
     high = max(high, low + 1e-6 * max(1.0, abs(low)))
     return Map(
-        "depth",
         "Depth along the camera's axis",
         units or "unit of the geometry",
         depth.astype(np.float64),
@@ -304,7 +303,7 @@ class Shape:
             draw_into(drawing, depths, depth_map(self.depth, self.geometry.units))
             panel(directions, normal_colours(self.camera_normals), _NORMALS)
             title = "How probably the depth is right"
-            draw_into(drawing, certain, Map("probability", title, "", self.probability, 0, 1))
+            draw_into(drawing, certain, Map(title, "", self.probability, 0, 1))
             count = len(ShapeTest)
             # Colours of kept pixels and of the tests that others failed.
             colours = ListedColormap(("#f2f2f2", "#404040", *COLOURS[:3]))

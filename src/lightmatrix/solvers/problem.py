@@ -241,19 +241,13 @@ def predictions(
     return result + np.outer(np.asarray(background, np.float64), problem.column)
 
 
-def data_term(
-    problem: Problem, u: NDArray[np.float64], fidelity: Fidelity | str
-) -> NDArray[np.float64]:
-    """sum_k w_k f_k(u_k) of each row, (M,) float64."""
-    return _data_term(problem.observed.astype(np.float64), u, Fidelity(fidelity).term)
-
-
 def objective(
     problem: Problem, coefficients: csr_array, background: NDArray[Any], fidelity: Fidelity | str
 ) -> NDArray[np.float64]:
     """The problem's objective for each row, (M,) float64."""
     u = predictions(problem, coefficients, background)
-    return _norm(problem, coefficients) + data_term(problem, u, fidelity)
+    term, observed = Fidelity(fidelity).term, problem.observed.astype(np.float64)
+    return _norm(problem, coefficients) + _data_term(observed, u, term)
 
 
 def relative_gap(
@@ -312,7 +306,10 @@ def _dual_value(
     with np.errstate(divide="ignore", invalid="ignore"):
         limit = np.where(highest > 0, problem.regularization / highest, np.inf)
     linear = (observed.values * theta).sum(axis=1)
-    quadratic = _over(theta**2, observed.weights).sum(axis=1)
+    over = np.divide(
+        theta**2, observed.weights, out=np.zeros_like(theta), where=observed.weights > 0
+    )
+    quadratic = over.sum(axis=1)
     # D(s theta) is a parabola in s. Take its top, or the largest feasible scaling below it.
     with np.errstate(divide="ignore", invalid="ignore"):
         top = np.where(quadratic > 0, linear / quadratic, 0)
@@ -320,11 +317,6 @@ def _dual_value(
     # larger one would only magnify the rounding errors in m' theta = 0.
     scaling = np.clip(top, 0, np.minimum(limit, 2))
     return np.asarray(scaling * linear - scaling**2 * quadratic / 2)
-
-
-def _over(numbers: NDArray[np.float64], weights: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Numbers divided by weights; 0 where the weight is 0."""
-    return np.divide(numbers, weights, out=np.zeros_like(numbers), where=weights > 0)
 
 
 def _orthogonal_to_column(

@@ -130,7 +130,14 @@ class ROMP:
             x, b = least.solve(support)
             residual = least.residual(support, x, b)
         if problem.nonnegative:
-            support, x, b = _without_negative(least, support, x, b)
+            # Pixels with negative coefficients are removed until none is left.
+            for _ in range(int(support.count.max(initial=0))):
+                negative = support.used & (x < 0)
+                if not negative.any():
+                    break
+                support = support.without(negative)
+                x, b = least.solve(support)
+            x, b = np.maximum(x, 0), np.maximum(b, 0)
         residual = least.residual(support, x, b)
         explained = np.sqrt((weights * residual**2).sum(axis=1)) <= self.tolerance * norm
         diagnostics = {"iterations": rounds, "converged": explained | ~active}
@@ -234,16 +241,3 @@ def _select(correlations: NDArray[np.float64], n: int, nonnegative: bool) -> NDA
     energy = (inside * values[:, None, :] ** 2).sum(axis=2)
     best = energy.argmax(axis=1)
     return np.where(inside[np.arange(len(best)), best], largest, -1)
-
-
-def _without_negative(
-    least: _LeastSquares, support: _Support, x: NDArray[np.float64], b: NDArray[np.float64]
-) -> tuple[_Support, NDArray[np.float64], NDArray[np.float64]]:
-    """Remove pixels with negative coefficients and solve again, until none is left."""
-    for _ in range(int(support.count.max(initial=0))):
-        negative = support.used & (x < 0)
-        if not negative.any():
-            break
-        support = support.without(negative)
-        x, b = least.solve(support)
-    return support, np.maximum(x, 0), np.maximum(b, 0)

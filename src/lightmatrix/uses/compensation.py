@@ -26,7 +26,7 @@ from lightmatrix.files.writing import check_output
 from lightmatrix.patterns.folder import write_patterns
 from lightmatrix.patterns.pattern_set import ImagePatterns
 from lightmatrix.patterns.projector_curve import ProjectorResponse
-from lightmatrix.ranges import check_number, check_whole
+from lightmatrix.ranges import check_list, check_number, check_whole
 from lightmatrix.reprs import short_repr
 from lightmatrix.transport.matrix import LightTransport
 from lightmatrix.uses.loading import Transport, loaded
@@ -729,6 +729,8 @@ def compensate_video(
         pictures, gamma = video_frames(frames), DISPLAY_GAMMA if gamma is None else gamma
     elif isinstance(frames, str | Path):
         pictures = list_images(frames)
+    else:
+        check_list(pictures, hint="give the frames of the video, or its file")
     shape = shared.light.camera_shape
     wanted = [wanted_samples(one, shape, gamma=gamma, fit=fit, black=True) for one in pictures]
     if not wanted:

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from PIL import Image
+from PIL import Image, ImageOps
 
 from lightmatrix.errors import InputError, warn
 from lightmatrix.files.extras import upright
@@ -81,25 +82,16 @@ def fitted(image: NDArray[np.float32], shape: tuple[int, int], fit: str) -> NDAr
 
     Pixels are averaged where it shrinks, which keeps its light.
     """
-    ratios = shape[0] / image.shape[0], shape[1] / image.shape[1]
-    if fit != "stretch":
-        ratios = ((max if fit == "cover" else min)(ratios),) * 2
-    rows, cols = (max(1, round(n * r)) for n, r in zip(image.shape, ratios, strict=False))
-    how = Image.Resampling.BOX if max(ratios) <= 1 else Image.Resampling.BILINEAR
+    shrinks = image.shape[0] >= shape[0] and image.shape[1] >= shape[1]
+    how = Image.Resampling.BOX if shrinks else Image.Resampling.BILINEAR
+    ways: dict[str, Callable[..., Image.Image]] = {
+        "cover": ImageOps.fit,
+        "contain": ImageOps.pad,
+        "stretch": Image.Image.resize,
+    }
     channels = np.moveaxis(np.atleast_3d(image), 2, 0)
-    done = [np.asarray(Image.fromarray(c).resize((cols, rows), how)) for c in channels]
-    resized = np.stack(done, axis=-1).reshape(rows, cols, *image.shape[2:]).clip(0, 1)
-    frame = np.zeros((*shape, *image.shape[2:]), np.float32)
-    # Both have the same middle.
-    parts = _overlap(shape[0], rows), _overlap(shape[1], cols)
-    frame[parts[0][0], parts[1][0]] = resized[parts[0][1], parts[1][1]]
-    return frame
-
-
-def _overlap(frame: int, image: int) -> tuple[slice, slice]:
-    """The parts of a frame and of an image that overlap along an axis, if their middles agree."""
-    size, shift = min(frame, image), (frame - image) // 2
-    return slice(max(shift, 0), max(shift, 0) + size), slice(max(-shift, 0), max(-shift, 0) + size)
+    done = [np.asarray(ways[fit](Image.fromarray(c), shape[::-1], how)) for c in channels]
+    return np.stack(done, axis=-1).reshape(*shape, *image.shape[2:]).clip(0, 1)
 
 
 def _samples(

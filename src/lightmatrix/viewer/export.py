@@ -138,12 +138,12 @@ def export_viewer(
         )
     parts = {"matrix": scene.matrix_bytes}
     parts |= {f"frame-{k}": scene.pattern(k) for k in range(scene.pattern_count)}
-    for name in scene.layers:
+    for name in list(scene.layers.available):
         try:
-            parts[f"layer-{name}"] = scene.layer(name)
+            parts[f"layer-{name}"] = scene.layers.get(name)
         except InputError:
             # T may turn out to have none, such as one with too little direct light.
-            scene.drop_layer(name)
+            del scene.layers.available[name]
     parts["scene"] = scene.description
     data = {name: base64.b64encode(part).decode() for name, part in parts.items()}
     with atomic_file(path, PAGE, overwrite=overwrite) as part:

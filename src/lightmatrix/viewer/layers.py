@@ -186,7 +186,7 @@ def _depth_order(source: LayerSource) -> bytes:
     low, high = np.quantile(known, (0.01, 0.99)).tolist() if known.size else (0.0, 1.0)
     high = max(high, low + 1e-6 * max(1.0, abs(low)))
     label = "parallax along the epipolar line, projector pixels"
-    return packed_map(maps.Map("parallax", "Parallax", label, values, low, high))
+    return packed_map(maps.Map("Parallax", label, values, low, high))
 
 
 def _places(which: int) -> Callable[[LayerSource], bytes]:

@@ -76,7 +76,7 @@ class Views:
         if what == "layer":
             answer = {"view": view, "what": "layer", "name": content.get("name")}
             try:
-                self._send(answer, [self._scene.layer(answer["name"])])
+                self._send(answer, [self._scene.layers.get(answer["name"])])
             except LightMatrixError as error:
                 self._send({**answer, "error": error.message}, [])
         elif what == "message" and len(buffers) == 1:

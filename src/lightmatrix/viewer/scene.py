@@ -70,7 +70,7 @@ class Scene:
             known = self.light = MemoryLight(self.matrix)
         else:
             known = self.matrix
-        self._layers = LayerSource(known, geometry)
+        self.layers = LayerSource(known, geometry)
         self._patterns: PatternSet | None = None
         if capture is not None:
             opened_capture = capture if isinstance(capture, Capture) else Capture.open(capture)
@@ -93,13 +93,13 @@ class Scene:
             "camera": self.matrix.camera_shape,
             "projector": self.matrix.projector_shape,
             "grid": self.matrix.background_grid,
-            "layers": self._layers.available,
+            "layers": self.layers.available,
             "remote": self.light is not None,
             "white": self._white,
             "frames": self.pattern_count,
             "compensates": self._compensates,
         }
-        return packed(header, self._layers.colours)
+        return packed(header, self.layers.colours)
 
     @property
     def pattern_count(self) -> int:
@@ -124,19 +124,6 @@ class Scene:
         if self.light is not None or not isinstance(self.matrix, LightTransport):
             raise InputError("the matrix stays here", hint="ask by messages")
         return matrix_data(self.matrix)
-
-    @property
-    def layers(self) -> list[str]:
-        """The names of the layers."""
-        return list(self._layers.available)
-
-    def drop_layer(self, name: str) -> None:
-        """Do not offer a layer; before the description is asked for."""
-        del self._layers.available[name]
-
-    def layer(self, name: object) -> bytes:
-        """A layer, computed when it is first asked for; refused if the matrix has none."""
-        return self._layers.get(name)
 
     def session(self) -> Session:
         """What a window needs of a matrix that stays here."""

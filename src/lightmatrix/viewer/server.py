@@ -154,7 +154,7 @@ class Answers:
             files[path] = ("text/javascript; charset=utf-8", lambda: page_file(path).encode())
         if path.startswith("layer/") and path.endswith(".bin"):
             name = path.removeprefix("layer/").removesuffix(".bin")
-            files[path] = (_BINARY, lambda: scene.layer(name))
+            files[path] = (_BINARY, lambda: scene.layers.get(name))
         if re.fullmatch(r"frame/[0-9]{1,9}\.bin", path):
             number = int(path.removeprefix("frame/").removesuffix(".bin"))
             files[path] = (_BINARY, lambda: scene.pattern(number))

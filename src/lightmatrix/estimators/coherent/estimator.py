@@ -80,14 +80,6 @@ class CoherentEstimator(Estimator):
     ------
     InputError
         If a parameter is out of range.
-
-    Examples
-    --------
-    >>> import lightmatrix as lm
-    >>> from lightmatrix.estimators.coherent.estimator import CoherentEstimator
-    >>> capture = lm.simulate("metal", lm.BernoulliPatterns((64, 64), 8))
-    >>> CoherentEstimator(windows=((1, 1),), candidates=20).estimate(capture).camera_shape
-    (64, 64)
     """
 
     regularization: float | None = None
