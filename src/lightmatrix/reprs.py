@@ -46,10 +46,7 @@ _LABELS = {
     "relighting_error_diffuse": "relit images, diffuse rows",
 } | {
     f"{error}_{colour}": f"{colour}: {label}"
-    for error, label in (
-        ("relative_error", "error of T"),
-        ("relighting_error", "relit images"),
-    )
+    for error, label in (("relative_error", "error of T"), ("relighting_error", "relit images"))
     for colour in ("red", "green", "blue")
 }
 # Values between 0 and 1 that are shown in per cent.

@@ -31,12 +31,7 @@ from lightmatrix.check.motion import check_motion
 from lightmatrix.check.prediction import predict
 from lightmatrix.check.relation import check_relation, check_unseen
 from lightmatrix.check.survey import Survey, high_variance_rows
-from lightmatrix.check.wrong_frames import (
-    LIKELY,
-    SUSPECT,
-    check_frames,
-    wrong_frames,
-)
+from lightmatrix.check.wrong_frames import LIKELY, SUSPECT, check_frames, wrong_frames
 from lightmatrix.errors import InputError
 from lightmatrix.files.stacks import ImageStack
 from lightmatrix.patterns.inverse import lights_one

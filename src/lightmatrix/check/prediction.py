@@ -79,9 +79,7 @@ class FramePrediction:
 
 
 def find_places(
-    patterns: PatternSet,
-    samples: Samples,
-    learned: NDArray[np.bool_],
+    patterns: PatternSet, samples: Samples, learned: NDArray[np.bool_]
 ) -> tuple[NDArray[np.int64], ...]:
     """The projector pixels that m rows follow most in their `learned` (m, K) samples, (m,) each."""
     weight = learned.astype(np.float64)
@@ -102,9 +100,7 @@ def find_places(
 
 
 def predict(
-    patterns: PatternSet,
-    samples: Samples,
-    doubted: NDArray[np.bool_] | None = None,
+    patterns: PatternSet, samples: Samples, doubted: NDArray[np.bool_] | None = None
 ) -> FramePrediction:
     """Predict every sample (m, K) from the row's other frames.
 

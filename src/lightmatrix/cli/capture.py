@@ -75,10 +75,7 @@ def capture(
         count = USUAL_FRAMES if until is None else MOST_FRAMES
     if store is not None:
         check_output(store, STORE, overwrite=overwrite)
-    with (
-        lm.open_rig(rig, projector=projector, camera=camera) as opened,
-        Stages() as shown,
-    ):
+    with lm.open_rig(rig, projector=projector, camera=camera) as opened, Stages() as shown:
         captured = lm.take_capture(
             output,
             opened,

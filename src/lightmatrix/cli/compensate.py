@@ -9,13 +9,7 @@ from typer import Argument, Option
 
 import lightmatrix as lm
 from lightmatrix.cli import options
-from lightmatrix.cli.terminal import (
-    Stages,
-    enter_was_pressed,
-    progress,
-    say,
-    show_json,
-)
+from lightmatrix.cli.terminal import Stages, enter_was_pressed, progress, say, show_json
 from lightmatrix.defaults import RIG_FILE, VIDEOS
 from lightmatrix.errors import InputError
 

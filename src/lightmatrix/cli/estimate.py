@@ -25,12 +25,7 @@ from lightmatrix.files.writing import check_output
 from lightmatrix.reprs import labelled
 
 if TYPE_CHECKING:
-    from lightmatrix import (
-        ColourTransport,
-        EstimateSettings,
-        LightTransport,
-        Verdicts,
-    )
+    from lightmatrix import ColourTransport, EstimateSettings, LightTransport, Verdicts
     from lightmatrix.estimators.resource_estimate import ResourceEstimate
 
 # What is written where no other name is given.
@@ -79,8 +74,7 @@ _reporting = functools.partial(Option, rich_help_panel="Check and report")
         help="Estimate faint light from everywhere, as coarse cells per camera sample."
     ),
     multi_scale=_solving(
-        "--multi-scale",
-        help="Solve for projector blocks first, then for the pixels that matter.",
+        "--multi-scale", help="Solve for projector blocks first, then for the pixels that matter."
     ),
     bin_projector=_solving(help="Projector pixels per bin, 8 or 8x8."),
     bin_camera="Camera pixels per bin, 8 or 8x8; averages them.",
@@ -279,11 +273,7 @@ def _truth(folder: Path | None, transport: LightTransport) -> LightTransport | N
 
 def _as_json(judged: Verdicts) -> dict[str, Any]:
     overall = judged.transport
-    return {
-        "verdict": overall.level,
-        "sentence": overall.sentence,
-        "verdicts": judged.as_dict(),
-    }
+    return {"verdict": overall.level, "sentence": overall.sentence, "verdicts": judged.as_dict()}
 
 
 def _show_colour(output: Path, colour: ColourTransport, seconds: float, as_json: bool) -> None:

@@ -14,12 +14,7 @@ from lightmatrix.reprs import labelled
     "projector, also a folder with the captures red, green and blue.",
     exposure="Exposure of the capture; decides which rows clip under one projector pixel.",
 )
-def evaluate(
-    scene: Store,
-    truth: str,
-    exposure: float = 1.0,
-    as_json: Json = False,
-) -> None:
+def evaluate(scene: Store, truth: str, exposure: float = 1.0, as_json: Json = False) -> None:
     """Compare an estimate with the true T.
 
     Shows the errors of T, of relit images and of single responses, over all rows and some kinds of

@@ -28,11 +28,7 @@ from lightmatrix.defaults import FEWEST_BLACK_AND_WHITE, USUAL_NOISE
     ),
     shape=Option("--size", help="Rows x columns of the projector.", show_default=USUAL_SIZE),
     frames=Option(
-        "-k",
-        "--count",
-        help="Number of patterns.",
-        show_default="as --error needs",
-        min=2,
+        "-k", "--count", help="Number of patterns.", show_default="as --error needs", min=2
     ),
     error="Relative error of T to aim for; decides the number of frames.",
     noise="Noise of a sample, as a share of the clip level.",

@@ -11,20 +11,12 @@ import typer
 
 import lightmatrix as lm
 from lightmatrix.cli.help import Command
-from lightmatrix.cli.options import (
-    CameraName,
-    Json,
-    ProjectorName,
-    RigFile,
-    RigName,
-)
+from lightmatrix.cli.options import CameraName, Json, ProjectorName, RigFile, RigName
 from lightmatrix.cli.terminal import Stages, say, show_json
 from lightmatrix.defaults import RIG_FILE
 
 app = typer.Typer(
-    help="Measure a projector and a camera.",
-    add_completion=False,
-    rich_markup_mode=None,
+    help="Measure a projector and a camera.", add_completion=False, rich_markup_mode=None
 )
 
 

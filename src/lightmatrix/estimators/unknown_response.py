@@ -131,10 +131,7 @@ def find_response(
 
 
 def find_projector_response(
-    capture: Capture | str | Path,
-    settings: EstimateSettings | None = None,
-    *,
-    camera: bool = False,
+    capture: Capture | str | Path, settings: EstimateSettings | None = None, *, camera: bool = False
 ) -> FoundResponse:
     """Find the projector's gamma in photographs of random grey patterns.
 

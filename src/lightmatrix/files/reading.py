@@ -127,9 +127,7 @@ def parse_json(text: str, name: str, *, finite: bool = True) -> Any:
     """Parse JSON; no key twice and, if `finite`, no NaN and Infinity."""
     try:
         return json.loads(
-            text,
-            parse_constant=_refuse_constant if finite else None,
-            object_pairs_hook=_distinct,
+            text, parse_constant=_refuse_constant if finite else None, object_pairs_hook=_distinct
         )
     except RecursionError as error:
         raise InputError(

@@ -116,10 +116,7 @@ class ColourErrors:
 
     def as_dict(self) -> dict[str, Any]:
         """Names and values, JSON-ready, with the errors of each primary under its name."""
-        joint = {
-            "relative_error": self.relative_error,
-            "relighting_error": self.relighting_error,
-        }
+        joint = {"relative_error": self.relative_error, "relighting_error": self.relighting_error}
         return joint | {name: getattr(self, name).as_dict() for name in COLOURS}
 
     def __repr__(self) -> str:

@@ -341,10 +341,7 @@ def _mixture(
 
 
 def _open_place(
-    code: Code,
-    own: NDArray[np.float32],
-    line: NDArray[np.int64],
-    variance: NDArray[np.float64],
+    code: Code, own: NDArray[np.float32], line: NDArray[np.int64], variance: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Mean and standard deviation of the places around a line by their likelihoods, (m,).
 
@@ -365,10 +362,7 @@ def _open_place(
 
 
 def _evidence(
-    code: Code,
-    own: NDArray[np.float32],
-    line: NDArray[np.int64],
-    explained: NDArray[np.float64],
+    code: Code, own: NDArray[np.float32], line: NDArray[np.int64], explained: NDArray[np.float64]
 ) -> NDArray[np.float64]:
     """How much likelier lines make samples of mean 0, (m, k), than chance, as a logarithm, (m,).
 

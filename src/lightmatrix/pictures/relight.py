@@ -13,13 +13,7 @@ from PIL import Image
 
 from lightmatrix.errors import InputError
 from lightmatrix.files.colours import colour_paths, holds_colour
-from lightmatrix.files.images import (
-    DISPLAY_GAMMA,
-    given_image,
-    read_grey,
-    read_light,
-    write_image,
-)
+from lightmatrix.files.images import DISPLAY_GAMMA, given_image, read_grey, read_light, write_image
 from lightmatrix.files.kinds import IMAGE
 from lightmatrix.files.reading import errors_naming
 from lightmatrix.files.writing import check_output

@@ -22,12 +22,7 @@ from numpy.typing import NDArray
 from lightmatrix.capture.exposures import exposure_sequence
 from lightmatrix.capture.folder import read_white_frame
 from lightmatrix.capture.settings import FORMAT, NAME, VERSION, ReadSettings
-from lightmatrix.defaults import (
-    FEWEST_BLACK_AND_WHITE,
-    FEWEST_MIXED,
-    USUAL_NOISE,
-    USUAL_SIZE,
-)
+from lightmatrix.defaults import FEWEST_BLACK_AND_WHITE, FEWEST_MIXED, USUAL_NOISE, USUAL_SIZE
 from lightmatrix.errors import InputError
 from lightmatrix.files.kinds import CAPTURE
 from lightmatrix.files.writing import atomic_folder

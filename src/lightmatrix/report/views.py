@@ -158,8 +158,7 @@ def show(
         suffix = Path(output).suffix.lower()
         if view in ("correspondence", "spectrum") and suffix not in (".png", ".npz"):
             raise InputError(
-                f"a {view} in {output}",
-                hint="end the output in .png (a picture) or .npz (numbers)",
+                f"a {view} in {output}", hint="end the output in .png (a picture) or .npz (numbers)"
             )
         kind = NUMBERS if suffix == ".npz" else IMAGE
         check_output(output, kind, overwrite=overwrite)

@@ -501,10 +501,7 @@ def projector_response(
 
 
 def _opened(
-    photographs: Photographs,
-    output: str | Path | None,
-    picture: str | Path | None,
-    overwrite: bool,
+    photographs: Photographs, output: str | Path | None, picture: str | Path | None, overwrite: bool
 ) -> Frames:
     """The photographs, once it is known that what comes of them can be written."""
     for path, kind in ((output, RESPONSE), (picture, PICTURE)):

@@ -112,10 +112,7 @@ class Problem:
         """The samples for the fidelities, in their own precision."""
         samples = self.samples
         return Observed(
-            samples.values,
-            samples.clipped,
-            samples.clip_levels_of_all(),
-            samples.weights_of_all(),
+            samples.values, samples.clipped, samples.clip_levels_of_all(), samples.weights_of_all()
         )
 
 

@@ -22,12 +22,7 @@ from lightmatrix.files.writing import atomic_file, atomic_folder, check_output
 from lightmatrix.geometry.rig_geometry import RigGeometry
 from lightmatrix.paths import as_path
 from lightmatrix.reprs import short_repr
-from lightmatrix.transport.correspondence import (
-    REACH,
-    Correspondence,
-    pixel_rows,
-    strongest_places,
-)
+from lightmatrix.transport.correspondence import REACH, Correspondence, pixel_rows, strongest_places
 from lightmatrix.transport.sparse_rows import footprint_sizes
 from lightmatrix.uses.loading import Transport, loaded
 

@@ -22,12 +22,7 @@ from lightmatrix.transport import store
 from lightmatrix.transport.matrix import LightTransport
 from lightmatrix.transport.store import StoredTransport
 from lightmatrix.uses.compensation import compensate
-from lightmatrix.viewer.layers import (
-    COMPUTED_ENTRIES,
-    LayerSource,
-    matrix_data,
-    matrix_size,
-)
+from lightmatrix.viewer.layers import COMPUTED_ENTRIES, LayerSource, matrix_data, matrix_size
 from lightmatrix.viewer.lights import CoarseLight, Light, MemoryLight, Progress, StoredLight
 from lightmatrix.viewer.packed import packed
 from lightmatrix.viewer.session import HEADER_BYTES, Session

@@ -204,12 +204,7 @@ class Rounds(Work):
         return replaced(before, with_change(_for_next_round(solved, part), part), moving)
 
     def _search_unexplained(
-        self,
-        samples: Samples,
-        solved: Result,
-        rows: SparseRows,
-        share: float,
-        progress: Progress,
+        self, samples: Samples, solved: Result, rows: SparseRows, share: float, progress: Progress
     ) -> SparseRows:
         """Rows of which those that leave more than a share unexplained have searched all atoms."""
         unexplained = self.solver.unexplained(samples, solved, share)
