@@ -56,7 +56,7 @@ def main() -> None:
     parser = options_of("benchmarks.plan_calibration", __doc__)
     parser.add_argument("--output", type=Path, default=TABLE)
     parser.add_argument("--scenes", nargs="+", default=SCENES)
-    parser.add_argument("--estimators", nargs="+", default=("plain", "coherent"))
+    parser.add_argument("--estimators", nargs="+", default=("row by row", "coherent"))
     parser.add_argument("--counts", nargs="+", type=int, default=COUNTS)
     parser.add_argument("--patterns", nargs="+", default=("grey", "fine", "mix"))
     parser.add_argument("--exposures", nargs="+", default=("advised", "long"))
@@ -81,7 +81,7 @@ def main() -> None:
     for values in itertools.product(*wanted):
         case = dict(zip(names, values, strict=True))
         grey = case["frames"] < FEWEST_BLACK_AND_WHITE
-        if grey != (case["patterns"] == "grey") or (grey and case["estimator"] == "plain"):
+        if grey != (case["patterns"] == "grey") or (grey and case["estimator"] == "row by row"):
             continue
         if (case["patterns"] == "mix" and case["frames"] < 64) or _known(rows, case):
             continue
@@ -126,7 +126,7 @@ def run(
         chosen = advise_exposures(WhiteFrame(white, np.zeros(len(white), bool)), frames=frames)
     else:
         chosen = [(benchmark_exposure(known.transport()), 1.0)]
-    if estimator == "plain":
+    if estimator == "row by row":
         known = some_rows(known)
     pattern_set: PatternSet = BernoulliPatterns(size, frames, density)
     if patterns == "grey":

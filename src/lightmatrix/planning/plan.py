@@ -52,7 +52,7 @@ from lightmatrix.simulation.truth import Truth
 class ExpectedErrors:
     """Smallest and largest error of one estimator over the scenes, at one number of frames."""
 
-    # "plain" (row by row) or "coherent".
+    # "row by row" or "coherent".
     estimator: str
     frames: int
     # Errors of T over all rows, and of relit images.
