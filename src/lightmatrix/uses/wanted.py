@@ -46,10 +46,8 @@ def wanted_samples(
         _samples(image, camera_shape, name, _FIT)
     # Written so that it refuses NaN, too.
     if image.size and not (image.min() >= 0 and image.max() <= 1):
-        raise InputError(
-            f"{name} has values from {image.min():g} to {image.max():g}",
-            hint="give values in [0, 1]: divide raw levels by their largest one, such as 255",
-        )
+        hint = "give values in [0, 1]: divide raw levels by their largest one, such as 255"
+        raise InputError(f"{name} has values from {image.min():g} to {image.max():g}", hint=hint)
     light = image.astype(np.float32) ** np.float32(1.0 if gamma is None else gamma)
     if light.ndim == 3 and len(camera_shape) == 2:
         if not is_grey(light):

@@ -78,17 +78,13 @@ def choose_format(camera: str, offered: Sequence[str], wanted: str | None = None
         chosen = next((known for known in usable if known.name == wanted), None)
         if chosen is None:
             reason = "is not unpacked by us" if wanted in offered else "is not offered by it"
-            raise DeviceError(
-                f"{camera}: pixel format {wanted} {reason}",
-                hint=f"choose one of {names}" if usable else f"it offers {', '.join(offered)}",
-            )
+            hint = f"choose one of {names}" if usable else f"it offers {', '.join(offered)}"
+            raise DeviceError(f"{camera}: pixel format {wanted} {reason}", hint=hint)
         return chosen
     if not usable:
         listed = ", ".join(offered) or "it has none"
-        raise DeviceError(
-            f"{camera}: none of its pixel formats can be read: {listed}",
-            hint="switch it to Mono8, Mono16 or RGB8 by its maker's program",
-        )
+        hint = "switch it to Mono8, Mono16 or RGB8 by its maker's program"
+        raise DeviceError(f"{camera}: none of its pixel formats can be read: {listed}", hint=hint)
     return usable[0]
 
 
