@@ -44,17 +44,6 @@ _FEWEST_PIXELS = 60
 # Photographs, and pixels of them that are seen at several exposures.
 
 
-def open_photographs(source: Photographs) -> Frames:
-    """Open photographs of a folder or of a stack, or take an array (K, rows, cols[, 3])."""
-    if isinstance(source, str | Path):
-        return ImageStack.open(source)
-    source = real_array("photographs", source)
-    if source.ndim not in (3, 4) or source.dtype not in (np.uint8, np.uint16, np.float32):
-        hint = "give (K, rows, cols) or (K, rows, cols, 3) uint8, uint16 or float32"
-        raise InputError(f"photographs of shape {source.shape} and type {source.dtype}", hint=hint)
-    return ArrayStack(source)
-
-
 def exposures_of(frames: Frames, stated: float | NDArray[Any] | None) -> NDArray[np.float64]:
     """Exposure of each photograph, (K,): the stated ones, or those in the files of the camera."""
     if stated is None:
@@ -495,11 +484,17 @@ def projector_response(
 def _opened(
     photographs: Photographs, output: str | Path | None, picture: str | Path | None, overwrite: bool
 ) -> Frames:
-    """The photographs, once it is known that what comes of them can be written."""
+    """Photographs of files or of an array, once what comes of them is known to be writable."""
     for path, kind in ((output, RESPONSE), (picture, PICTURE)):
         if path is not None:
             check_output(path, kind, overwrite=overwrite)
-    return open_photographs(photographs)
+    if isinstance(photographs, str | Path):
+        return ImageStack.open(photographs)
+    levels = real_array("photographs", photographs)
+    if levels.ndim not in (3, 4) or levels.dtype not in (np.uint8, np.uint16, np.float32):
+        hint = "give (K, rows, cols) or (K, rows, cols, 3) uint8, uint16 or float32"
+        raise InputError(f"photographs of shape {levels.shape} and type {levels.dtype}", hint=hint)
+    return ArrayStack(levels)
 
 
 def _draw(

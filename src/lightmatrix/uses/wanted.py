@@ -36,7 +36,8 @@ def wanted_samples(
     if fit not in (None, "cover", "contain", "stretch"):
         raise InputError(f"a fit of {fit!r}", hint="use cover, contain or stretch")
     name = str(wanted) if isinstance(wanted, str | Path) else "the wanted picture"
-    image = given_image(name, wanted, _read_upright)
+    # Turned as viewers show it.
+    image = given_image(name, wanted, lambda path: upright(path, read_image(path)))
     if isinstance(wanted, str | Path) and image.dtype != np.float32:
         # Files of whole levels hold pictures for displays, files of floats hold light.
         image = image / np.float32(np.iinfo(image.dtype).max)
@@ -65,11 +66,6 @@ def wanted_samples(
     if not (black or samples.any()):
         raise InputError(f"{name} is all black", hint="black needs no compensation: show black")
     return samples
-
-
-def _read_upright(path: str | Path) -> NDArray[Any]:
-    """A picture as viewers show it: turned as the camera that took it was."""
-    return upright(path, read_image(path))
 
 
 _FIT = 'fit it with fit="cover", "contain" or "stretch"'

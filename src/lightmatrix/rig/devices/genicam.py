@@ -145,8 +145,15 @@ class GenICamCamera(Camera):
         self._switch_off_automatics()
         options = self._address.options
         for name, value in options.items():
-            if name[0].isupper() and name != "PixelFormat":
-                self._set_option(name, value)
+            if not name[0].isupper() or name == "PixelFormat":
+                continue
+            if not self._has_feature(name):
+                raise self._error(f"the camera has no feature {name}", self._features_hint)
+            try:
+                self._set_feature(name, value)
+            except self._refusals as error:
+                refused = f"{name}={value} was refused ({self._reason(error)})"
+                raise self._error(refused, self._values_hint) from error
         offered = self._offered_formats()
         self._format = choose_format(str(self._address), offered, options.get("PixelFormat"))
         self._use_format(self._format)
@@ -156,15 +163,6 @@ class GenICamCamera(Camera):
     def _set_shape(self, rows: int, cols: int) -> None:
         channels = self._format.channels
         self._shape = (rows, cols) if channels == 1 else (rows, cols, channels)
-
-    def _set_option(self, name: str, value: str) -> None:
-        if not self._has_feature(name):
-            raise self._error(f"the camera has no feature {name}", self._features_hint)
-        try:
-            self._set_feature(name, value)
-        except self._refusals as error:
-            refused = f"{name}={value} was refused ({self._reason(error)})"
-            raise self._error(refused, self._values_hint) from error
 
     def _choose_trigger(self) -> str:
         wanted = self._address.options.get("trigger")
