@@ -74,10 +74,8 @@ def check_sides(what: str, shape: Any) -> None:
             f"{what} of shape {shape!s:.100}", hint="give (rows, cols), both at least 1"
         )
     if sides[0] * sides[1] >= 2**31:
-        raise InputError(
-            f"{what} of {shape[0]!s:.20} x {shape[1]!s:.20} pixels",
-            hint="2147483647 in all is the most",
-        )
+        hint = "2147483647 in all is the most"
+        raise InputError(f"{what} of {shape[0]!s:.20} x {shape[1]!s:.20} pixels", hint=hint)
 
 
 def check_whole(what: str, value: Any, *, least: int = 1, most: int = 2**63 - 1, hint: str) -> None:

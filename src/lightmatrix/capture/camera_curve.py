@@ -55,10 +55,8 @@ def check_levels(
     """
     top = MOST_LEVEL if full_scale is None else as_float(full_scale)
     if not 0 < top <= MOST_LEVEL:
-        raise InputError(
-            f"a full scale of {top:g}",
-            hint=f"use the highest raw level, such as 255; at most {MOST_LEVEL:g}",
-        )
+        hint = f"use the highest raw level, such as 255; at most {MOST_LEVEL:g}"
+        raise InputError(f"a full scale of {top:g}", hint=hint)
     clips = real_numbers("clip levels", np.inf if clip is None else clip)
     if clip is not None and not ((clips > 0) & (clips <= top)).all():
         raise InputError(
@@ -66,16 +64,12 @@ def check_levels(
         )
     blacks = real_numbers("black levels", 0.0 if black_level is None else black_level)
     if blacks.ndim and clips.ndim and blacks.shape != clips.shape:
-        raise InputError(
-            f"{blacks.size} black levels, but {clips.size} clip levels",
-            hint="give one number, or one for each frame",
-        )
+        hint = "give one number, or one for each frame"
+        raise InputError(f"{blacks.size} black levels, but {clips.size} clip levels", hint=hint)
     if not ((blacks >= 0) & (blacks < clips)).all():
         highest = "" if clip is None else f" with a clip level of {clips.flat[0]:g}"
-        raise InputError(
-            f"a black level of {blacks.flat[0]:g}{highest}",
-            hint="use a raw level of at least 0 and below the clip level",
-        )
+        hint = "use a raw level of at least 0 and below the clip level"
+        raise InputError(f"a black level of {blacks.flat[0]:g}{highest}", hint=hint)
 
 
 def check_exposures(exposure: float | NDArray[Any]) -> None:
@@ -231,10 +225,8 @@ def _read_curve(file: Path) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
             raise ValueError("no table of numbers")
     except (OSError, EOFError, ValueError, TypeError) as error:
         # The message does not quote the file, which may be any file of the system.
-        raise InputError(
-            f"{file}: cannot be read: no table of numbers",
-            hint="write two columns of numbers, level and light",
-        ) from error
+        hint = "write two columns of numbers, level and light"
+        raise InputError(f"{file}: cannot be read: no table of numbers", hint=hint) from error
     table = table.astype(np.float64).reshape(len(table), -1)
     if table.shape[1] == 1:
         table = np.column_stack([np.arange(len(table)), table[:, 0]])

@@ -92,10 +92,8 @@ def _brackets(place: Path) -> Layout | None:
     for pattern, folder in zip(patterns, sorted(folders, key=natural_order), strict=True):
         for file in list_images(folder):
             if file.name not in table:
-                raise InputError(
-                    f"{file}: has no exposure in {listed}",
-                    hint="list each file name with its exposure, such as a.png,0.5",
-                )
+                hint = "list each file name with its exposure, such as a.png,0.5"
+                raise InputError(f"{file}: has no exposure in {listed}", hint=hint)
             shown.append(pattern)
             frames.append(file)
             exposures.append(table[file.name])

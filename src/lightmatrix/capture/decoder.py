@@ -68,10 +68,8 @@ class Decoder:
         check_levels(self.clip, self.black_level, self.full_scale)
         check_exposures(self.exposure)
         if self.black_exposure is not None and not 0 < self.black_exposure < np.inf:
-            raise InputError(
-                f"a black frame of exposure {self.black_exposure}",
-                hint="use a positive number, in the unit of the frames' exposures",
-            )
+            hint = "use a positive number, in the unit of the frames' exposures"
+            raise InputError(f"a black frame of exposure {self.black_exposure}", hint=hint)
         if (
             self.black_frame is not None
             and self.black_exposure is None
@@ -114,10 +112,8 @@ class Decoder:
         for name in ("clip", "black_level", "exposure"):
             value = np.asarray(getattr(self, name))
             if value.ndim and value.shape != (count,):
-                raise InputError(
-                    f"{name} has {value.size} values for {count} frames",
-                    hint="give one number, or one for each frame",
-                )
+                hint = "give one number, or one for each frame"
+                raise InputError(f"{name} has {value.size} values for {count} frames", hint=hint)
 
     def select(self, frames: NDArray[np.integer]) -> Decoder:
         """The decoder of the frames of the given indices."""

@@ -74,10 +74,8 @@ def parse_exposures(text: str) -> list[tuple[float, float]]:
             exposure = math.nan
         # In this range, in whatever unit, float32 samples keep their digits.
         if not 1e-12 <= exposure <= 1e12:
-            raise InputError(
-                f"an exposure of {name!r}",
-                hint=f"use positive numbers, such as 1, or several: {EXPOSURES_EXAMPLE}",
-            )
+            hint = f"use positive numbers, such as 1, or several: {EXPOSURES_EXAMPLE}"
+            raise InputError(f"an exposure of {name!r}", hint=hint)
         pairs.append((exposure, share))
     return pairs
 

@@ -289,10 +289,8 @@ def _find_images(place: Path, name: str) -> Path:
             "images.tif), or patterns and images by themselves",
         )
     if len(sources) > 1:
-        raise InputError(
-            f"{place}: holds {sources[0].name} and {sources[1].name}",
-            hint="keep the one that is meant",
-        )
+        hint = "keep the one that is meant"
+        raise InputError(f"{place}: holds {sources[0].name} and {sources[1].name}", hint=hint)
     return sources[0]
 
 
@@ -313,10 +311,8 @@ def _with_files_beside(place: Path, description: Description, described: bool) -
             message = f"{files[0]}: is not used, since {NAME} does not name it"
             message += f'; add "{key}" to it, or "{key}": null to leave it out'
         elif len(files) > 1:
-            raise InputError(
-                f"{place}: holds {files[0].name} and {files[1].name}",
-                hint=f"keep the one that is {what}",
-            )
+            hint = f"keep the one that is {what}"
+            raise InputError(f"{place}: holds {files[0].name} and {files[1].name}", hint=hint)
         else:
             message = f"{files[0]}: is used as {what}, since there is no {NAME}"
             if key == "black":
@@ -374,10 +370,8 @@ def make_decoder(stack: Frames, settings: ReadSettings) -> Decoder:
             hint="measure it with images of that kind" + floats * (stack.dtype.kind == "f"),
         )
     if full_scale is not None and stack.dtype.kind == "u" and full_scale > top:
-        raise InputError(
-            f"a full scale of {full_scale:g} for images of {stack.dtype}",
-            hint=f"use a raw level of at most {top:g}",
-        )
+        hint = f"use a raw level of at most {top:g}"
+        raise InputError(f"a full scale of {full_scale:g} for images of {stack.dtype}", hint=hint)
     clip, assumed = settings.clip, settings.clip is None and measured is None
     if isinstance(clip, str):
         pile = pile_of_frames(stack)
@@ -453,10 +447,8 @@ def check_depth(frames: Frames, decoder: Decoder) -> None:
     dark = float(np.median(middle))
     # Noise around a dark frame that was subtracted is far smaller.
     if dark < -0.05 * np.min(decoder.clip):
-        raise InputError(
-            f"half of the levels that were looked at are below {dark:g}",
-            hint="scale the images so that 0 is no light",
-        )
+        hint = "scale the images so that 0 is no light"
+        raise InputError(f"half of the levels that were looked at are below {dark:g}", hint=hint)
     # One frame may lack some bits by chance, and a few levels without noise all may.
     if len(np.unique(middle)) > 16 and _swapped([middle]) and _swapped(level_blocks(frames)):
         raise InputError(
@@ -512,10 +504,8 @@ def read_mask(mask: str | Path | None, shape: tuple[int, ...]) -> NDArray[np.boo
     if image.ndim == 2 and len(shape) == 3 and image.shape == shape[:2]:
         image = np.repeat(image[..., None], shape[2], axis=2)
     if image.shape != shape:
-        raise InputError(
-            f"{mask}: the mask has shape {image.shape}, the images {shape}",
-            hint="make the mask as large as the images",
-        )
+        hint = "make the mask as large as the images"
+        raise InputError(f"{mask}: the mask has shape {image.shape}, the images {shape}", hint=hint)
     # Compression changes 0 beside brighter pixels, which would then count.
     if Path(mask).suffix.lower() in JPEG and np.isin(image, (0, 255), invert=True).any():
         raise InputError(

@@ -74,10 +74,8 @@ class Sensor:
 
     def __post_init__(self) -> None:
         if self.bits is not None and self.bits not in BIT_DEPTHS:
-            raise InputError(
-                f"a camera of {self.bits} bits",
-                hint=f"use one of {', '.join(map(str, BIT_DEPTHS))}",
-            )
+            hint = f"use one of {', '.join(map(str, BIT_DEPTHS))}"
+            raise InputError(f"a camera of {self.bits} bits", hint=hint)
         check_exposures(self.exposure)
         for name in ("read_noise", "shot_noise"):
             check_number(

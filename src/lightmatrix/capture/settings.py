@@ -190,10 +190,8 @@ def _read(
     """The values of an object of the file as they are read; None for keys that it does not have."""
     if unknown := sorted(set(content) - set(kinds)):
         names = ", ".join(repr((prefix + name)[:60]) for name in unknown[:5])
-        raise InputError(
-            f"{file}: does not know {names}",
-            hint=f"its keys are {', '.join(sorted(prefix + key for key in kinds))}",
-        )
+        hint = f"its keys are {', '.join(sorted(prefix + key for key in kinds))}"
+        raise InputError(f"{file}: does not know {names}", hint=hint)
     values = {}
     for key, (read, expected) in kinds.items():
         value = content.get(key)
@@ -202,10 +200,8 @@ def _read(
         # than a wish for the default.
         none = value is None and prefix + key in ("black", "mask", "provenance")
         if key in content and values[key] is None and not none:
-            raise InputError(
-                f'{file}: "{prefix}{key}" cannot be {_short(value)}',
-                hint=f"give {expected}" + (", or leave it out" if value is None else ""),
-            )
+            hint = f"give {expected}" + (", or leave it out" if value is None else "")
+            raise InputError(f'{file}: "{prefix}{key}" cannot be {_short(value)}', hint=hint)
     return values
 
 

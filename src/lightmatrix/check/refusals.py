@@ -39,15 +39,11 @@ def refuse_unusable(capture: Capture) -> None:
     span = np.min(np.asarray(decoder.clip) - np.asarray(decoder.black_level))
     # Two raw levels above black are no signal.
     if brightest <= (2.5 / span if decoder.full_scale > 1 else 1e-6):
-        raise InputError(
-            "all images are dark: no sample rises above the black level",
-            hint="expose longer, and check the black frame and black level",
-        )
+        hint = "expose longer, and check the black frame and black level"
+        raise InputError("all images are dark: no sample rises above the black level", hint=hint)
     if clipped > 0.99 * total:
-        raise InputError(
-            f"{100 * clipped / total:.1f} % of the samples are clipped",
-            hint="expose so that most samples stay below the clip level; 1 to 20 % may clip",
-        )
+        hint = "expose so that most samples stay below the clip level; 1 to 20 % may clip"
+        raise InputError(f"{100 * clipped / total:.1f} % of the samples are clipped", hint=hint)
 
 
 def refuse_unordered(capture: Capture) -> list[Finding]:
@@ -90,9 +86,7 @@ def _refuse_useless_patterns(patterns: PatternSet) -> None:
         if not (flat or alike):
             break
     if flat:
-        raise InputError(
-            "no pattern varies: each shows one grey value all over",
-            hint="use other patterns, or bin the projector less",
-        )
+        hint = "use other patterns, or bin the projector less"
+        raise InputError("no pattern varies: each shows one grey value all over", hint=hint)
     if alike:
         raise InputError("all patterns are the same", hint="use patterns that differ")

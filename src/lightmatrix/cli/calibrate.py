@@ -104,10 +104,8 @@ def _without_board(
             "pixel) for one scene that is not flat",
         )
     if len(poses) != 1:
-        raise InputError(
-            f"--focal takes one scene, not {len(poses)}",
-            hint="give one T or one file of `decode`; or a board: --board 9x7 --square 24mm",
-        )
+        hint = "give one T or one file of `decode`; or a board: --board 9x7 --square 24mm"
+        raise InputError(f"--focal takes one scene, not {len(poses)}", hint=hint)
     length, units = _length("--baseline", baseline)
     axis = None
     if principal is not None:

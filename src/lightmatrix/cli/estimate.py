@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import functools
 import time
-from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import asdict, replace
 from pathlib import Path
@@ -25,7 +24,7 @@ from lightmatrix.files.writing import check_output
 from lightmatrix.reprs import labelled
 
 if TYPE_CHECKING:
-    from lightmatrix import ColourTransport, EstimateSettings, LightTransport, Verdicts
+    from lightmatrix import ColourTransport, LightTransport, Verdicts
     from lightmatrix.estimators.resource_estimate import ResourceEstimate
 
 # What is written where no other name is given.
@@ -167,7 +166,12 @@ def estimate(
     if isinstance(capture.patterns, lm.ColourPatterns):
         refuse_unknown_projector(capture)
         others = {"report": report, "viewer": viewer, "dry_run": dry_run, "geometry": geometry}
-        _refuse_settings(settings, {**others, "correct": correct != "auto"})
+        # An estimate in colour has no settings.
+        usual = asdict(lm.EstimateSettings(coherent=coherent or None))
+        set_by_user = {name: value != usual[name] for name, value in asdict(settings).items()}
+        set_by_user |= {**others, "correct": correct != "auto"}
+        named = {f"--{name.replace('_', '-')}": value for name, value in set_by_user.items()}
+        refuse(named, "patterns in colour")
         if output == _OUTPUT:
             output = Path("scene")
         if output.suffix.lower() == ".zarr":
@@ -230,14 +234,6 @@ def estimate(
         say("some rows reached the iteration limit: raise it with --iterations", style="yellow")
     if report is not None:
         say(f"report: {(report / 'report.html').absolute()}")
-
-
-def _refuse_settings(settings: EstimateSettings, others: Mapping[str, object]) -> None:
-    """Refuse what is set of an estimate in colour, which has no settings, and `others`, by name."""
-    usual = asdict(lm.EstimateSettings(coherent=settings.coherent or None))
-    changed = {name: value != usual[name] for name, value in asdict(settings).items()}
-    named = {f"--{name.replace('_', '-')}": value for name, value in {**changed, **others}.items()}
-    refuse(named, "patterns in colour")
 
 
 def _check_report(

@@ -238,10 +238,8 @@ def rectangle(text: str) -> tuple[tuple[int, int], tuple[int, int]]:
     """Corner and shape of a rectangle of photographs, written as 400,600:768x1024."""
     match = re.fullmatch(r" *([0-9]+) *, *([0-9]+) *: *([0-9]+) *[xX*] *([0-9]+) *", text)
     if match is None or max(map(len, match.groups())) > 9:
-        raise InputError(
-            f"--crop {text!r}",
-            hint="write row and column of its first pixel, then rows x columns: 400,600:768x1024",
-        )
+        hint = "write row and column of its first pixel, then rows x columns: 400,600:768x1024"
+        raise InputError(f"--crop {text!r}", hint=hint)
     row, col, rows, cols = map(int, match.groups())
     return (row, col), (rows, cols)
 

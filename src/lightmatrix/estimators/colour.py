@@ -340,10 +340,8 @@ def _checked(capture: Capture) -> ColourPatterns:
     """The patterns, if they and the camera are in colour."""
     patterns = capture.patterns
     if not isinstance(patterns, ColourPatterns) or patterns.grey.all():
-        raise InputError(
-            "the patterns are grey, or of one colour",
-            hint="use lm.estimate, or `lightmatrix estimate`",
-        )
+        hint = "use lm.estimate, or `lightmatrix estimate`"
+        raise InputError("the patterns are grey, or of one colour", hint=hint)
     if capture.camera_shape[2:] != (PRIMARIES,):
         raise InputError(
             "patterns of several colours, but a camera without three channels",

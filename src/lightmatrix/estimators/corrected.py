@@ -137,8 +137,6 @@ def terms_to_correct(correct: str | Sequence[str]) -> tuple[str, ...]:
     terms = allowed_terms(names)
     if terms is None:
         known = sorted({each.label or name for name, each in TERMS.items()} | {"exposure"})
-        raise InputError(
-            f"no correction is called {', '.join(map(str, names))}",
-            hint=f"use auto, none, or some of {', '.join(known)}",
-        )
+        hint = f"use auto, none, or some of {', '.join(known)}"
+        raise InputError(f"no correction is called {', '.join(map(str, names))}", hint=hint)
     return terms

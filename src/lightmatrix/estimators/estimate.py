@@ -182,10 +182,8 @@ def estimate(
     allowed = terms_to_correct(correct)
     capture = open_capture(capture)
     if isinstance(capture.patterns, ColourPatterns):
-        raise InputError(
-            "patterns in several colours, of which T has three matrices",
-            hint="use lm.estimate_colour, or `lightmatrix estimate`",
-        )
+        hint = "use lm.estimate_colour, or `lightmatrix estimate`"
+        raise InputError("patterns in several colours, of which T has three matrices", hint=hint)
     if output is not None:
         check_output(output, STORE, overwrite=overwrite)
     if response is not None:
@@ -196,10 +194,8 @@ def estimate(
     elif projector_response == AUTOMATIC:
         capture = replace(capture, projector_unknown=True)
     elif projector_response is not None:
-        raise InputError(
-            f"a projector's response of {projector_response!r}",
-            hint="give a ProjectorResponse, or auto",
-        )
+        hint = "give a ProjectorResponse, or auto"
+        raise InputError(f"a projector's response of {projector_response!r}", hint=hint)
     resources = estimate_resources(capture, settings)
     if check or resources.limited:
         resources.check()

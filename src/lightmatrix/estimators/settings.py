@@ -117,10 +117,8 @@ class EstimateSettings:
         if self.solver == "saturation-admm":
             return SaturationADMM(fidelity=fidelity, **limit)
         if fidelity is not Fidelity.LINEAR:
-            raise InputError(
-                f"the solver admm cannot use the fidelity {fidelity}",
-                hint="use the solver saturation-admm, or the fidelity linear",
-            )
+            hint = "use the solver saturation-admm, or the fidelity linear"
+            raise InputError(f"the solver admm cannot use the fidelity {fidelity}", hint=hint)
         return ADMM(**limit)
 
     @property

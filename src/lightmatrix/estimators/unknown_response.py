@@ -356,10 +356,8 @@ def _refuse_patterns(capture: Capture, *, projector: bool) -> None:
     if projector and patterns.as_bits() is not None:
         raise InputError("black and white patterns need no curve of the projector", hint=hint)
     if projector and binned:
-        raise InputError(
-            "grey values are averaged before their light is known",
-            hint="do not bin the projector, or measure its curve with `projector_response`",
-        )
+        hint = "do not bin the projector, or measure its curve with `projector_response`"
+        raise InputError("grey values are averaged before their light is known", hint=hint)
     rows, cols = patterns.shape
     if binned or patterns.as_bits() is not None or cols < 2:
         return

@@ -348,10 +348,8 @@ def pack_work(work: Work) -> bytes:
     try:
         _Pickler(stream, protocol=pickle.HIGHEST_PROTOCOL).dump(work)
     except (pickle.PicklingError, AttributeError, TypeError) as error:
-        raise InputError(
-            f"the estimate cannot be sent to workers ({error})",
-            hint="put your own solver into a module that workers can import",
-        ) from error
+        hint = "put your own solver into a module that workers can import"
+        raise InputError(f"the estimate cannot be sent to workers ({error})", hint=hint) from error
     return stream.getvalue()
 
 

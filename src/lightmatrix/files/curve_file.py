@@ -52,10 +52,8 @@ class CurveFile:
         content = read_json(file, RESPONSE_FORMAT, _VERSION)
         if content.get("device") != device:
             other = str(content.get("device"))[:20]
-            raise InputError(
-                f"{file}: is the response of a {other}, not of a {device}",
-                hint="`camera_response` measures cameras, `projector_response` projectors",
-            )
+            hint = "`camera_response` measures cameras, `projector_response` projectors"
+            raise InputError(f"{file}: is the response of a {other}, not of a {device}", hint=hint)
         levels, light = _numbers(content.get("levels")), _numbers(content.get("light"))
         if levels is None or light is None or not _is_curve(levels, light):
             raise InputError(

@@ -380,10 +380,8 @@ def check_page(file: Path, page: tifffile.TiffPage) -> None:
     for shape in (page.shape, page.chunks):
         check_image_size(file, shape)
     if page.compression not in _COMPRESSIONS:
-        raise InputError(
-            f"{file}: compression {int(page.compression)} is not read",
-            hint=f"use one of {', '.join(dict.fromkeys(_COMPRESSIONS.values()))}, or PNG",
-        )
+        hint = f"use one of {', '.join(dict.fromkeys(_COMPRESSIONS.values()))}, or PNG"
+        raise InputError(f"{file}: compression {int(page.compression)} is not read", hint=hint)
     colours = int(page.photometric)
     if colours not in _PHOTOMETRIC:
         words = _REFUSED.get(colours, f"colours of kind {colours}")
@@ -459,18 +457,14 @@ def as_stored(name: str, image: NDArray[Any]) -> NDArray[Any]:
     if image.ndim == 3 and image.shape[-1] == 1:
         image = image[..., 0]
     if image.ndim not in (2, 3) or (image.ndim == 3 and image.shape[-1] != 3) or image.size == 0:
-        raise InputError(
-            f"{name}: holds an array of shape {image.shape}",
-            hint="save one image a file, (rows, cols) or (rows, cols, 3)",
-        )
+        hint = "save one image a file, (rows, cols) or (rows, cols, 3)"
+        raise InputError(f"{name}: holds an array of shape {image.shape}", hint=hint)
     if image.dtype.kind == "f":
         values = as_float32(image)
         if not np.isfinite(values).all():
             at = tuple(int(i) for i in np.argwhere(~np.isfinite(values))[0])
-            raise InputError(
-                f"{name}: the value at {at} is {image[at]}",
-                hint="replace it, and mask the pixel if it is broken in every frame",
-            )
+            hint = "replace it, and mask the pixel if it is broken in every frame"
+            raise InputError(f"{name}: the value at {at} is {image[at]}", hint=hint)
         return np.ascontiguousarray(values)
     wide = image.dtype.kind in "iu" and 1 < image.dtype.itemsize <= 4
     if wide and image.size and image.min() >= 0 and image.max() <= 65535:

@@ -233,7 +233,5 @@ def export_kind(path: str | Path) -> FileKind:
     for kind in (NPZ, MAT):
         if suffix.lower() in kind.suffixes:
             return kind
-    raise OutputError(
-        f"{path}: the name of the output ends in {suffix or 'nothing'}",
-        hint="end it in .npz or .mat",
-    )
+    hint = "end it in .npz or .mat"
+    raise OutputError(f"{path}: the name of the output ends in {suffix or 'nothing'}", hint=hint)

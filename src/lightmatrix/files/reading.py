@@ -88,20 +88,16 @@ def within(folder: Path, name: str, source: Path) -> Path:
     except (OSError, RuntimeError, ValueError):
         inside = False
     if not name or Path(name).is_absolute() or not inside:
-        raise InputError(
-            f"{source}: names {name!r}, which lies outside its folder",
-            hint="copy the file into the folder; in Python, allow_outside=True permits it",
-        )
+        hint = "copy the file into the folder; in Python, allow_outside=True permits it"
+        raise InputError(f"{source}: names {name!r}, which lies outside its folder", hint=hint)
     return folder / name
 
 
 def check_image_size(file: Path, shape: Sequence[int]) -> None:
     """Refuse an image that is empty or too large, by the shape in its header."""
     if not 1 <= math.prod(shape) <= MOST_VALUES:
-        raise InputError(
-            f"{file}: announces {' x '.join(map(str, shape))} values",
-            hint=f"an image has at most {MOST_VALUES} values; is the file damaged?",
-        )
+        hint = f"an image has at most {MOST_VALUES} values; is the file damaged?"
+        raise InputError(f"{file}: announces {' x '.join(map(str, shape))} values", hint=hint)
 
 
 def read_json(file: Path, kind: str, version: int) -> dict[str, Any]:

@@ -143,10 +143,8 @@ def _single_array(file: Path) -> NDArray[Any]:
     arrays = read_npz(file)
     if len(arrays) != 1:
         named = ", ".join(list(arrays)[:5]) or "nothing"
-        raise InputError(
-            f"{file}: holds {len(arrays)} arrays ({named})",
-            hint="save one array of (K, rows, cols) in it, or give an npy file",
-        )
+        hint = "save one array of (K, rows, cols) in it, or give an npy file"
+        raise InputError(f"{file}: holds {len(arrays)} arrays ({named})", hint=hint)
     (array,) = arrays.values()
     return _checked(file, array)
 
@@ -174,10 +172,8 @@ def list_images(folder: str | Path) -> list[Path]:
     if not place.exists():
         raise InputError(f"{place}: no such folder", hint="check the name")
     if not place.is_dir():
-        raise InputError(
-            f"{place}: is a file, not a folder of images",
-            hint=f"give the folder that holds it, or a stack: {STACK_FORMATS}",
-        )
+        hint = f"give the folder that holds it, or a stack: {STACK_FORMATS}"
+        raise InputError(f"{place}: is a file, not a folder of images", hint=hint)
     files = [entry for entry in place.iterdir() if not entry.is_dir() and entry.name[0] != "."]
     images = sorted((file for file in files if file.suffix.lower() in READABLE), key=natural_order)
     for file in images:

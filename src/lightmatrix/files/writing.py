@@ -48,18 +48,14 @@ def check_output(path: str | Path, kind: OutputKind, *, overwrite: bool = False)
     target = final_target(output)
     with as_output_error(output):
         if os.path.lexists(target) and kind.check_replaceable(output, target) and not overwrite:
-            raise OutputError(
-                f"{output}: exists already",
-                hint="pass overwrite=True to replace it, or choose a new name",
-            )
+            hint = "pass overwrite=True to replace it, or choose a new name"
+            raise OutputError(f"{output}: exists already", hint=hint)
         if kind.running:
             check_running(target, kind.running)
         parent = next(folder for folder in target.parents if os.path.lexists(folder))
         if not parent.is_dir():
-            raise OutputError(
-                f"{output}: cannot be written ({parent} is not a folder)",
-                hint="choose another folder",
-            )
+            hint = "choose another folder"
+            raise OutputError(f"{output}: cannot be written ({parent} is not a folder)", hint=hint)
         if not os.access(parent, os.W_OK | os.X_OK):
             raise OutputError(
                 f"{output}: cannot be written (no permission to write in {parent})",
@@ -143,10 +139,8 @@ def locked(target: Path) -> Iterator[bool]:
         try:
             lock.acquire()
         except Timeout:
-            raise OutputError(
-                f"{target}: is being written by another process",
-                hint="wait for it to end, or choose another name for the output",
-            ) from None
+            hint = "wait for it to end, or choose another name for the output"
+            raise OutputError(f"{target}: is being written by another process", hint=hint) from None
         except OSError as error:
             if error.errno not in _NO_LOCKS:
                 raise
@@ -251,10 +245,8 @@ def _restore_leftovers(target: Path) -> None:
         return
     ours = place.is_dir() and not place.is_symlink()
     if not ours or {entry.stem for entry in place.iterdir()} - {"new", "old"}:
-        raise OutputError(
-            f"{place}: is in the way and was not made by lightmatrix",
-            hint="move it elsewhere, or choose another name for the output",
-        )
+        hint = "move it elsewhere, or choose another name for the output"
+        raise OutputError(f"{place}: is in the way and was not made by lightmatrix", hint=hint)
     _remove_temporary(target)
 
 

@@ -48,10 +48,8 @@ def numbers(values: ArrayLike, shape: tuple[int, ...], what: str) -> NDArray[np.
     except (TypeError, ValueError) as error:
         raise InputError(f"the {what} holds no numbers", hint=f"give {size} numbers") from error
     if array.shape != shape or not np.isfinite(array).all():
-        raise InputError(
-            f"the {what} has shape {array.shape}, or is not finite",
-            hint=f"give {size} finite numbers",
-        )
+        hint = f"give {size} finite numbers"
+        raise InputError(f"the {what} has shape {array.shape}, or is not finite", hint=hint)
     return array
 
 
@@ -59,10 +57,8 @@ def intrinsics_of(values: ArrayLike, shape: Shape, device: str) -> NDArray[np.fl
     """K (3, 3) of a device with images of `shape`; other conventions of K are refused."""
     matrix = numbers(values, (3, 3), f"{device}'s K")
     if not np.allclose(matrix[[1, 2, 2], [0, 0, 1]], 0, atol=1e-6 * np.abs(matrix).max()):
-        raise InputError(
-            f"the {device}'s K has numbers below its diagonal",
-            hint="MATLAB stores it transposed: give [[fx, skew, cx], [0, fy, cy], [0, 0, 1]]",
-        )
+        hint = "MATLAB stores it transposed: give [[fx, skew, cx], [0, fy, cy], [0, 0, 1]]"
+        raise InputError(f"the {device}'s K has numbers below its diagonal", hint=hint)
     focal = np.diag(matrix)[:2] / matrix[2, 2]
     check_sides(f"an image of the {device}", shape)
     rows, cols = shape
@@ -81,10 +77,8 @@ def distortion(values: ArrayLike, device: str) -> NDArray[np.float64]:
     """Five coefficients; OpenCV leaves out those at the end that are 0."""
     given = np.trim_zeros(np.ravel(np.asarray(values)), "b")
     if len(given) > 5:
-        raise InputError(
-            f"the {device}'s distortion has {len(given)} coefficients",
-            hint="calibrate with OpenCV's model of five: k1, k2, p1, p2, k3",
-        )
+        hint = "calibrate with OpenCV's model of five: k1, k2, p1, p2, k3"
+        raise InputError(f"the {device}'s distortion has {len(given)} coefficients", hint=hint)
     return numbers(np.append(given, np.zeros(5 - len(given))), (5,), f"{device}'s distortion")
 
 
@@ -356,10 +350,8 @@ def _arguments(
             "matrices, R and T",
         )
     if missing:
-        raise InputError(
-            f"{file}: names no {' and no '.join(missing)}",
-            hint="name the matrices cam_K, proj_K, R and T, and the distortions cam_kc and proj_kc",
-        )
+        hint = "name the matrices cam_K, proj_K, R and T, and the distortions cam_kc and proj_kc"
+        raise InputError(f"{file}: names no {' and no '.join(missing)}", hint=hint)
     rms = found.pop("rms", None)
     if rms is not None and rms.size == 1:
         found["rms"] = {"stereo": float(rms.ravel()[0])}
@@ -368,10 +360,8 @@ def _arguments(
         size = found.pop(f"{device}_size", None)
         stated = found.get(f"{device}_shape", None if size is None else size.ravel()[::-1])
         if stated is None and given is None:
-            raise InputError(
-                f"{file}: does not state the image size of the {device}",
-                hint=f"give {device}_shape, or write {device}_size: width, height into the file",
-            )
+            hint = f"give {device}_shape, or write {device}_size: width, height into the file"
+            raise InputError(f"{file}: does not state the image size of the {device}", hint=hint)
         sides: Any = [] if stated is None else np.ravel(stated)
         found[f"{device}_shape"] = given or tuple(map(int, sides))
     return found

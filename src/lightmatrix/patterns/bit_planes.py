@@ -30,16 +30,12 @@ def check_order(patterns: PatternSet, order: str) -> None:
         On either of them.
     """
     if sorted(order) != sorted(_CHANNELS):
-        raise InputError(
-            f"bit planes in the order {order!r}",
-            hint="use grb for TI's LightCrafter 4500, or rgb, bgr, ... for other boards",
-        )
+        hint = "use grb for TI's LightCrafter 4500, or rgb, bgr, ... for other boards"
+        raise InputError(f"bit planes in the order {order!r}", hint=hint)
     grey = any(((image > 0) & (image < 1)).any() for _, image in patterns.chunks())
     if grey or isinstance(patterns, ColourPatterns):
-        raise InputError(
-            f"bit planes of patterns in {'grey' if grey else 'colour'}",
-            hint="use black and white ones, such as bernoulli",
-        )
+        hint = "use black and white ones, such as bernoulli"
+        raise InputError(f"bit planes of patterns in {'grey' if grey else 'colour'}", hint=hint)
 
 
 def fill_bit_planes(folder: Path, patterns: PatternSet, order: str) -> None:

@@ -247,10 +247,8 @@ def _read_description(file: Path) -> dict[str, Any] | None:
         return None
     content = read_json(file, FORMAT, VERSION)
     if not isinstance(content.get("description"), dict):
-        raise InputError(
-            f"{file}: holds no description of the patterns",
-            hint="remove it to read the patterns from their images",
-        )
+        hint = "remove it to read the patterns from their images"
+        raise InputError(f"{file}: holds no description of the patterns", hint=hint)
     return dict(content["description"])
 
 

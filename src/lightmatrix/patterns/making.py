@@ -134,10 +134,8 @@ def remake_patterns(description: Mapping[str, Any]) -> PatternSet | None:
     if kind == PatternSet.kind:
         return None
     if not isinstance(kind, str) or kind not in _DESCRIBED:
-        raise InputError(
-            f"patterns of kind {kind!r} are unknown",
-            hint="remove patterns.json to read the patterns from their images",
-        )
+        hint = "remove patterns.json to read the patterns from their images"
+        raise InputError(f"patterns of kind {kind!r} are unknown", hint=hint)
     try:
         for key in ("shape", "block"):
             if key in parameters:

@@ -37,10 +37,8 @@ def block_size(block: int | tuple[int, int], what: str) -> tuple[int, int]:
     """Rows and columns of a block of `what` pixels, given as such or as one number for both."""
     rows, cols = (block, block) if isinstance(block, (int, np.integer)) else block
     if not 1 <= min(rows, cols) <= max(rows, cols) <= _LARGEST_BLOCK:
-        raise InputError(
-            f"the {what} binned by {rows} x {cols} pixels",
-            hint=f"use 1 to {_LARGEST_BLOCK}, such as 8",
-        )
+        hint = f"use 1 to {_LARGEST_BLOCK}, such as 8"
+        raise InputError(f"the {what} binned by {rows} x {cols} pixels", hint=hint)
     return int(rows), int(cols)
 
 

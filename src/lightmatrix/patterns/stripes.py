@@ -306,10 +306,8 @@ class MicroPhasePatterns(StripePatterns):
         check_geometry(self.shape, self.total)
         # An axis needs three shifts of one period, and one of each of two more.
         if self.total % axes or self.total < 5 * axes:
-            raise InputError(
-                f"{self.total} micro phase shifts for columns and rows",
-                hint=f"ask for an even number from {5 * axes} on, such as 14",
-            )
+            hint = f"ask for an even number from {5 * axes} on, such as 14"
+            raise InputError(f"{self.total} micro phase shifts for columns and rows", hint=hint)
 
     @cached_property
     def stripes(self) -> Stripes:

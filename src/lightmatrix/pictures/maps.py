@@ -150,10 +150,8 @@ def _diagnostic(transport: LightTransport, name: str) -> NDArray[np.float64]:
     if name not in transport.diagnostics:
         coherent = name in ("footprint", "estimated_error")
         kind = "a coherent estimate" if coherent else "an estimate"
-        raise InputError(
-            f"this matrix has no {name.replace('_', ' ')} of its rows",
-            hint=f"give {kind}, or a store (.zarr) of one",
-        )
+        hint = f"give {kind}, or a store (.zarr) of one"
+        raise InputError(f"this matrix has no {name.replace('_', ' ')} of its rows", hint=hint)
     image = np.asarray(transport.diagnostics[name], float).reshape(transport.camera_shape)
     if image.ndim == 2:
         return image

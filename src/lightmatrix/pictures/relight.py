@@ -105,10 +105,8 @@ def relight(
         first, *others = (getattr(matrix, name) for matrix in matrices)
         for shape in others:
             if shape != first:
-                raise InputError(
-                    f"matrices of {name} {first} and {shape}",
-                    hint="give red, green and blue of one rig with the same binning",
-                )
+                hint = "give red, green and blue of one rig with the same binning"
+                raise InputError(f"matrices of {name} {first} and {shape}", hint=hint)
     image = np.zeros(matrices[0].camera_shape, np.float32)
     channels = _channels(pattern, len(matrices))
     for matrix, source, channel in zip(matrices, sources, channels, strict=True):
@@ -138,10 +136,8 @@ def _channels(pattern: NDArray[Any] | str | Path, count: int) -> list[NDArray[An
     if image.ndim == 2:
         return [image] * count
     if image.ndim != 3 or image.shape[2] != count:
-        raise InputError(
-            f"a pattern of shape {image.shape} for a colour projector",
-            hint="give (rows, cols, 3), or (rows, cols) for white light",
-        )
+        hint = "give (rows, cols, 3), or (rows, cols) for white light"
+        raise InputError(f"a pattern of shape {image.shape} for a colour projector", hint=hint)
     return list(np.moveaxis(image, 2, 0))
 
 

@@ -64,10 +64,8 @@ class WhiteFrame:
 
     def __post_init__(self) -> None:
         if not self.levels.size or np.quantile(self.levels, 0.99) <= 0:
-            raise InputError(
-                "the white frame is dark",
-                hint="photograph the white pattern with a longer exposure",
-            )
+            hint = "photograph the white pattern with a longer exposure"
+            raise InputError("the white frame is dark", hint=hint)
         if self.clipped_share > 0.5:
             raise InputError(
                 f"{100 * self.clipped_share:.0f} % of the white frame is clipped, so "

@@ -344,10 +344,8 @@ def plan(
     elif isinstance(white, Truth) or str(white).lower().endswith(".npz") or str(white) in names():
         present = [name for name, value in of_photograph.items() if value is not None]
         if present:
-            raise InputError(
-                f"{', '.join(present)} with a scene",
-                hint="these settings are for photographs; leave them out",
-            )
+            hint = "these settings are for photographs; leave them out"
+            raise InputError(f"{', '.join(present)} with a scene", hint=hint)
         simulated, known = True, library.truth(white, projector, progress=progress)
         projector = known.projector_shape
         if size not in (None, projector):

@@ -167,10 +167,8 @@ def show(
         opened = open_colour if holds_colour(transport) else store.open
         transport = opened(transport)
     if isinstance(transport, ColourTransport) and view != "dual":
-        raise InputError(
-            f"the view {view} of a colour projector",
-            hint="give the matrix of one primary, such as red.zarr in the folder",
-        )
+        hint = "give the matrix of one primary, such as red.zarr in the folder"
+        raise InputError(f"the view {view} of a colour projector", hint=hint)
     shown: Any = transport
     if geometry is not None and isinstance(transport, LightTransport):
         shown = triangulate(transport, geometry)

@@ -44,19 +44,6 @@ _FEWEST_PIXELS = 60
 # Photographs, and pixels of them that are seen at several exposures.
 
 
-def open_photographs(source: Photographs) -> Frames:
-    """Open photographs of a folder or of a stack, or take an array (K, rows, cols[, 3])."""
-    if isinstance(source, str | Path):
-        return ImageStack.open(source)
-    source = real_array("photographs", source)
-    if source.ndim not in (3, 4) or source.dtype not in (np.uint8, np.uint16, np.float32):
-        raise InputError(
-            f"photographs of shape {source.shape} and type {source.dtype}",
-            hint="give (K, rows, cols) or (K, rows, cols, 3) uint8, uint16 or float32",
-        )
-    return ArrayStack(source)
-
-
 def exposures_of(frames: Frames, stated: float | NDArray[Any] | None) -> NDArray[np.float64]:
     """Exposure of each photograph, (K,): the stated ones, or those in the files of the camera."""
     if stated is None:
@@ -69,10 +56,8 @@ def exposures_of(frames: Frames, stated: float | NDArray[Any] | None) -> NDArray
         return np.array(times, np.float64)
     exposures = np.atleast_1d(real_numbers("exposures", stated))
     if exposures.shape != (frames.count,):
-        raise InputError(
-            f"{exposures.size} exposures for {frames.count} photographs",
-            hint="give one for each, in the order of the photographs",
-        )
+        hint = "give one for each, in the order of the photographs"
+        raise InputError(f"{exposures.size} exposures for {frames.count} photographs", hint=hint)
     if not (np.isfinite(exposures).all() and (exposures > 0).all()):
         raise InputError(
             f"an exposure of {exposures.min():g}", hint="use positive numbers, in any unit"
@@ -454,16 +439,12 @@ def projector_response(
         else real_numbers("grey values", levels)
     )
     if grey.shape != (count,):
-        raise InputError(
-            f"{grey.size} grey values for {count} photographs",
-            hint="give one for each, in the order of the photographs",
-        )
+        hint = "give one for each, in the order of the photographs"
+        raise InputError(f"{grey.size} grey values for {count} photographs", hint=hint)
     whole = (grey == np.rint(grey)).all()
     if not whole or grey[0] != 0 or grey[-1] != TOP or (np.diff(grey) <= 0).any():
-        raise InputError(
-            f"grey values from {grey[0]:g} to {grey[-1]:g}",
-            hint="give whole numbers that increase from 0 to 255, the photographs likewise",
-        )
+        hint = "give whole numbers that increase from 0 to 255, the photographs likewise"
+        raise InputError(f"grey values from {grey[0]:g} to {grey[-1]:g}", hint=hint)
     check_positive(clip=clip)
     camera = response if isinstance(response, Response) else Response.parse(response or "linear")
     scale = camera.full_scale or range_end(frames.dtype, clip)
@@ -503,11 +484,17 @@ def projector_response(
 def _opened(
     photographs: Photographs, output: str | Path | None, picture: str | Path | None, overwrite: bool
 ) -> Frames:
-    """The photographs, once it is known that what comes of them can be written."""
+    """Photographs of files or of an array, once what comes of them is known to be writable."""
     for path, kind in ((output, RESPONSE), (picture, PICTURE)):
         if path is not None:
             check_output(path, kind, overwrite=overwrite)
-    return open_photographs(photographs)
+    if isinstance(photographs, str | Path):
+        return ImageStack.open(photographs)
+    levels = real_array("photographs", photographs)
+    if levels.ndim not in (3, 4) or levels.dtype not in (np.uint8, np.uint16, np.float32):
+        hint = "give (K, rows, cols) or (K, rows, cols, 3) uint8, uint16 or float32"
+        raise InputError(f"photographs of shape {levels.shape} and type {levels.dtype}", hint=hint)
+    return ArrayStack(levels)
 
 
 def _draw(

@@ -178,10 +178,8 @@ class CaptureSettings:
         """Refuse settings that a rig does not have."""
         shortest, longest = exposure_limits(rig.camera)
         if self.exposure is not None and not shortest <= self.exposure <= longest:
-            raise InputError(
-                f"an exposure of {self.exposure:g} s",
-                hint=f"the camera has {shortest:g} to {longest:g} s",
-            )
+            hint = f"the camera has {shortest:g} to {longest:g} s"
+            raise InputError(f"an exposure of {self.exposure:g} s", hint=hint)
         largest = min(rig.projector.shape)
         if self.cell > largest:
             raise InputError(f"a cell of {self.cell} pixels", hint=f"use 1 to {largest} pixels")

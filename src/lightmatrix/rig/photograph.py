@@ -74,10 +74,16 @@ class Photographer:
             raise UntrustedFrameError(f"{error.message}, and came back") from error
 
     def _take(self, image: NDArray[np.uint8], exposure: float | None, settle: float) -> Shot:
-        actual = self._set_exposure(exposure)
+        camera = self.rig.camera
+        if exposure is None:
+            actual = camera.exposure
+        else:
+            asked, actual = self._exposure
+            if exposure != asked or not same_exposure(camera.exposure, actual):
+                actual = set_exposure(camera, exposure)
+                self._exposure = exposure, actual
         earliest = self.rig.projector.show(image) + settle
         self.rig.clock.sleep(earliest - self.rig.clock.now())
-        camera = self.rig.camera
         camera.flush()
         camera.trigger()
         # No camera has buffers for 32 frames from before the pattern.
@@ -92,15 +98,6 @@ class Photographer:
         raise UntrustedFrameError(
             "32 frames came, all of before the pattern", hint="are the camera's timestamps right?"
         )
-
-    def _set_exposure(self, exposure: float | None) -> float:
-        camera = self.rig.camera
-        asked, actual = self._exposure
-        if exposure is None:
-            return camera.exposure
-        if exposure != asked or not same_exposure(camera.exposure, actual):
-            self._exposure = exposure, set_exposure(camera, exposure)
-        return self._exposure[1]
 
 
 @dataclass(frozen=True, eq=False)

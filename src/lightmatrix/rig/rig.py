@@ -174,10 +174,8 @@ def open_rig(
             first.close()
             raise
     elif projector is not None or camera is not None:
-        raise InputError(
-            "a rig and a projector or a camera",
-            hint="a virtual rig has both; give one or the other",
-        )
+        hint = "a virtual rig has both; give one or the other"
+        raise InputError("a rig and a projector or a camera", hint=hint)
     return _virtual(rig if isinstance(rig, VirtualSettings) else parse_settings(rig))
 
 

@@ -471,9 +471,38 @@ def measure_rig(
         )
     if settle is not None:
         check_number("a settle time", settle, most=60, hint="give seconds, such as 0.1")
-    before = kept_measurements(rig, keep)
-    camera = Response.parse(response)
-    known = rig.persistently(lambda: _measured(rig, before, parts, settle, camera, progress))
+    before, camera = kept_measurements(rig, keep), Response.parse(response)
+
+    def report(part: str) -> _Report:
+        return lambda done, total: None if progress is None else progress(part, done, total)
+
+    def measured() -> RigMeasurements:
+        known, first = before, settle
+        if first is None:
+            first = FIRST_SETTLE if known.settle is None else known.settle.seconds
+        whites = find_white_and_black(Photographer(rig, max(FIRST_SETTLE, first)))
+        if settle is not None:
+            known = replace(known, settle=SettleTime(settle, 0.0, 0, 0))
+        elif "settle" in parts or known.settle is None:
+            known = replace(known, settle=measure_settle(rig, whites, report("settle")))
+        assert known.settle is not None
+        wait = known.settle.seconds
+        if "flicker" in parts or ("exposure" in parts and known.flicker is None):
+            flicker = measure_flicker(rig, whites, wait, report("flicker"))
+            known = replace(known, flicker=flicker)
+        period = 0.0 if known.flicker is None else known.flicker.period
+        if period:
+            # The further parts need white and black at an exposure that does not flicker.
+            exposure = set_exposure(rig.camera, max(1, round(whites.exposure / period)) * period)
+            whites = take_white_and_black(Photographer(rig, wait), exposure)
+        if "exposure" in parts:
+            known = replace(known, exposure=measure_exposure(rig, whites, wait, period))
+        if "response" in parts:
+            curve = measure_response(rig, whites, wait, report("response"), camera)
+            known = replace(known, response=curve)
+        return known
+
+    known = rig.persistently(measured)
     if keep is not None:
         known.save(keep)
     return known
@@ -486,41 +515,3 @@ def kept_measurements(rig: Rig, keep: str | Path | None) -> RigMeasurements:
         if kept.of_rig(rig):
             return kept
     return RigMeasurements(_jsonable(rig.projector.info()), _jsonable(rig.camera.info()))
-
-
-def _measured(
-    rig: Rig,
-    known: RigMeasurements,
-    parts: Sequence[str],
-    settle: float | None,
-    camera: Response,
-    progress: Callable[[str, int, int], None] | None,
-) -> RigMeasurements:
-    def report(part: str) -> _Report:
-        return lambda done, total: None if progress is None else progress(part, done, total)
-
-    if settle is None:
-        first = FIRST_SETTLE if known.settle is None else known.settle.seconds
-    else:
-        first = settle
-    whites = find_white_and_black(Photographer(rig, max(FIRST_SETTLE, first)))
-    if settle is not None:
-        known = replace(known, settle=SettleTime(settle, 0.0, 0, 0))
-    elif "settle" in parts or known.settle is None:
-        known = replace(known, settle=measure_settle(rig, whites, report("settle")))
-    assert known.settle is not None
-    wait = known.settle.seconds
-    if "flicker" in parts or ("exposure" in parts and known.flicker is None):
-        flicker = measure_flicker(rig, whites, wait, report("flicker"))
-        known = replace(known, flicker=flicker)
-    period = 0.0 if known.flicker is None else known.flicker.period
-    if period:
-        # The further parts need white and black at an exposure that does not flicker.
-        exposure = set_exposure(rig.camera, max(1, round(whites.exposure / period)) * period)
-        whites = take_white_and_black(Photographer(rig, wait), exposure)
-    if "exposure" in parts:
-        known = replace(known, exposure=measure_exposure(rig, whites, wait, period))
-    if "response" in parts:
-        response = measure_response(rig, whites, wait, report("response"), camera)
-        known = replace(known, response=response)
-    return known

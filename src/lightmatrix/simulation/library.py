@@ -106,10 +106,8 @@ def truth(
     if as_path(name).is_dir() and not (isinstance(name, str) and name in names()):
         if (Path(name) / TRUTH).is_file():
             return Truth.load(Path(name) / TRUTH)
-        raise InputError(
-            f"{name} holds no {TRUTH}",
-            hint="give a T.npz file, a capture made by `lightmatrix simulate`, or a scene",
-        )
+        hint = "give a T.npz file, a capture made by `lightmatrix simulate`, or a scene"
+        raise InputError(f"{name} holds no {TRUTH}", hint=hint)
     name = str(name)
     if name == PROCEDURAL:
         return ProceduralScene(size, size, seed).truth()

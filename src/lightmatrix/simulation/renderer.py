@@ -70,10 +70,8 @@ def usable_llvm() -> str | None:
 def load_mitsuba() -> ModuleType:
     """Mitsuba in its LLVM variant."""
     if importlib.util.find_spec("mitsuba") is None:
-        raise MissingExtraError(
-            "rendering needs Mitsuba 3, which is not installed",
-            hint='install the extra: pip install "lightmatrix[render]"',
-        )
+        hint = 'install the extra: pip install "lightmatrix[render]"'
+        raise MissingExtraError("rendering needs Mitsuba 3, which is not installed", hint=hint)
     llvm = usable_llvm()
     if llvm is None:
         raise MissingExtraError(

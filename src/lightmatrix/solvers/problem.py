@@ -119,10 +119,8 @@ class Problem:
 def check_regularization(value: float) -> None:
     """Refuse a regularization that is not a positive number."""
     if not (np.isfinite(value) and value > 0):
-        raise InputError(
-            f"regularization is {value}",
-            hint="use a positive number in units of camera sample, such as 0.3",
-        )
+        hint = "use a positive number in units of camera sample, such as 0.3"
+        raise InputError(f"regularization is {value}", hint=hint)
 
 
 @dataclass(frozen=True)

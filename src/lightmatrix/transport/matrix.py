@@ -115,10 +115,8 @@ class LightTransport(TransportOperator):
         # Compiled routines trust the indices, and a store is only opened if all of this is so.
         sparse = self.sparse
         if getattr(sparse, "format", None) != "csr":
-            raise InputError(
-                f"{type(sparse).__name__} as the sparse part of T",
-                hint="give a scipy.sparse.csr_array, or use LightTransport.from_matrix",
-            )
+            hint = "give a scipy.sparse.csr_array, or use LightTransport.from_matrix"
+            raise InputError(f"{type(sparse).__name__} as the sparse part of T", hint=hint)
         try:
             camera = checked_shape(self.camera_shape, (2, 3), "camera_shape")
             rows, cols = checked_shape(self.projector_shape, (2,), "projector_shape")
@@ -137,17 +135,13 @@ class LightTransport(TransportOperator):
         try:
             sparse = checked_matrix(sparse.data, sparse.indices, sparse.indptr, expected)
         except ValueError as error:
-            raise InputError(
-                f"the sparse part of T: {error}",
-                hint="count rows and columns from 0 (MATLAB counts from 1), and give real numbers",
-            ) from error
+            hint = "count rows and columns from 0 (MATLAB counts from 1), and give real numbers"
+            raise InputError(f"the sparse part of T: {error}", hint=hint) from error
         check_grid((rows, cols), (high, wide))
         background = real_array("a background", self.background)
         if background.shape != (expected[0], high * wide):
-            raise InputError(
-                f"the background has shape {background.shape}",
-                hint=f"its shape must be ({expected[0]}, {high * wide})",
-            )
+            hint = f"its shape must be ({expected[0]}, {high * wide})"
+            raise InputError(f"the background has shape {background.shape}", hint=hint)
         background = as_float32(background)
         check_finite("values of the background", background)
         check_type("diagnostics by name", self.diagnostics, Mapping, hint="give a dict")
@@ -156,10 +150,8 @@ class LightTransport(TransportOperator):
         for name, given in self.diagnostics.items():
             values = diagnostics[name] = real_array(f"diagnostic {name!r}", given)
             if values.shape != (expected[0],):
-                raise InputError(
-                    f"diagnostic {name!r} has shape {values.shape}",
-                    hint="give one value for each row",
-                )
+                hint = "give one value for each row"
+                raise InputError(f"diagnostic {name!r} has shape {values.shape}", hint=hint)
             # Names become those of folders.
             if not name.isidentifier():
                 raise InputError(
@@ -332,10 +324,8 @@ class ColourTransport:
         if shown.ndim < 3:
             shown = np.repeat(shown[..., None], 3, axis=-1)
         if shown.shape[-1] != 3:
-            raise InputError(
-                f"a pattern of shape {shown.shape} for a colour projector",
-                hint="give (rows, cols, 3), or (rows, cols) for white light",
-            )
+            hint = "give (rows, cols, 3), or (rows, cols) for white light"
+            raise InputError(f"a pattern of shape {shown.shape} for a colour projector", hint=hint)
         parts = [one.relight(shown[..., number]) for number, one in enumerate(self)]
         return np.asarray(parts[0] + parts[1] + parts[2])
 

@@ -90,10 +90,8 @@ def export(
     }
     # MATLAB's level-5 files count the bytes of a variable in 32 bits.
     if kind is kinds.MAT and 8 * matrix.nnz >= 2**31:
-        raise OutputError(
-            f"{path}: {matrix.nnz} entries are too many for a .mat file",
-            hint="pass dense_background=False, or export to .npz",
-        )
+        hint = "pass dense_background=False, or export to .npz"
+        raise OutputError(f"{path}: {matrix.nnz} entries are too many for a .mat file", hint=hint)
     with atomic_file(path, kind, overwrite=overwrite) as part:
         if kind is kinds.MAT:
             # MATLAB only has sparse matrices of doubles, compressed by columns.
@@ -142,15 +140,11 @@ def read_transport(path: str | Path) -> tuple[LightTransport, dict[str, NDArray[
             _check_version(file, content[name])
     needed = ("format", "shape", "data", "indices", "indptr")
     if lacking := [name for name in needed if name not in content]:
-        raise InputError(
-            f"{file}: no sparse matrix: {', '.join(lacking)} missing",
-            hint="give a file from `lightmatrix export` or `render`",
-        )
+        hint = "give a file from `lightmatrix export` or `render`"
+        raise InputError(f"{file}: no sparse matrix: {', '.join(lacking)} missing", hint=hint)
     if not {"camera_shape", "projector_shape"} <= set(content):
-        raise InputError(
-            f"{file}: does not say the shapes of camera and projector",
-            hint="use lm.LightTransport.from_matrix(matrix, camera_shape, projector_shape)",
-        )
+        hint = "use lm.LightTransport.from_matrix(matrix, camera_shape, projector_shape)"
+        raise InputError(f"{file}: does not say the shapes of camera and projector", hint=hint)
     try:
         if (form := text_of(content["format"])) != "csr":
             raise ValueError(f"a matrix in the form {form[:20]!r}; save it as csr (matrix.tocsr())")

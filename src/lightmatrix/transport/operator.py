@@ -259,10 +259,8 @@ def _checked_index(index: tuple[int, ...], shape: tuple[int, ...], what: str) ->
     inside = all(0 <= n < size for n, size in zip(numbers, shape, strict=False))
     if len(index) != len(shape) or not inside:
         last = ", ".join(str(size - 1) for size in shape)
-        raise InputError(
-            f"there is no {what} {', '.join(map(str, index)) or '()'}",
-            hint=f"give {len(shape)} whole numbers from {', '.join('0' * len(shape))} to {last}",
-        )
+        hint = f"give {len(shape)} whole numbers from {', '.join('0' * len(shape))} to {last}"
+        raise InputError(f"there is no {what} {', '.join(map(str, index)) or '()'}", hint=hint)
     return int(np.ravel_multi_index(numbers, shape))
 
 

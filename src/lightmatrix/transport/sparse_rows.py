@@ -101,10 +101,8 @@ class SparseRows:
                 if part.dtype not in (np.float32, np.float64) or not np.isfinite(part).all():
                     raise ValueError("coefficients that are not finite numbers")
         except (KeyError, TypeError, ValueError) as error:
-            raise InputError(
-                f"arrays that do not hold sparse rows: {error}",
-                hint="the file is damaged: create it again",
-            ) from error
+            hint = "the file is damaged: create it again"
+            raise InputError(f"arrays that do not hold sparse rows: {error}", hint=hint) from error
         return cls(matrix, background, diagnostics)
 
 

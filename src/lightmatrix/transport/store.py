@@ -360,10 +360,8 @@ class StoredTransport(TransportOperator):
         place = as_path(path)
         if not place.exists():
             if place.with_name(place.name + PARTIAL).exists():
-                raise InputError(
-                    f"{place}: the estimate is incomplete",
-                    hint="run the same `lightmatrix estimate` again; it continues where it stopped",
-                )
+                hint = "run the same `lightmatrix estimate` again; it continues where it stopped"
+                raise InputError(f"{place}: the estimate is incomplete", hint=hint)
             raise InputError(f"{place}: no such file", hint="check the name")
         hint = "give a .zarr folder from `lightmatrix estimate`"
         attributes = read_group(place, STORE.name, FORMAT, VERSION, hint)

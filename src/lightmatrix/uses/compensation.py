@@ -56,10 +56,8 @@ class JointLight:
     def check_single(self) -> None:
         """Raise an InputError if there is more than one projector or primary."""
         if len(self.matrices) > 1:
-            raise InputError(
-                f"{len(self.matrices)} matrices, for a use that takes one",
-                hint="single pictures are compensated with several projectors, or in colour",
-            )
+            hint = "single pictures are compensated with several projectors, or in colour"
+            raise InputError(f"{len(self.matrices)} matrices, for a use that takes one", hint=hint)
 
     def split(self, light: NDArray[np.float32]) -> tuple[NDArray[np.float32], ...]:
         """The patterns, (rows, cols) each, of a vector (N,)."""
@@ -387,10 +385,8 @@ class Compensator:
         bright = np.quantile(white, 0.9, axis=0)
         lit = ((white > 0.1 * bright) & (white > 0)).ravel() & self.chosen
         if not lit.any():
-            raise InputError(
-                "the projector lights no camera pixel that counts",
-                hint="is the mask right, and is there light in the matrix?",
-            )
+            hint = "is the mask right, and is there light in the matrix?"
+            raise InputError("the projector lights no camera pixel that counts", hint=hint)
         return np.asarray(lit)
 
     @cached_property

@@ -57,10 +57,8 @@ def probe(transport: LightTransport, mask: sparray) -> LightTransport:
     """
     check_type("a light transport matrix", transport, LightTransport, hint=HOW_TO_GIVE)
     if getattr(mask, "shape", None) != transport.shape:
-        raise InputError(
-            f"a probing mask of shape {getattr(mask, 'shape', 'none')}",
-            hint=f"give a sparse array of {transport.shape}: camera samples, projector pixels",
-        )
+        hint = f"give a sparse array of {transport.shape}: camera samples, projector pixels"
+        raise InputError(f"a probing mask of shape {getattr(mask, 'shape', 'none')}", hint=hint)
     kept = csr_array(mask, dtype=np.float32)
     if not np.isfinite(kept.data).all():
         raise InputError("a probing mask with weights that are not finite", hint="use 0 to 1")

@@ -236,10 +236,8 @@ def map_files(path: str | Path) -> dict[Path, kinds.OutputKind]:
         return dict.fromkeys(pair, kinds.PICTURE)
     known = {".mpcdi": kinds.MPCDI, ".exr": kinds.IMAGE, ".npz": kinds.NUMBERS}
     if suffix and suffix not in known:
-        raise OutputError(
-            f"{output}: no map ends in {suffix}",
-            hint=f"end it in {', '.join(_WRITERS)}, or in nothing for a folder",
-        )
+        hint = f"end it in {', '.join(_WRITERS)}, or in nothing for a folder"
+        raise OutputError(f"{output}: no map ends in {suffix}", hint=hint)
     return {output: known[suffix] if suffix else kinds.MAP_FOLDER}
 
 

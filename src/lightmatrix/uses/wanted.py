@@ -36,7 +36,8 @@ def wanted_samples(
     if fit not in (None, "cover", "contain", "stretch"):
         raise InputError(f"a fit of {fit!r}", hint="use cover, contain or stretch")
     name = str(wanted) if isinstance(wanted, str | Path) else "the wanted picture"
-    image = given_image(name, wanted, _read_upright)
+    # Turned as viewers show it.
+    image = given_image(name, wanted, lambda path: upright(path, read_image(path)))
     if isinstance(wanted, str | Path) and image.dtype != np.float32:
         # Files of whole levels hold pictures for displays, files of floats hold light.
         image = image / np.float32(np.iinfo(image.dtype).max)
@@ -46,10 +47,8 @@ def wanted_samples(
         _samples(image, camera_shape, name, _FIT)
     # Written so that it refuses NaN, too.
     if image.size and not (image.min() >= 0 and image.max() <= 1):
-        raise InputError(
-            f"{name} has values from {image.min():g} to {image.max():g}",
-            hint="give values in [0, 1]: divide raw levels by their largest one, such as 255",
-        )
+        hint = "give values in [0, 1]: divide raw levels by their largest one, such as 255"
+        raise InputError(f"{name} has values from {image.min():g} to {image.max():g}", hint=hint)
     light = image.astype(np.float32) ** np.float32(1.0 if gamma is None else gamma)
     if light.ndim == 3 and len(camera_shape) == 2:
         if not is_grey(light):
@@ -67,11 +66,6 @@ def wanted_samples(
     if not (black or samples.any()):
         raise InputError(f"{name} is all black", hint="black needs no compensation: show black")
     return samples
-
-
-def _read_upright(path: str | Path) -> NDArray[Any]:
-    """A picture as viewers show it: turned as the camera that took it was."""
-    return upright(path, read_image(path))
 
 
 _FIT = 'fit it with fit="cover", "contain" or "stretch"'

@@ -52,10 +52,8 @@ class Scene:
         self.title = printable(name if in_memory else as_path(transport).name)
         channels = self.matrix.camera_shape[2:]
         if channels not in ((), (1,), (3,)):
-            raise InputError(
-                f"{self.title}: a camera with {channels[0]} channels",
-                hint="the viewer shows 1 or 3",
-            )
+            hint = "the viewer shows 1 or 3"
+            raise InputError(f"{self.title}: a camera with {channels[0]} channels", hint=hint)
         # T where the page does not have it.
         self.light: Light | None = None
         known: LightTransport | Light

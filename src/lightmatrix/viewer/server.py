@@ -317,8 +317,6 @@ def _bound(port: int) -> socket.socket:
         listening.listen()
     except OSError as error:
         listening.close()
-        raise OutputError(
-            f"port {port} cannot be used ({error.strerror})",
-            hint="choose another port, or port=0 for one that is free",
-        ) from error
+        hint = "choose another port, or port=0 for one that is free"
+        raise OutputError(f"port {port} cannot be used ({error.strerror})", hint=hint) from error
     return listening

@@ -211,12 +211,10 @@ class Rounds(Work):
         if not len(unexplained):
             return rows
 
-        def still_solved(done: int, total: int) -> None:
-            progress(rows.count, rows.count)
-
-        again = _searched(
-            self.solver.everywhere(samples.rows(unexplained), still_solved, brief=True)
+        solved = self.solver.everywhere(
+            samples.rows(unexplained), lambda *_: progress(rows.count, rows.count), brief=True
         )
+        again = _searched(solved)
         lit = np.flatnonzero(np.diff(again.coefficients.indptr) > 0)
         return replaced(rows, again.rows(lit), unexplained[lit]) if len(lit) else rows
 

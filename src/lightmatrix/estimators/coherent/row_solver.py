@@ -59,8 +59,9 @@ class Backgrounds:
 
     def spread(self, rows: csr_array) -> NDArray[np.float32]:
         """The shares of the halo of each row (m, N) in the cells, (m, B); even if it is empty."""
+        down, right = _squares(self.shown.shape)
         squares = csr_array(
-            (rows.data, self._square[rows.indices], rows.indptr), self._squares_shape(rows)
+            (rows.data, self._square[rows.indices], rows.indptr), (rows.shape[0], down * right)
         )
         shares = np.asarray(squares @ self._halos)
         total = shares.sum(axis=1, keepdims=True)
@@ -121,10 +122,6 @@ class Backgrounds:
     def _square(self) -> NDArray[np.int64]:
         """The square of each pixel, (N,)."""
         return _square_of_each(self.shown.shape)
-
-    def _squares_shape(self, rows: csr_array) -> tuple[int, int]:
-        down, right = _squares(self.shown.shape)
-        return rows.shape[0], down * right
 
     @computed_once
     def _halos(self) -> NDArray[np.float32]:

@@ -33,7 +33,13 @@ class AravisCamera(GenICamCamera):
             self._set_up()
 
     def _set_up(self) -> None:
-        self._require_control()
+        if self._camera.is_gv_device() and not self._camera.get_device().is_controller():
+            # Closing must not talk to a camera that does not listen to us.
+            self._gone = True
+            raise self._error(
+                "another program has the camera",
+                "close it there; a program that was killed gives it back after some seconds",
+            )
         vendor, model = self._camera.get_vendor_name(), self._camera.get_model_name()
         self._name = f"{vendor} {model} {self._camera.get_device_serial_number()}"
         self._configure()
@@ -119,15 +125,6 @@ class AravisCamera(GenICamCamera):
                 "GevSCPSPacketSize=1400",
             )
         return self._silent(timeout)
-
-    def _require_control(self) -> None:
-        if self._camera.is_gv_device() and not self._camera.get_device().is_controller():
-            # Closing must not talk to a camera that does not listen to us.
-            self._gone = True
-            raise self._error(
-                "another program has the camera",
-                "close it there; a program that was killed gives it back after some seconds",
-            )
 
     def _switch_off_automatics(self) -> None:
         for available, switch in (

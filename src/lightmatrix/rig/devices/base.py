@@ -58,10 +58,8 @@ class Address:
             if name not in known and not (features and name[0].isupper()):
                 offered = ", ".join(known) or "none"
                 own = "; features of the camera itself begin with a capital" if features else ""
-                raise InputError(
-                    f"{self}: {self.kind} has no option {name!r}",
-                    hint=f"its options are {offered}{own}",
-                )
+                hint = f"its options are {offered}{own}"
+                raise InputError(f"{self}: {self.kind} has no option {name!r}", hint=hint)
 
     def number(self, name: str, default: float) -> float:
         """The value of an option that must be a number above 0."""
@@ -89,10 +87,8 @@ class Address:
     def stated_exposure(self) -> float:
         """The exposure in seconds that the user set on the camera and states in the address."""
         if "exposure" not in self.options:
-            raise InputError(
-                f"{self}: nothing says how long its frames are exposed",
-                hint=f"set the exposure on the camera by hand, and say it: {self},exposure=SECONDS",
-            )
+            hint = f"set the exposure on the camera by hand, and say it: {self},exposure=SECONDS"
+            raise InputError(f"{self}: nothing says how long its frames are exposed", hint=hint)
         return self.number("exposure", 0.0)
 
 
@@ -219,10 +215,8 @@ class Camera(ABC):
         shortest, longest = self._exposure_range()
         # The tolerance lets the limits themselves pass after rounding.
         if not shortest * (1 - 1e-9) <= seconds <= longest * (1 + 1e-9):
-            raise InputError(
-                f"{self._address}: an exposure of {seconds} s",
-                hint=f"the camera can do {shortest:g} to {longest:g} s",
-            )
+            hint = f"the camera can do {shortest:g} to {longest:g} s"
+            raise InputError(f"{self._address}: an exposure of {seconds} s", hint=hint)
         self._write_exposure(seconds)
 
     def info(self) -> dict[str, Any]:

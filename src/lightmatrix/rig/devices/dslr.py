@@ -174,10 +174,8 @@ def open_dslr(address: Address) -> DSLRCamera:
     chosen = next((each for each in cameras if not wanted or wanted in each), None)
     if chosen is None:
         listed = ", ".join(f"{name} ({port})" for name, port in cameras) or "none"
-        raise DeviceError(
-            f"{address}: no such camera was found; there are: {listed}",
-            hint="switch it on, set its USB mode to PTP, and unmount it from the file manager",
-        )
+        hint = "switch it on, set its USB mode to PTP, and unmount it from the file manager"
+        raise DeviceError(f"{address}: no such camera was found; there are: {listed}", hint=hint)
     name, port = chosen
     camera = gphoto2.Camera()
     with _translated_errors(gphoto2, address, "does not answer"):
@@ -213,19 +211,15 @@ def _translated_errors(gphoto2: Any, address: Address, what: str) -> Iterator[No
         yield
     except gphoto2.GPhoto2Error as error:
         if error.code in (gphoto2.GP_ERROR_IO_USB_CLAIM, gphoto2.GP_ERROR_IO_LOCK):
-            raise DeviceError(
-                f"{address}: another program has the camera",
-                hint="unmount it from the file manager: gio mount -s gphoto2",
-            ) from error
+            hint = "unmount it from the file manager: gio mount -s gphoto2"
+            raise DeviceError(f"{address}: another program has the camera", hint=hint) from error
         if error.code in (gphoto2.GP_ERROR_NO_MEMORY, gphoto2.GP_ERROR_NO_SPACE):
             raise DeviceError(
                 f"{address}: the camera {what}, its memory is full",
                 hint=f"empty its card, or let it keep pictures in its memory: {_TARGET}={_MEMORY}",
             ) from error
-        raise DeviceError(
-            f"{address}: the camera {what} ({error.string})",
-            hint="check its cable, battery and focus, and that its USB mode is PTP",
-        ) from error
+        hint = "check its cable, battery and focus, and that its USB mode is PTP"
+        raise DeviceError(f"{address}: the camera {what} ({error.string})", hint=hint) from error
 
 
 def _seconds(text: str) -> float | None:

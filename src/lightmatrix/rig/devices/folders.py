@@ -63,10 +63,8 @@ def open_folder(address: Address) -> FolderProjector:
     address.check_options(("size",))
     size = re.fullmatch(r"([1-9][0-9]{0,4})x([1-9][0-9]{0,4})", address.options.get("size", ""))
     if not address.argument or size is None:
-        raise InputError(
-            f"{address}: a folder and its size are needed",
-            hint="give folder:DIR,size=ROWSxCOLUMNS, with the pixels of the projector",
-        )
+        hint = "give folder:DIR,size=ROWSxCOLUMNS, with the pixels of the projector"
+        raise InputError(f"{address}: a folder and its size are needed", hint=hint)
     return FolderProjector(address, Path(address.argument), (int(size[1]), int(size[2])))
 
 
@@ -147,10 +145,8 @@ class WatchedFolder(Camera):
     def _frame(self, file: Path, image: NDArray[Any], state: tuple[int, int]) -> Frame:
         self._seen[file] = state
         if image.dtype not in (np.uint8, np.uint16):
-            raise DeviceError(
-                f"{file}: is {image.dtype}, which no sensor delivers",
-                hint="have frames saved with 8 or 16 bits",
-            )
+            hint = "have frames saved with 8 or 16 bits"
+            raise DeviceError(f"{file}: is {image.dtype}, which no sensor delivers", hint=hint)
         if self._shape is not None and image.shape != self._shape:
             raise DeviceError(
                 f"{file}: is {size_in_words(image.shape)}, the frames before were "

@@ -78,17 +78,13 @@ def choose_format(camera: str, offered: Sequence[str], wanted: str | None = None
         chosen = next((known for known in usable if known.name == wanted), None)
         if chosen is None:
             reason = "is not unpacked by us" if wanted in offered else "is not offered by it"
-            raise DeviceError(
-                f"{camera}: pixel format {wanted} {reason}",
-                hint=f"choose one of {names}" if usable else f"it offers {', '.join(offered)}",
-            )
+            hint = f"choose one of {names}" if usable else f"it offers {', '.join(offered)}"
+            raise DeviceError(f"{camera}: pixel format {wanted} {reason}", hint=hint)
         return chosen
     if not usable:
         listed = ", ".join(offered) or "it has none"
-        raise DeviceError(
-            f"{camera}: none of its pixel formats can be read: {listed}",
-            hint="switch it to Mono8, Mono16 or RGB8 by its maker's program",
-        )
+        hint = "switch it to Mono8, Mono16 or RGB8 by its maker's program"
+        raise DeviceError(f"{camera}: none of its pixel formats can be read: {listed}", hint=hint)
     return usable[0]
 
 
@@ -149,8 +145,15 @@ class GenICamCamera(Camera):
         self._switch_off_automatics()
         options = self._address.options
         for name, value in options.items():
-            if name[0].isupper() and name != "PixelFormat":
-                self._set_option(name, value)
+            if not name[0].isupper() or name == "PixelFormat":
+                continue
+            if not self._has_feature(name):
+                raise self._error(f"the camera has no feature {name}", self._features_hint)
+            try:
+                self._set_feature(name, value)
+            except self._refusals as error:
+                refused = f"{name}={value} was refused ({self._reason(error)})"
+                raise self._error(refused, self._values_hint) from error
         offered = self._offered_formats()
         self._format = choose_format(str(self._address), offered, options.get("PixelFormat"))
         self._use_format(self._format)
@@ -160,15 +163,6 @@ class GenICamCamera(Camera):
     def _set_shape(self, rows: int, cols: int) -> None:
         channels = self._format.channels
         self._shape = (rows, cols) if channels == 1 else (rows, cols, channels)
-
-    def _set_option(self, name: str, value: str) -> None:
-        if not self._has_feature(name):
-            raise self._error(f"the camera has no feature {name}", self._features_hint)
-        try:
-            self._set_feature(name, value)
-        except self._refusals as error:
-            refused = f"{name}={value} was refused ({self._reason(error)})"
-            raise self._error(refused, self._values_hint) from error
 
     def _choose_trigger(self) -> str:
         wanted = self._address.options.get("trigger")

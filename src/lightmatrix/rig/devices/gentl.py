@@ -220,10 +220,8 @@ def _chosen_device(harvester: Any, address: Address) -> Any:
         if not wanted or wanted in (device.id_, device.serial_number, str(number)):
             return device
     listed = ", ".join(device.id_ for device in devices) or "none"
-    raise DeviceError(
-        f"{address}: no such camera was found; there are: {listed}",
-        hint="check its cable and power, and whether another program has it",
-    )
+    hint = "check its cable and power, and whether another program has it"
+    raise DeviceError(f"{address}: no such camera was found; there are: {listed}", hint=hint)
 
 
 def _one_line(error: BaseException) -> str:

@@ -136,10 +136,8 @@ def open_video(address: Address) -> VideoCamera:
     address.check_options((*_OPTIONS, *_FFMPEG_OPTIONS))
     exposure = address.stated_exposure
     if not address.argument:
-        raise InputError(
-            f"{address}: which video device?",
-            hint="`lightmatrix rig list` names those that are found: video:/dev/video0",
-        )
+        hint = "`lightmatrix rig list` names those that are found: video:/dev/video0"
+        raise InputError(f"{address}: which video device?", hint=hint)
     av = load("video", "video devices through PyAV", "av")[0]
     kind = address.options.get("format") or _SYSTEMS.get(sys.platform, "v4l2")
     options = {name: address.options[name] for name in _FFMPEG_OPTIONS if name in address.options}

@@ -54,10 +54,8 @@ class VirtualSettings:
         least = {"size": 2, "gamma": 0.1, "camera_gamma": 0.1, "unit": 1e-6}
         for name, value in vars(self).items():
             if name != "scene" and not least.get(name, 0.0) <= value < math.inf:
-                raise InputError(
-                    f"a virtual rig with {name}={value:g}",
-                    hint=f"use a number from {least.get(name, 0.0):g} on",
-                )
+                hint = f"use a number from {least.get(name, 0.0):g} on"
+                raise InputError(f"a virtual rig with {name}={value:g}", hint=hint)
 
 
 def parse_settings(text: str) -> VirtualSettings:
@@ -68,10 +66,8 @@ def parse_settings(text: str) -> VirtualSettings:
     """
     address = Address.parse(text)
     if address.kind != VirtualCamera.kind or not address.argument:
-        raise InputError(
-            f"a rig of {text!r}",
-            hint="write virtual:SCENE, such as virtual:l_objects, or give a projector and a camera",
-        )
+        hint = "write virtual:SCENE, such as virtual:l_objects, or give a projector and a camera"
+        raise InputError(f"a rig of {text!r}", hint=hint)
     kinds: dict[str, Any] = {f.name: f.type for f in fields(VirtualSettings) if f.name != "scene"}
     values: dict[str, Any] = {}
     address.check_options(list(kinds))

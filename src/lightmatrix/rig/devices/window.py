@@ -111,10 +111,8 @@ class WindowProjector(Projector):
                 "the projector window was closed", hint="run the same command again to go on"
             )
         if not self._glfw.get_window_monitor(self._window):
-            raise DeviceError(
-                f"monitor {self._number} ({self._info['name']}) is gone",
-                hint="plug it in again, then run the same command again to go on",
-            )
+            hint = "plug it in again, then run the same command again to go on"
+            raise DeviceError(f"monitor {self._number} ({self._info['name']}) is gone", hint=hint)
         return shown
 
     def asked_to_end(self) -> bool:
@@ -202,10 +200,8 @@ def _start(glfw: Any) -> None:
         reason = _text(error)
     if not os.environ.get("DISPLAY") and not os.environ.get("WAYLAND_DISPLAY"):
         reason += "; neither DISPLAY nor WAYLAND_DISPLAY is set"
-    raise DeviceError(
-        f"no display to open a projector window on ({reason})",
-        hint="run it in a desktop session; over ssh, set DISPLAY=:0 first",
-    )
+    hint = "run it in a desktop session; over ssh, set DISPLAY=:0 first"
+    raise DeviceError(f"no display to open a projector window on ({reason})", hint=hint)
 
 
 def _chosen(address: Address, names: list[str]) -> int:
