@@ -143,7 +143,8 @@ def test_they_are_the_mean_of_the_guesses(camera: Any, projector: Any, k: int, s
             continue
         mean[:k] = np.where(samples.clipped[row], np.maximum(mean[:k], LEVEL), mean[:k])
         np.testing.assert_allclose(pseudo.values[row], mean, rtol=1e-3, atol=1e-5)
-        weights = 1 / (1 + (variance + (0.02 * mean) ** 2) / (0.0033 * LEVEL) ** 2)
+        deviation = 0.0033 * LEVEL * min(1, k / 12) ** 2
+        weights = 1 / (1 + (variance + (0.02 * mean) ** 2) / deviation**2)
         weights[:k] *= samples.clipped[row]
         assert samples.weights is not None
         used = samples.weights[row] > 0

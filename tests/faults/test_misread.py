@@ -70,7 +70,7 @@ CASES = [
     Case(
         "an output where no file can be made",
         f"{ESTIMATE} -o /proc/new.zarr",
-        "/proc/new.zarr: cannot be written",
+        "choose a folder on another disk",
     ),
 ]
 

@@ -117,10 +117,10 @@ class System:
         dtype = point.dtype
         distance = target - self.forward(point)
         if self._wide:
-            t = distance.astype(np.float64) @ self._inverse
+            t = _each_by(distance.astype(np.float64), self._inverse)
             prediction = target - (self.ridge * t).astype(dtype)
             return point + self.adjoint(t.astype(dtype)), prediction
-        step = self.adjoint(distance).astype(np.float64) @ self._inverse
+        step = _each_by(self.adjoint(distance).astype(np.float64), self._inverse)
         x = point + step.astype(dtype)
         return x, self.forward(x)
 
@@ -152,6 +152,13 @@ def _sums(patterns: PatternSet, column: NDArray[np.float64]) -> NDArray[np.float
     # If the column is the means, compute the sums from it, so that all terms of the centred Gram
     # matrix have the same rounding.
     return patterns.pixels * column if column is patterns.means else patterns.sums
+
+
+def _each_by(rows: NDArray[np.float64], matrix: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Rows times one matrix, or equal groups of rows times one matrix each (trials of Fig. 4)."""
+    if matrix.ndim == 2:
+        return rows @ matrix
+    return (rows.reshape(len(matrix), -1, rows.shape[1]) @ matrix).reshape(rows.shape)
 
 
 # Number of rows that are handled at a time in double precision, to save memory.
