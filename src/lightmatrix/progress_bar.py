@@ -52,8 +52,6 @@ def progress_bar(what: str, unit: str, console: Console | None = None) -> Iterat
 
 
 class _Rate(ProgressColumn):
-    """Steps per second."""
-
     def render(self, task: Task) -> Text:
         speed = task.finished_speed or task.speed
         return Text("" if speed is None else f"{_short(speed)} {task.fields['unit']}/s")

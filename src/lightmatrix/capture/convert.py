@@ -209,7 +209,6 @@ def convert(
 
 
 def _one_channel(image: NDArray[Any], number: int) -> NDArray[Any]:
-    """The image itself if it is grey, or one of its channels."""
     return image if image.ndim == 2 else np.ascontiguousarray(image[..., number])
 
 

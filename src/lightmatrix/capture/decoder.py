@@ -82,7 +82,6 @@ class Decoder:
 
     @cached_property
     def _table(self) -> NDArray[np.float32]:
-        """Light at each of the integer levels."""
         levels = np.arange(int(self.full_scale) + 1)
         return self.response.linearise(levels / self.full_scale).astype(np.float32)
 

@@ -170,6 +170,5 @@ def bin_samples(
 
 
 def _block_sums(values: NDArray[Any], block: tuple[int, int]) -> NDArray[np.float64]:
-    """Sums over blocks of the first two axes."""
     rows = np.add.reduceat(values, np.arange(0, values.shape[0], block[0]), axis=0, dtype=float)
     return np.add.reduceat(rows, np.arange(0, values.shape[1], block[1]), axis=1)

@@ -114,7 +114,6 @@ def simulate(
 
 
 def _amounts(faults: list[str]) -> dict[str, float]:
-    """The amount of each fault."""
     amounts: dict[str, float] = {}
     for text in faults:
         name, _, amount = text.partition("=")

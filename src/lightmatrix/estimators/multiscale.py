@@ -151,20 +151,16 @@ class _Strips(Work):
         patterns = self.capture.patterns
         strip = self.estimator.problem(patterns, samples, self.regularization)
         parts, order = [], []
-        for rows in self._camera_blocks(stop - start):
+        # A strip is one row of blocks.
+        _, width, *channels = self.capture.camera_shape
+        block = np.arange(stop - start) // (channels[0] if channels else 1) % width // _BLOCK
+        for number in range(int(block.max()) + 1):
+            rows = np.flatnonzero(block == number)
             parts.append(self._solve_block(strip.take(rows), samples.rows(rows)))
             order.append(rows)
             progress(sum(map(len, order)), stop - start)
         solved = SparseRows.joined(parts).rows(np.argsort(np.concatenate(order)))
         return with_certainty(solved, samples, patterns, start, self.capture.rows)
-
-    def _camera_blocks(self, rows: int) -> Iterator[NDArray[np.int64]]:
-        """The rows of each camera block of a strip."""
-        _, width, *channels = self.capture.camera_shape
-        column = np.arange(rows) // (channels[0] if channels else 1) % width
-        block = column // _BLOCK
-        for number in range(int(block.max()) + 1):
-            yield np.flatnonzero(block == number)
 
     def _solve_block(self, problem: Problem, samples: Samples) -> SparseRows:
         """The rows of one camera block, from the coarsest scale to single pixels."""

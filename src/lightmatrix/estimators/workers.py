@@ -167,7 +167,6 @@ class DaskPool:
 
 
 def _tile_error(future: Any, status: str, span: Span) -> Exception:
-    """What went wrong with a tile that did not finish."""
     if status != "error":
         return ClusterError(_NO_SCHEDULER, hint=_CONTINUE)
     error = future.exception()
@@ -187,7 +186,6 @@ def _tile_error(future: Any, status: str, span: Span) -> Exception:
 
 
 def _worker_error(address: str, error: BaseException) -> ClusterError:
-    """The error of a worker, with its address."""
     if isinstance(error, ImportError):
         return ClusterError(
             f"{address}: does not have this version of lightmatrix ({error})", hint=_SAME_VERSIONS
@@ -196,7 +194,6 @@ def _worker_error(address: str, error: BaseException) -> ClusterError:
 
 
 def _compare(address: str, found: Mapping[str, str], wanted: Mapping[str, str]) -> None:
-    """Refuse a worker of other versions."""
     differing = [
         f"{name} {found.get(name)}, not {own}"
         for name, own in wanted.items()
@@ -312,7 +309,6 @@ def _without_script() -> Iterator[None]:
 
 @contextmanager
 def _connected(address: str) -> Iterator[Client]:
-    """The workers of a cluster."""
     from distributed import Client
 
     # A client that could not connect is closed when it is collected. Within the constructor of

@@ -139,7 +139,6 @@ def _contiguous_page(file: Path, index: int) -> NDArray[Any]:
 
 
 def _single_array(file: Path) -> NDArray[Any]:
-    """The one array of an npz file."""
     arrays = read_npz(file)
     if len(arrays) != 1:
         named = ", ".join(list(arrays)[:5]) or "nothing"

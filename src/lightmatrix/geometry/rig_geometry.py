@@ -284,10 +284,6 @@ def checked_fields(content: Any, file: str) -> dict[str, Any]:
     return fields
 
 
-def _plain(name: str) -> str:
-    return name.lower().replace("_", "").replace("-", "")
-
-
 def _array(value: Any) -> NDArray[Any] | None:
     """A value as an array, or None if it holds anything but numbers."""
     try:
@@ -330,7 +326,7 @@ def _arguments(
     plain: dict[str, list[str]] = {}
     for name, value in values.items():
         if value is not None:
-            plain.setdefault(_plain(name), []).append(name)
+            plain.setdefault(name.lower().replace("_", "").replace("-", ""), []).append(name)
     found: dict[str, Any] = {}
     for name, others in _NAMES.items():
         fitting: list[Any] = [

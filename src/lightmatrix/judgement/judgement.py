@@ -375,7 +375,6 @@ class OwnError:
 
     @cached_property
     def _bounded_share(self) -> float:
-        """Share of the squared light in rows that are only bounded."""
         return self._share(_diagnostic(self.transport, "only_bounded") > 0)
 
     @cached_property

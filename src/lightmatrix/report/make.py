@@ -125,20 +125,6 @@ def recommendations(facts: Facts) -> tuple[str, ...]:
     )
 
 
-def _html(**content: Any) -> str:
-    """A report as one HTML document that needs no network and no script."""
-    environment = Environment(
-        loader=PackageLoader("lightmatrix.report"),
-        # Names and values are text, whatever they hold.
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
-    environment.filters["code"] = _code
-    return environment.get_template("report.html").render(content) + "\n"
-
-
 def _code(text: str) -> Markup:
     """Escaped text with `words` in backticks as code, and no line break before a %."""
     together = str(escape(text)).replace(" %", "\N{NO-BREAK SPACE}%")
@@ -262,7 +248,17 @@ def write_page(
     if facts.relative_error is not None:
         first_numbers["error of T against the truth"] = percent(facts.relative_error)
     advice = recommendations(facts)
-    page = _html(
+    # One HTML document that needs no network and no script.
+    environment = Environment(
+        loader=PackageLoader("lightmatrix.report"),
+        # Names and values are text, whatever they hold.
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    environment.filters["code"] = _code
+    page = environment.get_template("report.html").render(
         title=title,
         verdicts=of_each,
         numbers=first_numbers,
@@ -294,7 +290,7 @@ def write_page(
         "advice": list(advice),
     }
     # A file name that is no text holds characters that UTF-8 has no code for.
-    (folder / "report.html").write_text(page, encoding="utf-8", errors="replace")
+    (folder / "report.html").write_text(page + "\n", encoding="utf-8", errors="replace")
     (folder / "report.json").write_text(json.dumps(result, indent=2) + "\n", encoding="utf-8")
     return result
 

@@ -225,7 +225,6 @@ class ProjectedPatterns:
 
     @cached_property
     def _grey(self) -> bool:
-        """Whether the patterns have other values than black and white."""
         return self.patterns.as_bits() is None
 
     def image(self, index: int) -> NDArray[np.uint8]:

@@ -503,18 +503,11 @@ def calibrate_rig(
         "are all poses in the order of their patterns? Is the board flat and of this many inner "
         "corners, and did it lie still? Did the camera focus anew?"
     )
+    off = f"{rms['camera']:.2f} camera pixels and {rms['projector']:.2f} projector pixels (RMS)"
     if worst > 3:
-        raise InputError(
-            f"no geometry explains the corners: they are off by {rms['camera']:.2f} camera pixels "
-            f"and {rms['projector']:.2f} projector pixels (RMS)",
-            hint=causes,
-        )
+        raise InputError(f"no geometry explains the corners: they are off by {off}", hint=causes)
     if worst > 1:
-        warn(
-            f"the corners are off by {rms['camera']:.2f} camera pixels and "
-            f"{rms['projector']:.2f} projector pixels (RMS); good calibrations reach 0.5\n  "
-            f"{causes}"
-        )
+        warn(f"the corners are off by {off}; good calibrations reach 0.5\n  {causes}")
     geometry = replace(fit.geometry, units=units, rms=rms, projector_mirrored=mirrored)
     used_poses = tuple(
         BoardPose(name, corner.camera, corner.projector, use, _rms(a[use]), _rms(b[use]))
@@ -548,10 +541,8 @@ def _all_corners(
         rows, cols = capture.camera_shape[:2]
         sizes = ((rows, cols), capture.projector_shape)
         if shapes is not None and sizes != shapes:
-            raise InputError(
-                f"{name}: has images of other sizes than the poses before",
-                hint="photograph all poses with the same camera and projector",
-            )
+            hint = "photograph all poses with the same camera and projector"
+            raise InputError(f"{name}: has images of other sizes than the poses before", hint=hint)
         shapes = sizes
         try:
             white, matches = pose_images(capture)

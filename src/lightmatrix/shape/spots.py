@@ -100,10 +100,8 @@ def _of_block(
     width = shape[1] + 2
     pixel = (row.astype(np.int64) + 1) * width + col.astype(np.int64) + 1
     pixel += owner * ((shape[0] + 2) * width)
-    padded, padded_light = (
-        np.append(pixel, [np.iinfo(np.int64).max] * 3),
-        np.append(light, [0.0] * 3),
-    )
+    padded = np.append(pixel, [np.iinfo(np.int64).max] * 3)
+    padded_light = np.append(light, [0.0] * 3)
     sums = np.zeros(len(pixel))
     for first in (pixel - width - 1, pixel - 1, pixel + width - 1):
         found = np.searchsorted(pixel, first)
@@ -250,10 +248,8 @@ def seen_by(source: LightTransport | Correspondence, geometry: RigGeometry) -> S
 # What `features` tells of a spot, and the coefficients of the logistic regression on it, for T
 # (False) and for decoded places (True). The last two: how much steeper the score rises, and from
 # where on. `python -m benchmarks.shape_probability` fits them, and tests them on other scenes.
-FEATURES = (
-    *("one", "away", "share", "error", "width", "bend", "step", "largest_step"),
-    *("bend_nearby", "cut"),
-)
+FEATURES: tuple[str, ...] = ("one", "away", "share", "error", "width", "bend", "step")
+FEATURES += ("largest_step", "bend_nearby", "cut")
 COEFFICIENTS = {
     False: (1.16, -0.98, 0.42, -0.2, -0.46, -0.32, -0.76, 0.28, -0.3, -0.48, 2.04, 1.22),
     True: (1.03, -0.58, 0.0, -0.1, 0.0, -0.19, -0.94, 0.02, 0.09, -0.25, 1.88, 1.33),

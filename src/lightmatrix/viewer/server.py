@@ -110,7 +110,6 @@ def _handed_to_the_browser(address: str) -> Iterator[None]:
 
 
 def _header(scope: dict[str, Any], name: bytes) -> list[str]:
-    """All values of a header."""
     return [value.decode("latin-1") for key, value in scope["headers"] if key == name]
 
 

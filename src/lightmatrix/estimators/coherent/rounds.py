@@ -152,7 +152,6 @@ class Rounds(Work):
         return int(self.capture.rows * (before + cost * share) / sum(self._costs))
 
     def _number(self, step: str) -> int:
-        """The number of the round of a step."""
         last = len(self.rounds) - 1
         return last if step in (HELD_OUT, ROWS) else [*self.steps].index(step)
 
@@ -167,7 +166,6 @@ class Rounds(Work):
         return {spacing: CameraGrid(self.capture, spacing) for spacing in spacings}
 
     def _grid(self, number: int) -> CameraGrid:
-        """The camera pixels of a round."""
         return self._grids[self.rounds[number].spacing]
 
     def _search(self, start: int, stop: int, progress: Progress) -> SparseRows:

@@ -212,7 +212,7 @@ def _complete(
     least = _ROUNDING * contrast.max()
     complete: dict[int, list[int]] = {}
     others = [k for k in firsts if contrast[k] > least]
-    while others and not _enough(complete, usual):
+    while others and not (len(complete) > 1 and sum(map(len, complete.values())) >= usual):
         first = others.pop(0)
         taken = [k for group in complete.values() for k in group]
         if first in taken:
@@ -233,10 +233,6 @@ def _complete(
                 break
             group.append(strongest)
     return complete
-
-
-def _enough(groups: dict[int, list[int]], usual: int) -> bool:
-    return len(groups) > 1 and sum(map(len, groups.values())) >= usual
 
 
 def _unexplained(

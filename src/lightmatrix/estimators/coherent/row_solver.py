@@ -120,7 +120,6 @@ class Backgrounds:
 
     @computed_once
     def _square(self) -> NDArray[np.int64]:
-        """The square of each pixel, (N,)."""
         return _square_of_each(self.shown.shape)
 
     @computed_once
@@ -130,14 +129,12 @@ class Backgrounds:
 
 
 def _side(shape: tuple[int, int]) -> int:
-    """Side of a square in pixels."""
     # Halos are computed on at most this many squares along the projector's longer side. Chosen by
     # hand: halos are smooth.
     return -(-max(shape) // 128)
 
 
 def _squares(shape: tuple[int, int]) -> tuple[int, int]:
-    """Rows and columns of squares of a projector."""
     return -(-shape[0] // _side(shape)), -(-shape[1] // _side(shape))
 
 
