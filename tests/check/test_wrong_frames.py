@@ -9,6 +9,8 @@ import pytest
 from numpy.typing import NDArray
 
 import lightmatrix as lm
+from benchmarks.synthetic_captures import draw
+from lightmatrix.check.all_checks import check_capture
 from lightmatrix.check.prediction import FramePrediction
 from lightmatrix.check.wrong_frames import (
     check_frames,
@@ -112,3 +114,10 @@ def test_samples_that_only_their_own_frame_shows_are_not_compared() -> None:
     frames[np.arange(256), np.arange(256)] = np.random.default_rng(0).integers(60, 250, 256)
     capture = lm.Capture.from_arrays(patterns, frames.reshape(256, 16, 16), lm.Sensor())
     assert [each.kind for each in lm.check(capture)] == ["linearity"]
+
+
+@pytest.mark.parametrize("seed", [1, 3])
+def test_no_other_photograph_shows_a_pixel_that_is_lit_alone(seed: int) -> None:
+    """What it gives cannot be predicted from them, so its frame is not accused."""
+    capture = draw("fibres", "one pixel", "intact", 32, seed).capture
+    assert [each.kind for each in check_capture(capture)] == ["unlit", "linearity"]

@@ -311,5 +311,7 @@ def _check_by_prediction(
         displaced[:] = False
     # Without a frame, its rows may be explained by other places; then it seems wrong only now.
     both = wrong & wrong_frames(first.rows(first.predicted), LIKELY)
-    findings += check_frames(prediction, both & ~displaced, names)
+    # The light of a pixel that no other pattern shows follows from no other photograph.
+    if not lights_one(survey.patterns):
+        findings += check_frames(prediction, both & ~displaced, names)
     return findings
