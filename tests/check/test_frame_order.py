@@ -11,9 +11,11 @@ import pytest
 from numpy.typing import NDArray
 
 import lightmatrix as lm
+from benchmarks.synthetic_captures import draw
 from lightmatrix.capture.capture import Capture
 from lightmatrix.capture.sensor import Sensor
 from lightmatrix.check import all_checks
+from lightmatrix.check.all_checks import check_capture
 from lightmatrix.check.finding import order_findings
 from lightmatrix.check.frame_order import check_counts, check_order, missing_places
 from lightmatrix.check.refusals import refuse_unordered, refuse_unusable
@@ -237,3 +239,13 @@ def test_words_with_a_survey() -> None:
     assert last.message.endswith("that of pattern 31 (counted from 0) is missing")
     # Two are missing: the survey is of no use.
     assert check_counts(survey(13), 32 + 1, names).frames == ()
+
+
+def test_stripes_too_fine_to_be_seen_have_no_order() -> None:
+    capture = draw("broad", "stripes", "intact", 32, 0).capture
+    assert [each.kind for each in check_capture(capture)] == ["stripes"]
+    # Stripes that show are in order, or said not to be.
+    frames = [capture.frame(k) for k in range(capture.count)]
+    frames[8], frames[13] = frames[13], frames[8]
+    swapped = lm.Capture.from_arrays(capture.patterns, np.stack(frames), capture.decoder)
+    assert [each.frames for each in check_capture(swapped) if each.kind == "order"] == [(8, 13)]

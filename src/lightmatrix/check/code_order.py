@@ -149,6 +149,18 @@ class CodeLattice:
         parts = [self.apart(code, np.arange(len(self.samples))) for code in self.codes.codes]
         return np.concatenate([np.isfinite(part) for pair in parts for part in pair])
 
+    @property
+    def invisible(self) -> NDArray[np.bool_]:
+        """Which frames show stripes too fine to be seen, (K,): like their inverses, to 2 %."""
+        result = np.zeros(len(self.samples), bool)
+        for code in self.codes.codes:
+            pairs = np.array([code.frames[[a, b]] for a, b in code.bits if b >= 0], np.int64)
+            if len(pairs):
+                one, other = self.samples[pairs.T]
+                differ = np.median(np.abs(one - other), axis=1)
+                result[pairs[differ < 0.02 * differ.max()]] = True
+        return result
+
     def cost(self, code: Code, frames: Order) -> NDArray[np.float64]:
         """How far apart pairs see, from 0 to 1, and how badly the code fits each pixel."""
         apart, left = self.apart(code, frames)
@@ -187,9 +199,13 @@ def check_code_order(lattice: CodeLattice, name: Name) -> list[Finding]:
     count = lattice.patterns.count
     frames = np.arange(count)
     known: dict[bytes, NDArray[np.float64]] = {}
-    plain, read = lattice.costs(frames, known), lattice.readable
+    plain, read, invisible = lattice.costs(frames, known), lattice.readable, lattice.invisible
     best, best_order, found = 0.0, frames, list[Finding]()
     for order, findings in _orders(count, name):
+        # Any frames of coarser stripes fit better in the place of those that nobody can see.
+        moved = order != frames
+        if 2 * invisible[moved].sum() >= max(moved.sum(), 1):
+            continue
         # Pixels that cannot be read may lie beside the projector's image: they tell nothing.
         gain = np.where(read, plain - lattice.costs(order, known), 0)
         # Stray light differs a little from frame to frame, which many pixels show alike.
