@@ -29,7 +29,10 @@ def photograph(output: Path, scene: ProceduralScene, patterns: PatternSet) -> No
 
 @dataclass(frozen=True)
 class _Photographs:
-    """Photographs that are taken as they are read, some camera pixels at a time."""
+    """Photographs that are taken as they are read, some camera pixels at a time.
+
+    Packing reads them by `levels`; no whole photograph, selection or part of them exists.
+    """
 
     scene: ProceduralScene
     patterns: PatternSet

@@ -45,7 +45,7 @@ TESTED = [
 TOLERANCES = (0.005, 0.01, 0.02)
 # Places of codes have no width, and their confidence is near 1 whatever they are worth.
 OF_CODES = tuple(name for name in FEATURES if name not in ("share", "width"))
-# Where the score begins to rise more steeply.
+# From this score on, the log odds rise more steeply. Chosen by hand.
 BEND = 2.0
 Array = NDArray[np.float64]
 
@@ -108,7 +108,7 @@ def fitted(parts: Sequence[Spots], names: Sequence[str]) -> list[float]:
             weights.append(np.full(int(chosen.sum()), 4000 / chosen.sum()))
     design, right, weight = map(np.concatenate, (designs, rights, weights))
     coefficients = regression(design, right, weight)
-    # Where most spots are right, few are wrong, and a straight line says too little of them.
+    # A straight line fits the many spots that may be wrong, and doubts those that are surely right.
     score = design @ coefficients
     bent = np.column_stack([np.ones_like(score), score, np.maximum(score - BEND, 0)])
     shift, factor, steeper = regression(bent, right, weight)

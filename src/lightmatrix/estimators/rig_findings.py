@@ -102,7 +102,7 @@ def rig_findings(
         or capture.count < _FEWEST_FRAMES
         or isinstance(patterns, ColourPatterns)
         or is_separable(patterns)
-        # Where the photographs determine T, it explains whatever the rig does.
+        # A T that the photographs determine explains whatever the rig does.
         or inverse(patterns) is not None
     ):
         return []

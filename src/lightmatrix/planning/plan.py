@@ -102,7 +102,7 @@ def kind_for(frames: int) -> str:
     return "mix" if frames >= FEWEST_MIXED else "fine"
 
 
-# The kinds of `make_patterns` that these are.
+# How `make_patterns` calls the kinds of patterns in the table of errors.
 _MADE = {"grey": "random", "fine": "bernoulli", "mix": "mix"}
 
 

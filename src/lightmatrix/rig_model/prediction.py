@@ -14,7 +14,6 @@ from scipy.ndimage import spline_filter1d
 from lightmatrix.capture.capture import Capture
 from lightmatrix.capture.samples import Samples
 from lightmatrix.patterns.pattern_set import PatternSet
-from lightmatrix.rig_model.strongest_pixels import strongest_pixels
 from lightmatrix.transport.matrix import LightTransport
 
 Array = NDArray[np.float64]
@@ -79,7 +78,7 @@ class Prediction:
         around = predicted_light(transport, places.reshape(-1), capture.patterns)
         around = around.reshape(*places.shape, capture.count)
         counted = samples.counted & ~samples.clipped
-        pixels, _ = strongest_pixels(transport, inner[chosen], capture.count)
+        pixels = _strongest_pixels(transport, inner[chosen], capture.count)
         lit = np.moveaxis(capture.patterns.at(pixels), 0, 1).astype(np.float64)
         whole = around[INNER].reshape(-1, capture.count)[chosen]
         beside = np.stack([np.ones_like(whole), whole], axis=2)
@@ -153,6 +152,22 @@ def predicted_light(
         light[:, start : start + len(chunk)] = sparse @ shown
         light[:, start : start + len(chunk)] += background @ (transport.pooling @ shown)
     return light
+
+
+def _strongest_pixels(
+    transport: LightTransport, index: NDArray[np.int64], frames: int
+) -> NDArray[np.int64]:
+    """The strongest projector pixels of some rows, (m, count): one for five frames, at most six."""
+    count = max(1, min(6, frames // 5))
+    sparse = transport.sparse[index]
+    sizes = np.diff(sparse.indptr)
+    owner = np.repeat(np.arange(len(index)), sizes)
+    order = np.lexsort((-sparse.data, owner))
+    rank = np.arange(len(owner)) - np.repeat(sparse.indptr[:-1], sizes)
+    kept = rank < count
+    pixels = np.zeros((len(index), count), np.int64)
+    pixels[owner[kept], rank[kept]] = sparse.indices[order[kept]]
+    return pixels
 
 
 def slopes(images: Array) -> tuple[Array, Array]:

@@ -148,7 +148,8 @@ def layers(
             hint="is this the geometry of this rig, and is the scene lit? Or use a smaller "
             "least_probability",
         )
-    # Farther off the line than direct light is searched, and no faint stray light.
+    # Mirrored spots lie farther off the line than where direct light is searched, in projector
+    # pixels. Stray light is fainter than a tenth of its row.
     mirrored = (np.abs(seen.away) > 1.5) & (seen.share > 0.1)
     some = kept | mirrored
     order = np.argsort(np.where(kept, seen.depth, np.where(mirrored, 1e300, np.inf)), axis=1)

@@ -55,7 +55,7 @@ def find_line_spots(
     def find(rows: slice) -> tuple[Array, ...]:
         return _of_block(csr_array(matrix[rows]), lines[rows], pixels, shape, half_width)
 
-    # Two at a time, since each block takes about 400 MiB.
+    # Two blocks are computed at a time, since each takes about 400 MiB.
     parts = work_ahead(find, blocks_of(matrix), threads=2)
     place, light, width, total = map(np.concatenate, zip(*parts, strict=True))
     return place, light, width, total + np.maximum(background, 0)
@@ -114,7 +114,7 @@ def _of_block(
         chosen = np.flatnonzero(free & ((distance <= _REACH) | (number == 2)))
         best = np.zeros(count)
         np.maximum.at(best, owner[chosen], sums[chosen])
-        # In reverse order, so that the first of several equal ones stays.
+        # The order is reversed, so that the first of several equal ones stays.
         chosen = chosen[sums[chosen] == best[owner[chosen]]][::-1]
         middle_row, middle_col = np.full((2, count), np.nan)
         middle_row[owner[chosen]], middle_col[owner[chosen]] = row[chosen], col[chosen]

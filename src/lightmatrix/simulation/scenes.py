@@ -486,7 +486,8 @@ def _glass() -> Scene:
     return Scene("glass", "a dusty glass plate that leans before a wall", parts, 6)
 
 
-# Where the mirror stands, which returns the light of the dust on it and of what it shows.
+# The mirror is a sheet, tilted by 70 degrees about the y axis and moved to this place, in scene
+# units. The places of what it shows follow from both.
 MIRROR_TURN, MIRROR_PLACE = turn("y", -70), (0.35, 0.0, 0.5)
 
 

@@ -111,7 +111,7 @@ def correspondence(transport: TransportOperator) -> Correspondence:
     camera, projector = transport.image_shapes
     channels = math.prod(camera[2:])
     parts: list[tuple[NDArray[Any], ...]] = []
-    # Of a matrix on disk, the rows of so many pixels are read at a time.
+    # A matrix on disk is read in steps of this many rows, those of 65,536 camera pixels.
     step = channels << 16
     for start in range(0, transport.shape[0], step):
         rows = transport.some_rows(start, min(start + step, transport.shape[0]))
