@@ -385,7 +385,7 @@ def test_levels_are_of_random_patterns_only() -> None:
 )
 def test_samples_of_complete_sets_give_t_and_its_noise(patterns: PatternSet) -> None:
     random = np.random.default_rng(0)
-    found = patterns.inverse
+    found = patterns.inverted
     assert found is not None
     lit = found.gains > 0
     t = random.random((3, patterns.pixels)) * lit
@@ -406,4 +406,4 @@ def test_samples_of_complete_sets_give_t_and_its_noise(patterns: PatternSet) -> 
     ],
 )
 def test_other_sets_have_no_inverse(patterns: PatternSet) -> None:
-    assert patterns.inverse is None
+    assert patterns.inverted is None

@@ -52,7 +52,7 @@ def choose_estimator(
         return MultiScaleEstimator(solver, regularization, nonnegative, settings.background)
     tile_rows = settings.tile_rows if settings.memory is None else resources.tile_rows
     may_be_direct = isinstance(solver, ActiveSet) and settings.may_be_direct
-    if may_be_direct and capture.patterns.inverse is not None:
+    if may_be_direct and capture.patterns.inverted is not None:
         return DirectEstimator(solver, tile_rows=tile_rows)
     row_by_row = PlainEstimator(solver, regularization, nonnegative, settings.background, tile_rows)
     if not (resources.coherent and isinstance(solver, ActiveSet)):

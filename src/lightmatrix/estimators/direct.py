@@ -53,8 +53,8 @@ class DirectEstimator(PlainEstimator):
 class _Inverted(PlainRows):
     @property
     def inverse(self) -> Inverse:
-        assert self.capture.patterns.inverse is not None
-        return self.capture.patterns.inverse
+        assert self.capture.patterns.inverted is not None
+        return self.capture.patterns.inverted
 
     @computed_once
     def noise(self) -> tuple[float, bool]:

@@ -101,7 +101,7 @@ def rig_findings(
         or isinstance(patterns, ColourPatterns)
         or is_separable(patterns)
         # A T that the photographs determine explains whatever the rig does.
-        or patterns.inverse is not None
+        or patterns.inverted is not None
     ):
         return []
     if "jpeg" in kinds:

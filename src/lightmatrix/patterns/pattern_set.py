@@ -364,7 +364,7 @@ class PatternSet(ABC):
         return np.concatenate(packed)
 
     @computed_once
-    def inverse(self) -> Inverse | None:
+    def inverted(self) -> Inverse | None:
         """How T follows from samples, if the patterns determine it; else None."""
         return inverse_of(self)
 
