@@ -21,7 +21,7 @@ from lightmatrix.errors import InputError
 from lightmatrix.files.colours import COLOURS
 from lightmatrix.files.kinds import REPORT
 from lightmatrix.files.writing import check_output
-from lightmatrix.reprs import labelled
+from lightmatrix.reprs import amount, labelled
 
 if TYPE_CHECKING:
     from lightmatrix import ColourTransport, LightTransport, Verdicts
@@ -291,8 +291,7 @@ def _show_resources(resources: ResourceEstimate, as_json: bool) -> None:
     if as_json:
         show_json(resources.as_dict())
         return
-    whose = "allowed" if resources.limited else "free"
-    free = f"{resources.available / 2**30:.3g} GiB are {whose}"
+    free = f"{amount(resources.available)} are {'allowed' if resources.limited else 'free'}"
     say(f"the estimate takes {resources} ({free})", style=None if resources.fits else "yellow")
     if resources.advice:
         say(as_options(resources.advice))
