@@ -72,6 +72,7 @@ def corrected(
     A correction stays as long as photographs held out are predicted better with it.
     """
     model, best, now = RigModel(), first, capture
+    before: LightTransport | None = None
     # Estimates row by row hold no photographs out.
     if prediction_error(first) is None:
         return model, first
@@ -89,16 +90,27 @@ def corrected(
         more = better is not None and better.values.keys() != model.values.keys()
         left = 1.0
         if better is not None:
-            without = better.corrected(capture, best)
+            without = better.corrected(capture, _ahead(best, before))
             transport = estimate(without)
             left = _missed(transport) / max(_missed(best), 1e-12)
             if left <= (_CLEARLY if number and more else _BETTER):
+                before = best if model.values else None
                 model, best, now = better, transport, without
             elif alone:
                 allowed = [name for name in allowed if name not in better.values]
         if left > _BETTER and others and not alone:
             break
         others = left > _CLEARLY or alone
+    # Detail between the pixels of the camera is looked for once T is known apart from it.
+    for _ in range(3 if "shift" in model.values else 0):
+        better = model.refined(now, capture, best, tuple(model.values)) if model.detail else None
+        better = replace(better or model, detail=True)
+        without = better.corrected(capture, _ahead(best, before))
+        transport = estimate(without)
+        if _missed(transport) > (_BETTER if model.detail else _CLEARLY) * _missed(best):
+            break
+        before = best if model.detail else None
+        model, best, now = better, transport, without
     # What a large fault leaves as long as it is not known well looks like others, and photographs
     # are sharper than what a blurred T predicts, as if the camera sharpened them. So beside others,
     # or if it is the camera's sharpening, a term stays only if it helps by a tenth.
@@ -111,6 +123,14 @@ def corrected(
                 model, best = simpler, transport
     provenance = {**first.provenance, **({RIG: model.as_dict()} if model.names else {})}
     return model, replace(best, provenance=provenance)
+
+
+def _ahead(now: LightTransport, before: LightTransport | None) -> LightTransport:
+    """T half a step ahead of the last one, since large shifts become known by small steps."""
+    if before is None or before.background.shape != now.background.shape:
+        return now
+    sparse = now.sparse + 0.5 * (now.sparse - before.sparse)
+    return replace(now, sparse=sparse, background=1.5 * now.background - 0.5 * before.background)
 
 
 def _missed(transport: LightTransport) -> float:
