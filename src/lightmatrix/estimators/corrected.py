@@ -102,18 +102,14 @@ def corrected(
             break
         others = left > _CLEARLY or alone
     # Detail between the pixels of the camera is looked for once T is known apart from it.
-    for _ in range(3 if "shift" in model.values else 0):
-        better = model.refined(now, capture, best, tuple(model.values)) if model.detail else None
-        better = replace(better or model, detail=True)
-        without = better.corrected(capture, _ahead(best, before))
-        transport = estimate(without)
-        if _missed(transport) > (_BETTER if model.detail else _CLEARLY) * _missed(best):
+    for limit in (_CLEARLY, _BETTER, _BETTER) if "shift" in model.values else ():
+        better = replace(model, detail=True)
+        transport = estimate(better.corrected(capture, _ahead(best, before)))
+        if _missed(transport) > limit * _missed(best):
             break
-        before = best if model.detail else None
-        model, best, now = better, transport, without
-    # What a large fault leaves as long as it is not known well looks like others, and photographs
-    # are sharper than what a blurred T predicts, as if the camera sharpened them. So beside others,
-    # or if it is the camera's sharpening, a term stays only if it helps by a tenth.
+        model, best, before = better, transport, best if model.detail else None
+    # Photographs are sharper than what a blurred T predicts, as if the camera sharpened them. So
+    # beside others, or if it is the camera's sharpening, a term stays only if it helps by a tenth.
     for name in tuple(model.values):
         rest = {other: each for other, each in model.values.items() if other != name}
         if rest or name == "camera-sharpening":
@@ -126,11 +122,11 @@ def corrected(
 
 
 def _ahead(now: LightTransport, before: LightTransport | None) -> LightTransport:
-    """T half a step ahead of the last one, since large shifts become known by small steps."""
+    """T after another half of its last step, since T of moved pictures is reached by small ones."""
     if before is None or before.background.shape != now.background.shape:
         return now
-    sparse = now.sparse + 0.5 * (now.sparse - before.sparse)
-    return replace(now, sparse=sparse, background=1.5 * now.background - 0.5 * before.background)
+    sparse, background = 1.5 * now.sparse, 1.5 * now.background - 0.5 * before.background
+    return replace(now, sparse=sparse - 0.5 * before.sparse, background=background)
 
 
 def _missed(transport: LightTransport) -> float:

@@ -108,8 +108,8 @@ class RigModel:
             seen = Prediction.of(capture, sent, transport)
             # What is found by itself would look like others.
             alone = {} if self.values else {each.name: each.found(seen) for each in terms}
-            if any(each is not None for each in alone.values()):
-                return RigModel({n: each for n, each in alone.items() if each is not None})
+            if found := {name: each for name, each in alone.items() if each is not None}:
+                return RigModel(found)
             steps, errors, largest = choose_terms(seen, terms, self.values, self.largest)
         if not steps:
             return None
@@ -120,7 +120,7 @@ class RigModel:
             before = values.get(name, np.zeros_like(step))
             values[name] = term.based(term.added(before, step))
         ordered = {name: values[name] for name in TERMS if name in values}
-        return RigModel(ordered, {**self.errors, **errors}, largest, self.detail)
+        return RigModel(ordered, {**self.errors, **errors}, largest)
 
     def corrected(self, capture: Capture, transport: LightTransport) -> Capture:
         """The capture without what the rig did, by a T that tells how images move."""
@@ -158,8 +158,7 @@ def _added(
 
     A moved photograph is what T predicts at its place, and what T misses there. The first is known
     where the camera should be, and the second is moved back. So little of a photograph is
-    interpolated once T is nearly right, and T gets right within a few estimates although it was
-    blurred at first.
+    interpolated once T is nearly right.
     """
     rows, cols, channels = *capture.camera_shape[:2], int(np.prod(capture.camera_shape[2:]))
     width, wide = cols * channels, 2 * MARGIN
@@ -208,8 +207,8 @@ def _between(
 ) -> NDArray[Any]:
     """What moved samples miss because of detail that lies between the pixels of the camera.
 
-    From a pixel to each of its four neighbours, the light may change by another share than that of
-    a spline. As far as the four shares explain more than chance, they are believed.
+    From a pixel to each neighbour, light may change by another share than that of a spline. As far
+    as the four shares explain more than chance, they are believed.
     """
     parts = [
         (np.roll(light, step, axis)[INNER] - light[INNER]) * move.astype(np.float32)
@@ -217,9 +216,11 @@ def _between(
         for step in (-1, 1)
     ]
     part = np.stack(parts) * exact
-    matrix = np.einsum("i...k,j...k->...ij", part, part) + 1e-9 * np.eye(4, dtype=np.float32)
+    matrix = np.einsum("i...k,j...k->...ij", part, part)
+    # Where light changes evenly, neighbours cannot be told apart.
+    least = 1e-3 * np.trace(matrix, axis1=-2, axis2=-1)[..., None, None] + 1e-9
     side = np.einsum("i...k,...k->...i", part, missed)
-    shares = np.linalg.solve(matrix, side[..., None])[..., 0]
+    shares = np.linalg.solve(matrix + least * np.eye(4), side[..., None])[..., 0]
     explained = (shares * side).sum(axis=-1)
     left = ((missed**2).sum(axis=-1) - explained) / np.maximum(exact.sum(axis=-1) - 4, 1)
     kept = np.clip(1 - 4 * left / np.maximum(explained, 1e-12), 0, 1)
