@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 from typer import Argument, Option
 
@@ -25,11 +25,21 @@ def calibrate(
         ),
     ],
     board: Annotated[
-        str | None, Option(metavar="9x7", help="Inner corners of the board: squares less one.")
+        str | None,
+        Option(metavar="9x7", help="Inner corners of the board: squares less one; or circles."),
     ] = None,
     square: Annotated[
-        str | None, Option(metavar="24mm", help="Side of a square, with or without a unit.")
+        str | None,
+        Option(
+            metavar="24mm",
+            help="Side of a square, with or without a unit; or from circle to circle, of "
+            "asymmetric ones from row to row.",
+        ),
     ] = None,
+    kind: Annotated[
+        Literal["chessboard", "charuco", "circles", "asymmetric-circles"],
+        Option(help="What is printed on the board."),
+    ] = "chessboard",
     focal: Annotated[
         float | None, Option(help="Without a board: the camera's focal length in pixels.")
     ] = None,
@@ -44,13 +54,15 @@ def calibrate(
     baseline: Annotated[
         str, Option(metavar="200mm", help="Without a board: from the camera to the projector.")
     ] = "1",
-    output: Annotated[Path, output_option("The geometry to write: .json.")] = Path("geometry.json"),
+    output: Annotated[
+        Path, output_option("The geometry to write: .json, .yml or .xml (OpenCV), .colmap.")
+    ] = Path("geometry.json"),
     overwrite: Overwrite = False,
     as_json: Json = False,
 ) -> None:
     """Calibrate camera and projector with a board.
 
-    Print a chessboard and mount it flat. Photograph it in 5 to 10 poses, each tilted differently,
+    Print a board and mount it flat. Photograph it in 5 to 10 poses, each tilted differently,
     under a Gray code (`patterns graycode`) or under random patterns. The camera's focal length,
     distortion and place are found, and those of the projector as if it were a second camera.
     Without a board, --focal finds the projector from one scene.
@@ -66,7 +78,14 @@ def calibrate(
     corners = size(board)
     with progress("reading poses", "poses") as step:
         measured = lm.calibrate_rig(
-            poses, corners, side, units=units, output=output, overwrite=overwrite, progress=step
+            poses,
+            corners,
+            side,
+            kind=kind,
+            units=units,
+            output=output,
+            overwrite=overwrite,
+            progress=step,
         )
     if as_json:
         show_json({"output": output, **measured.as_dict()})
@@ -138,8 +157,8 @@ def _without_board(
 
 def _length(option: str, text: str) -> tuple[float, str | None]:
     """A length such as 24mm as number and unit."""
-    number = r"(?:\d+\.?\d*|\.\d+)(?:e-?\d+)?"
+    number = r"(?:\d+[.,]?\d*|[.,]\d+)(?:e-?\d+)?"
     match = re.fullmatch(rf"\s*({number})\s*([a-zA-Zµ]*)\s*", text, flags=re.ASCII)
     if match is None:
         raise InputError(f"{option} {text}", hint="give a length such as 24mm")
-    return float(match[1]), match[2] or None
+    return float(match[1].replace(",", ".")), match[2] or None

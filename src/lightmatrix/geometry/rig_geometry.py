@@ -2,22 +2,20 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable, Mapping
-from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, Self
+from typing import Any, Self, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.linalg import rq
 
 from lightmatrix.errors import InputError
-from lightmatrix.files.extras import load_opencv
-from lightmatrix.files.kinds import GEOMETRY, GEOMETRY_FORMAT
-from lightmatrix.files.reading import parse_json, read_json, read_text
-from lightmatrix.files.writing import atomic_file
+from lightmatrix.files.kinds import FolderKind, geometry_kind
+from lightmatrix.files.reading import errors_naming
+from lightmatrix.files.writing import atomic_file, atomic_folder
+from lightmatrix.geometry.rig_files import read_rig, write_rig
 from lightmatrix.paths import as_path
 from lightmatrix.ranges import check_sides
 from lightmatrix.regions import Region
@@ -25,6 +23,7 @@ from lightmatrix.reprs import jsonable, short_repr
 
 Shape = tuple[int, int]
 Array = NDArray[np.float64]
+_Rig = TypeVar("_Rig", bound="RigGeometry")
 
 # Checks of the numbers that a geometry is made of.
 
@@ -221,55 +220,6 @@ def projected(matrix: NDArray[np.float64], points: ArrayLike) -> NDArray[np.floa
         return np.where(image[:, 2:] > 0, image[:, :2] / image[:, 2:], np.nan)
 
 
-# Files of a rig's geometry: our own, in JSON, and those of OpenCV's FileStorage.
-
-
-VERSION = 1
-# Names that calibration programs give to the same things, in lower case without "_" and "-". The
-# first of a line is ours.
-_NAMES = {
-    "camera_intrinsics": "cameraintrinsics camk camint cameramatrix1 cameramatrix k1 m1 kc kcam "
-    "intrinsicscamera cameraintrinsic mtx1 ",
-    # SLMaster's second camera has M2, R and T, and its projector M4, Rlp and Tlp.
-    "projector_intrinsics": "projectorintrinsics projk projint m4 cameramatrix2 projectormatrix k2 "
-    "m2 kp kproj intrinsicsprojector projectorintrinsic mtx2",
-    # SLStudio has Kc and kc, which differ in their size only.
-    "camera_distortion": "cameradistortion camkc camdist distcoeffs1 distcoeffs d1 dist1 distcam "
-    "cameradistcoeffs cameradistortioncoefficients kc",
-    "projector_distortion": "projectordistortion projkc projdist d4 distcoeffs2 d2 dist2 distproj "
-    "projectordistcoeffs projectordistortioncoefficients kp",
-    # One widely copied program misspells it.
-    "rotation": "rotation rlp rproj rp r rotationmatrix roration",
-    "translation": "translation tlp tproj tp t tvec",
-    "camera_shape": "camerashape",
-    "projector_shape": "projectorshape",
-    "camera_size": "camerasize cameraresolution camsize camres imagesize imagesize1",
-    "projector_size": "projectorsize projectorresolution projsize projres imagesize2",
-    "rms": "rms stereoerror stereorms rmsstereo",
-}
-_NEEDED = ("camera_intrinsics", "projector_intrinsics", "rotation", "translation")
-
-
-def read_geometry(
-    file: Path, camera_shape: Shape | None, projector_shape: Shape | None
-) -> dict[str, Any]:
-    """Arguments of `RigGeometry`, or with "rotation" those of `from_intrinsics`."""
-    text = read_text(file)
-    start = text.lstrip()[:64]
-    if start.startswith("{") and "opencv-matrix" not in text:
-        content = parse_json(text, str(file))
-        if not isinstance(content, dict) or "format" in content:
-            fields = checked_fields(read_json(file, GEOMETRY_FORMAT, VERSION), str(file))
-            given = {"camera_shape": camera_shape, "projector_shape": projector_shape}
-            return fields | {name: shape for name, shape in given.items() if shape is not None}
-        values = {name: _array(value) for name, value in content.items()}
-    elif start.startswith(("<?xml", "<opencv_storage", "%YAML", "---", "{")):
-        values = _opencv_values(file, text)
-    else:
-        values = {}
-    return _arguments(file, values, camera_shape, projector_shape)
-
-
 def checked_fields(content: Any, file: str) -> dict[str, Any]:
     """The fields of a geometry in an object of JSON, in which others are ignored."""
     names = set(RigGeometry.__dataclass_fields__)
@@ -282,85 +232,6 @@ def checked_fields(content: Any, file: str) -> dict[str, Any]:
         wrong = f"lacks {', '.join(missing)}" if missing else "its units or rms are damaged"
         raise InputError(f"{file}: {wrong}", hint="write it again with `lightmatrix calibrate`")
     return fields
-
-
-def _array(value: Any) -> NDArray[Any] | None:
-    """A value as an array, or None if it holds anything but numbers."""
-    try:
-        array = np.array(value, np.float64)
-    except (TypeError, ValueError):
-        return None
-    return array if array.size else None
-
-
-def _opencv_values(file: Path, text: str) -> dict[str, NDArray[Any] | None]:
-    """All matrices and numbers at the top of a file of OpenCV's FileStorage."""
-    cv2 = load_opencv(f"{file}: a file of OpenCV", "shape")
-    values: dict[str, NDArray[Any] | None] = {}
-    try:
-        storage = cv2.FileStorage(text, cv2.FILE_STORAGE_READ | cv2.FILE_STORAGE_MEMORY)
-        root = storage.root()
-        for name in root.keys():  # noqa: SIM118 (a FileNode is no dict)
-            node = root.getNode(name)
-            if node.isReal() or node.isInt():
-                values[name] = _array(node.real())
-            elif node.isSeq() and node.size() <= 64:
-                values[name] = _array([node.at(k).real() for k in range(node.size())])
-            elif node.isMap():
-                # A map may be a group of anything.
-                with suppress(cv2.error, SystemError, TypeError):
-                    values[name] = _array(node.mat())
-        storage.release()
-    except (cv2.error, SystemError, UnicodeError, TypeError) as error:
-        raise InputError(f"{file}: OpenCV cannot read it", hint="is the file damaged?") from error
-    return values
-
-
-def _arguments(
-    file: Path,
-    values: dict[str, NDArray[Any] | None],
-    camera_shape: Shape | None,
-    projector_shape: Shape | None,
-) -> dict[str, Any]:
-    """Arguments of `from_intrinsics` from the values of a calibration program."""
-    plain: dict[str, list[str]] = {}
-    for name, value in values.items():
-        if value is not None:
-            plain.setdefault(name.lower().replace("_", "").replace("-", ""), []).append(name)
-    found: dict[str, Any] = {}
-    for name, others in _NAMES.items():
-        fitting: list[Any] = [
-            values[known] for other in others.split() for known in plain.get(other, ())
-        ]
-        # K has 3 x 3 numbers; a distortion that goes by the same name has not.
-        lens = name.endswith("distortion")
-        if name.endswith(("intrinsics", "distortion")):
-            fitting = [each for each in fitting if (each.shape == (3, 3)) != lens]
-        if fitting:
-            found[name] = fitting[0]
-    missing = [name.replace("_", " ") for name in _NEEDED if name not in found]
-    if len(missing) == len(_NEEDED):
-        raise InputError(
-            f"{file}: holds no geometry of a rig",
-            hint="give a file of `lightmatrix calibrate`, or of OpenCV with camera and projector "
-            "matrices, R and T",
-        )
-    if missing:
-        hint = "name the matrices cam_K, proj_K, R and T, and the distortions cam_kc and proj_kc"
-        raise InputError(f"{file}: names no {' and no '.join(missing)}", hint=hint)
-    rms = found.pop("rms", None)
-    if rms is not None and rms.size == 1:
-        found["rms"] = {"stereo": float(rms.ravel()[0])}
-    for device, given in (("camera", camera_shape), ("projector", projector_shape)):
-        # OpenCV states a size as width and height.
-        size = found.pop(f"{device}_size", None)
-        stated = found.get(f"{device}_shape", None if size is None else size.ravel()[::-1])
-        if stated is None and given is None:
-            hint = f"give {device}_shape, or write {device}_size: width, height into the file"
-            raise InputError(f"{file}: does not state the image size of the {device}", hint=hint)
-        sides: Any = [] if stated is None else np.ravel(stated)
-        found[f"{device}_shape"] = given or tuple(map(int, sides))
-    return found
 
 
 @dataclass(frozen=True, eq=False)
@@ -657,16 +528,31 @@ class RigGeometry:
         return replace(self, camera_matrix=cut, camera_shape=shape)
 
     def save(self, path: str | Path, *, overwrite: bool = False) -> None:
-        """Write the geometry as JSON, which `load` reads.
+        """Write the geometry: .json, which keeps all of it, or a file of another program.
+
+        Parameters
+        ----------
+        path : str or Path
+            Ends in .json; in .yml, .yaml or .xml for OpenCV, with the names M1, D1, M2, D2, R and T
+            of its stereo sample; or in .colmap for a folder of COLMAP's cameras.txt and images.txt.
+        overwrite : bool
+            Whether an existing one may be replaced.
 
         Raises
         ------
         OutputError
-            If the file exists and `overwrite` is not set, or cannot be written.
+            If the file exists and `overwrite` is not set, cannot be written, or cannot state a
+            projector that is seen mirrored or, of COLMAP's, pixels that are skewed.
+        MissingExtraError
+            If a file of OpenCV is written and OpenCV is not installed.
         """
-        content = {"format": GEOMETRY_FORMAT, "version": VERSION, **self.as_dict()}
-        with atomic_file(path, GEOMETRY, overwrite=overwrite) as part:
-            part.write_text(json.dumps(content, indent=2) + "\n", encoding="utf-8")
+        kind = geometry_kind(path)
+        if isinstance(kind, FolderKind):
+            with atomic_folder(path, kind, overwrite=overwrite) as folder:
+                write_rig(folder, self)
+        else:
+            with atomic_file(path, kind, overwrite=overwrite) as part:
+                write_rig(part, self)
 
     @classmethod
     def load(
@@ -676,14 +562,16 @@ class RigGeometry:
         camera_shape: Shape | None = None,
         projector_shape: Shape | None = None,
     ) -> Self:
-        """Read a geometry that `save`, or a calibration with OpenCV, wrote.
+        """Read a geometry that `save`, or the calibration of another program, wrote.
 
         Parameters
         ----------
         path : str or Path
-            A JSON file of `save`, or an XML, YAML or JSON file of OpenCV's FileStorage.
+            A JSON file of `save`; an XML, YAML or JSON file of OpenCV, SLStudio, SLMaster and
+            others, with matrices by the usual names; MATLAB's stereoParameters as JSON or .mat; or
+            a folder with two files, as of OpenCV's stereo sample, or the camera_info of ROS.
         camera_shape, projector_shape : (rows, cols), optional
-            Image sizes, for files of OpenCV that do not state them.
+            Image sizes, for files that do not state them, or state others.
 
         Returns
         -------
@@ -693,16 +581,33 @@ class RigGeometry:
         ------
         InputError
             If the file is missing, holds no geometry, or states no image size and none is given.
-        MissingExtraError
-            If a file of OpenCV is read and OpenCV is not installed.
         """
-        file = as_path(path)
-        content = read_geometry(file, camera_shape, projector_shape)
-        try:
-            return cls.from_intrinsics(**content) if "rotation" in content else cls(**content)
-        except InputError as error:
-            raise InputError(f"{file}: {error.message}", hint=error.hint) from error
+        return load_rig(cls, path, (camera_shape, projector_shape))
 
     def as_dict(self) -> dict[str, Any]:
         """The fields by name, JSON-ready."""
         return {name: jsonable(getattr(self, name)) for name in self.__dataclass_fields__}
+
+
+def load_rig(
+    kind: type[_Rig],
+    path: str | Path,
+    given: tuple[Shape | None, Shape | None] = (None, None),
+    usual: tuple[Shape | None, Shape | None] = (None, None),
+) -> _Rig:
+    """The geometry of a file, with sizes of camera and projector that are given, or else stated.
+
+    Those that are `usual` count if a file states none.
+    """
+    file = as_path(path)
+    content = read_rig(file)
+    for device, one, other in zip(("camera", "projector"), given, usual, strict=True):
+        if (shape := one or content.get(f"{device}_shape") or other) is not None:
+            content[f"{device}_shape"] = shape
+        elif "rotation" in content:
+            hint = f"give {device}_shape, or write {device}_size: width, height into the file"
+            raise InputError(f"{file}: does not state the image size of the {device}", hint=hint)
+    with errors_naming(file):
+        if "rotation" in content:
+            return kind.from_intrinsics(**content)
+        return kind(**checked_fields(content, str(file)))

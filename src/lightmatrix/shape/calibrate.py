@@ -13,10 +13,11 @@ and so the size of the scene, cannot be known.
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -27,7 +28,7 @@ from lightmatrix.capture.capture import Capture, open_capture
 from lightmatrix.errors import InputError, warn
 from lightmatrix.estimators.estimate import estimate
 from lightmatrix.files.extras import load_opencv
-from lightmatrix.files.kinds import GEOMETRY
+from lightmatrix.files.kinds import geometry_kind
 from lightmatrix.files.writing import check_output
 from lightmatrix.geometry.matches import fit_fundamental, fit_homography, moved, sampson
 from lightmatrix.geometry.rig_geometry import RigGeometry, decomposed, normalised
@@ -42,6 +43,9 @@ from lightmatrix.transport.store import open_matches
 
 Shape = tuple[int, int]
 Progress = Callable[[int, int], None]
+BoardKind = Literal["chessboard", "charuco", "circles", "asymmetric-circles"]
+# A homography takes four corners; twice as many show whether they fit.
+_FEWEST = 8
 
 
 # The corners of a board in the camera's image, and the projector pixels that light them.
@@ -64,38 +68,84 @@ class BoardCorners:
         return np.asarray(np.isfinite(self.projector).all(axis=1))
 
 
-def find_corners(white: NDArray[np.float64], board: Shape) -> NDArray[np.float64] | None:
-    """The inner corners (n, 2) of a board of (corners across, down) in a white image, or None."""
+def find_corners(
+    white: NDArray[np.float64], board: Shape, kind: BoardKind = "chessboard"
+) -> NDArray[np.float64] | None:
+    """The inner corners (n, 2) of a board of (corners across, down) in a white image, or None.
+
+    Corners of ChArUco boards that are not seen are NaN; all of other boards must be.
+    """
     cv2 = load_opencv("finding a board", "shape")
     # This quantile becomes white, so that glare does not make the board dark.
     level = max(float(np.quantile(white, 0.98)), 1e-12)
     image = np.rint(255 * np.clip(white / level, 0, 1)).astype(np.uint8)
-    flags = cv2.CALIB_CB_ADAPTIVE_THRESH | cv2.CALIB_CB_NORMALIZE_IMAGE
     try:
-        good, corners = cv2.findChessboardCorners(image, board, flags=flags)
-        if not good:
-            # Slower, and finds boards that are blurred or unevenly lit.
-            flags = cv2.CALIB_CB_NORMALIZE_IMAGE | cv2.CALIB_CB_EXHAUSTIVE
-            good, corners = cv2.findChessboardCornersSB(image, board, flags=flags)
+        if kind == "charuco":
+            places = _charuco_corners(cv2, image, board)
+        else:
+            places = _all_of_grid(cv2, image, board, kind)
     except cv2.error:
         # Images of a few pixels are too small for OpenCV's thresholds.
         return None
-    if not good:
-        return None
-    places = np.asarray(corners, np.float32).reshape(-1, 1, 2)
+    if places is None or "circles" in kind:
+        return places
     # The window in which a corner is refined reaches a seventh of a square: larger ones average the
     # bend of the lens, smaller ones the camera's noise.
-    reach = int(np.clip(0.14 * _side_of(places[:, 0], board), 2, 11))
+    reach = int(np.clip(0.14 * _side_of(places, board), 2, 11))
     criteria = (cv2.TERM_CRITERIA_COUNT + cv2.TERM_CRITERIA_EPS, 100, 1e-3)
-    refined = cv2.cornerSubPix(image, places, (reach, reach), (-1, -1), criteria)
-    return np.asarray(refined, np.float64).reshape(-1, 2)
+    seen = np.isfinite(places).all(axis=1)
+    corners = places[seen].astype(np.float32).reshape(-1, 1, 2)
+    refined = cv2.cornerSubPix(image, corners, (reach, reach), (-1, -1), criteria)
+    places[seen] = np.asarray(refined).reshape(-1, 2)
+    return places
+
+
+def _all_of_grid(
+    cv2: Any, image: NDArray[np.uint8], board: Shape, kind: BoardKind
+) -> NDArray[np.float64] | None:
+    """The corners of a chessboard or the centres of circles, all of them or None."""
+    if kind == "chessboard":
+        flags = cv2.CALIB_CB_ADAPTIVE_THRESH | cv2.CALIB_CB_NORMALIZE_IMAGE
+        good, found = cv2.findChessboardCorners(image, board, flags=flags)
+        if not good:
+            # Slower, and finds boards that are blurred or unevenly lit.
+            flags = cv2.CALIB_CB_NORMALIZE_IMAGE | cv2.CALIB_CB_EXHAUSTIVE
+            good, found = cv2.findChessboardCornersSB(image, board, flags=flags)
+    else:
+        even = cv2.CALIB_CB_SYMMETRIC_GRID
+        grid = even if kind == "circles" else cv2.CALIB_CB_ASYMMETRIC_GRID
+        good, found = cv2.findCirclesGrid(image, board, flags=grid)
+        if not good:
+            # Copes with steeper views.
+            good, found = cv2.findCirclesGrid(image, board, flags=grid | cv2.CALIB_CB_CLUSTERING)
+    return np.asarray(found, np.float64).reshape(-1, 2) if good else None
+
+
+def _charuco_corners(
+    cv2: Any, image: NDArray[np.uint8], board: Shape
+) -> NDArray[np.float64] | None:
+    """The corners of a ChArUco board that are seen, of whatever markers it has."""
+    places = np.full((board[0] * board[1], 2), np.nan)
+    # Older versions of OpenCV began boards of an even number of rows with a white square.
+    for bits, legacy in itertools.product((4, 5, 6, 7), (False, True)):
+        # Smaller dictionaries are the beginning of these, and markers of half and of nine tenths of
+        # a square are found as well as of 0.7.
+        name = getattr(cv2.aruco, f"DICT_{bits}X{bits}_1000")
+        markers = cv2.aruco.getPredefinedDictionary(name)
+        known = cv2.aruco.CharucoBoard((board[0] + 1, board[1] + 1), 1.0, 0.7, markers)
+        known.setLegacyPattern(legacy)
+        corners, numbers, *_ = cv2.aruco.CharucoDetector(known).detectBoard(image)
+        if numbers is not None and len(numbers) >= _FEWEST:
+            places[np.ravel(numbers)] = np.reshape(corners, (-1, 2))
+            return places
+    return None
 
 
 def _side_of(corners: NDArray[np.floating], board: Shape) -> float:
     """Median side of the board's squares in the image, in pixels."""
     across, down = board
     grid = corners.reshape(down, across, 2)
-    return float(np.median(np.linalg.norm(np.diff(grid, axis=1), axis=2)))
+    return float(np.nanmedian(np.linalg.norm(np.diff(grid, axis=1), axis=2)))
 
 
 def light_corners(
@@ -112,7 +162,8 @@ def light_corners(
             weight = np.where(known, 1 / (matches.uncertainty**2).sum(axis=2), 0)
     projector = np.full_like(corners, np.nan)
     mirrored: list[bool] = []
-    for number, corner in enumerate(corners):
+    for number in np.flatnonzero(np.isfinite(corners).all(axis=1)):
+        corner = corners[number]
         col, row = np.rint(corner).astype(int)
         rows = slice(max(row - reach, 0), row + reach + 1)
         cols = slice(max(col - reach, 0), col + reach + 1)
@@ -170,10 +221,14 @@ class StereoFit:
     used: NDArray[np.bool_]
 
 
-def board_points(board: Shape, square: float) -> NDArray[np.float64]:
+def board_points(
+    board: Shape, square: float, kind: BoardKind = "chessboard"
+) -> NDArray[np.float64]:
     """The inner corners (n, 3) of a board of (corners across, down), on the plane z = 0."""
     across, down = board
     row, col = np.mgrid[:down, :across]
+    if kind == "asymmetric-circles":
+        col = 2 * col + row % 2
     return np.column_stack([col.ravel(), row.ravel(), np.zeros(across * down)]) * float(square)
 
 
@@ -396,12 +451,13 @@ def calibrate_rig(
     board: tuple[int, int] = (9, 7),
     square: float = 1.0,
     *,
+    kind: BoardKind = "chessboard",
     units: str | None = None,
     output: str | Path | None = None,
     overwrite: bool = False,
     progress: Progress | None = None,
 ) -> RigCalibration:
-    """Calibrate a projector and a camera with a printed chessboard.
+    """Calibrate a projector and a camera with a printed board.
 
     Show the board in at least three poses, better five to ten: tilted to all sides by 20 to 40
     degrees, each filling much of the image that both camera and projector cover. Photograph each
@@ -413,13 +469,18 @@ def calibrate_rig(
     poses : sequence of Capture, str or Path
         A capture of each pose, or its folder.
     board : (int, int)
-        Inner corners along the rows and the columns of the board: squares less one.
+        Inner corners along the rows and the columns of the board: squares less one. Or circles.
     square : float
-        Side of a square in `units`.
+        Side of a square, or distance of neighbouring circles, in `units`; of asymmetric circles,
+        the distance of neighbouring rows.
+    kind : {"chessboard", "charuco", "circles", "asymmetric-circles"}
+        What is printed. The markers of a ChArUco board may be of any dictionary of 4 x 4 to 7 x 7
+        bits; only a part of such a board need be seen. Of any board, 8 corners in two rows and two
+        columns must be lit.
     units : str, optional
         Unit of length, such as "mm".
     output : str or Path, optional
-        A .json file of the geometry to write.
+        The geometry to write, as `RigGeometry.save` does: .json, or of another program.
     overwrite : bool
         Whether an existing geometry may be replaced.
     progress : callable, optional
@@ -453,16 +514,19 @@ def calibrate_rig(
     """
     load_opencv("calibrating a rig", "shape")
     if output is not None:
-        check_output(output, GEOMETRY, overwrite=overwrite)
+        check_output(output, geometry_kind(output), overwrite=overwrite)
     check_number("a square", square, above=True, hint="give its side, such as 24")
     if min(board) < 3:
         raise InputError(
             f"a board of {board[0]} x {board[1]} inner corners", hint="use at least 3 x 3"
         )
+    if kind not in get_args(BoardKind):
+        hint = f"use one of {', '.join(get_args(BoardKind))}"
+        raise InputError(f"a board of the kind {kind!r}", hint=hint)
     check_list(poses, hint="give a capture for each pose of the board")
     _check_count(len(poses), {})
-    corners, shapes, left_out = _all_corners(poses, board, progress)
-    points = board_points(board, square)
+    corners, shapes, left_out = _all_corners(poses, board, kind, progress)
+    points = board_points(board, square, kind)
     mirrored = bool(np.mean([pose.mirrored for pose in corners.values()]) > 0.5)
     if mirrored:
         warn(
@@ -479,7 +543,7 @@ def calibrate_rig(
     badly = {
         name: f"only {use.sum()} of {len(use)} corners fit the other poses; did the board move?"
         for name, use in zip(corners, fit.used, strict=True)
-        if use.sum() < 0.5 * len(use)
+        if use.sum() < 0.5 * corners[name].lit.sum()
     }
     if badly:
         left_out |= badly
@@ -529,7 +593,10 @@ def calibrate_rig(
 
 
 def _all_corners(
-    poses: Sequence[Capture | str | Path], board: tuple[int, int], progress: Progress | None
+    poses: Sequence[Capture | str | Path],
+    board: tuple[int, int],
+    kind: BoardKind,
+    progress: Progress | None,
 ) -> tuple[dict[str, BoardCorners], tuple[Shape, Shape], dict[str, str]]:
     """The corners of usable poses by name, the image sizes, and why other poses are not usable."""
     found: dict[str, BoardCorners] = {}
@@ -550,11 +617,11 @@ def _all_corners(
             # Frames out of order, or no light of the projector.
             left_out[name] = error.message
             continue
-        places = find_corners(white, board)
+        places = find_corners(white, board, kind)
         corners = None if places is None else light_corners(places, matches, board)
         if corners is None:
             left_out[name] = f"no board of {board[0]} x {board[1]} inner corners is found"
-        elif corners.lit.mean() < 0.5:
+        elif corners.lit.sum() < _FEWEST or min(_extent(corners.lit, board)) < 2:
             left_out[name] = (
                 f"the camera sees the board, but the projector lights only {corners.lit.sum()} of "
                 f"its {len(corners.lit)} corners"
@@ -566,6 +633,12 @@ def _all_corners(
     _check_count(len(found), left_out)
     assert shapes is not None
     return found, shapes, left_out
+
+
+def _extent(lit: NDArray[np.bool_], board: Shape) -> tuple[int, int]:
+    """Rows and columns of a board in which corners are lit."""
+    grid = lit.reshape(board[1], board[0])
+    return int(grid.any(axis=1).sum()), int(grid.any(axis=0).sum())
 
 
 def _check_count(usable: int, left_out: dict[str, str]) -> None:
@@ -626,7 +699,7 @@ def self_calibrate(
     units : str, optional
         Unit of length.
     output : str or Path, optional
-        A .json file of the geometry to write.
+        The geometry to write, as `RigGeometry.save` does: .json, or of another program.
     overwrite : bool
         Whether an existing geometry may be replaced.
 
@@ -669,7 +742,7 @@ def self_calibrate(
         )
     check_number("a baseline", baseline, above=True, hint="give a length above 0, such as 1")
     if output is not None:
-        check_output(output, GEOMETRY, overwrite=overwrite)
+        check_output(output, geometry_kind(output), overwrite=overwrite)
     opened = open_matches(matches)
     found = correspondence(opened) if isinstance(opened, LightTransport) else opened
     projector_shape = found.projector_shape
