@@ -18,7 +18,7 @@ import pytest
 
 from lightmatrix.cli import main
 from lightmatrix.errors import LightMatrixWarning, OutputError
-from lightmatrix.files.kinds import FileKind
+from lightmatrix.files.kinds import FileKind, OutputKind
 from lightmatrix.files.writing import atomic_files, atomic_folder, check_output, claimed, locked
 from tests.helpers.limits import largest_file
 from tests.helpers.systems import FLOCKS, FORKS, LIMITS, PIPES, SIGNALS
@@ -103,7 +103,9 @@ def test_a_run_stopped_between_its_files_is_not_in_the_way(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, killed: bool, old: bool
 ) -> None:
     names, replace = ("a.ply", "b.tif", "c.png"), os.replace
-    kinds = {tmp_path / name: FileKind("file", (), (b"",)) for name in names}
+    kinds: dict[str | Path, OutputKind] = {
+        tmp_path / name: FileKind("file", (), (b"",)) for name in names
+    }
 
     def put(text: str, overwrite: bool) -> None:
         with atomic_files(kinds, overwrite=overwrite) as parts:

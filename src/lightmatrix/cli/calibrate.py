@@ -4,59 +4,48 @@ from __future__ import annotations
 
 import re
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Any, Literal
 
 from typer import Argument, Option
 
 import lightmatrix as lm
-from lightmatrix.cli.options import Json, Overwrite, output_option, size
+from lightmatrix.cli.options import Json, Overwrite, described, size
 from lightmatrix.cli.source import numbers
-from lightmatrix.cli.terminal import progress, say, show_json
+from lightmatrix.cli.terminal import answer, progress
 from lightmatrix.errors import InputError
 
 
+@described(
+    poses=Argument(
+        metavar="POSE...",
+        help="A capture of each pose: patterns/ and images/. With --focal, one T or file of "
+        "`decode`, of a scene that is not flat.",
+    ),
+    board=Option(metavar="9x7", help="Inner corners of the board (squares less one), or circles."),
+    square=Option(
+        metavar="24mm",
+        help="Side of a square, with or without a unit; or from circle to circle, of asymmetric "
+        "ones from row to row.",
+    ),
+    kind="What is printed on the board.",
+    focal="Without a board: the camera's focal length in pixels.",
+    principal=Option(
+        metavar="COL,ROW",
+        help="Without a board: where the camera's axis passes its image.",
+        show_default="the middle",
+    ),
+    baseline=Option(metavar="200mm", help="Without a board: from the camera to the projector."),
+    output="The geometry to write: .json, .yml or .xml (OpenCV), .colmap.",
+)
 def calibrate(
-    poses: Annotated[
-        list[Path],
-        Argument(
-            metavar="POSE...",
-            help="A capture of each pose: patterns/ and images/. With --focal, one T or file of "
-            "`decode`, of a scene that is not flat.",
-        ),
-    ],
-    board: Annotated[
-        str | None,
-        Option(metavar="9x7", help="Inner corners of the board: squares less one; or circles."),
-    ] = None,
-    square: Annotated[
-        str | None,
-        Option(
-            metavar="24mm",
-            help="Side of a square, with or without a unit; or from circle to circle, of "
-            "asymmetric ones from row to row.",
-        ),
-    ] = None,
-    kind: Annotated[
-        Literal["chessboard", "charuco", "circles", "asymmetric-circles"],
-        Option(help="What is printed on the board."),
-    ] = "chessboard",
-    focal: Annotated[
-        float | None, Option(help="Without a board: the camera's focal length in pixels.")
-    ] = None,
-    principal: Annotated[
-        str | None,
-        Option(
-            metavar="COL,ROW",
-            help="Without a board: where the camera's axis passes its image.",
-            show_default="the middle",
-        ),
-    ] = None,
-    baseline: Annotated[
-        str, Option(metavar="200mm", help="Without a board: from the camera to the projector.")
-    ] = "1",
-    output: Annotated[
-        Path, output_option("The geometry to write: .json, .yml or .xml (OpenCV), .colmap.")
-    ] = Path("geometry.json"),
+    poses: list[Path],
+    board: str | None = None,
+    square: str | None = None,
+    kind: Literal["chessboard", "charuco", "circles", "asymmetric-circles"] = "chessboard",
+    focal: float | None = None,
+    principal: str | None = None,
+    baseline: str = "1",
+    output: Path = Path("geometry.json"),
     overwrite: Overwrite = False,
     as_json: Json = False,
 ) -> None:
@@ -75,34 +64,23 @@ def calibrate(
     if focal is not None:
         raise InputError("--focal does not go with --board", hint="leave one of them out")
     side, units = _length("--square", square)
-    corners = size(board)
+    written: dict[str, Any] = {"units": units, "output": output, "overwrite": overwrite}
     with progress("reading poses", "poses") as step:
-        measured = lm.calibrate_rig(
-            poses,
-            corners,
-            side,
-            kind=kind,
-            units=units,
-            output=output,
-            overwrite=overwrite,
-            progress=step,
-        )
-    if as_json:
-        show_json({"output": output, **measured.as_dict()})
-        return
-    for pose in measured.poses:
-        say(
+        measured = lm.calibrate_rig(poses, size(board), side, kind=kind, progress=step, **written)
+    rig, facts = measured.geometry, measured.as_dict()
+    answer(
+        as_json,
+        {"output": output, **facts},
+        *(
             f"{pose.name}: {pose.used.sum()} of {len(pose.used)} corners, off by "
             f"{pose.rms_camera:.2f} camera pixels, {pose.rms_projector:.2f} projector pixels"
-        )
-    count = sum(len(pose.used) for pose in measured.poses)
-    rig = measured.geometry
-    say(
-        f"{output}: {measured.corners} of {count} corners in {len(measured.poses)} poses, RMS "
-        f"{rig.rms['stereo']:.2f} pixels; camera and projector are {rig.baseline:.4g} "
-        f"{rig.units or 'units'} apart"
+            for pose in measured.poses
+        ),
+        f"{output}: {measured.corners} of {facts['of_corners']} corners in {len(measured.poses)} "
+        f"poses, RMS {rig.rms['stereo']:.2f} pixels; camera and projector are {rig.baseline:.4g} "
+        f"{rig.units or 'units'} apart",
+        f"use it with: lightmatrix triangulate scene.zarr --geometry {output}",
     )
-    say(f"use it with: lightmatrix triangulate scene.zarr --geometry {output}")
 
 
 def _without_board(
@@ -143,16 +121,15 @@ def _without_board(
         overwrite=overwrite,
     )
     projector = float(rig.projector_intrinsics[0, 0])
-    if as_json:
-        rms = {f"rms_{name}": value for name, value in rig.rms.items()}
-        show_json({"output": output, **rms, "projector_focal_length": projector})
-        return
-    say(
+    rms = {f"rms_{name}": value for name, value in rig.rms.items()}
+    answer(
+        as_json,
+        {"output": output, **rms, "projector_focal_length": projector},
         f"{output}: matches lie {rig.rms['epipolar']:.2f} pixels from their epipolar lines; the "
         f"projector's focal length is {projector:.5g} +- "
-        f"{rig.rms['projector_focal_length']:.2g} pixels"
+        f"{rig.rms['projector_focal_length']:.2g} pixels",
+        f"use it with: lightmatrix triangulate {poses[0]} --geometry {output} -o cloud.ply",
     )
-    say(f"use it with: lightmatrix triangulate {poses[0]} --geometry {output} -o cloud.ply")
 
 
 def _length(option: str, text: str) -> tuple[float, str | None]:
