@@ -127,10 +127,10 @@ def estimate(
     correct : "auto", "none" or sequence of str
         Which faults of the rig are looked for in the photographs and taken out of T, see `fit_rig`:
         all, none, or some of "gain", "exposure", "ambient", "shift", "rows", "previous",
-        "camera-curve", "projector-curve", "crosstalk", "sharpening", "camera-sharpening" and
-        "dynamic-contrast". A correction stays only if photographs held out are predicted better
-        with it; estimates row by row hold none out, and are never corrected. The exposure of T is
-        then that of the first frame.
+        "camera-curve", "projector-curve", "crosstalk", "sharpening", "camera-sharpening",
+        "dynamic-contrast", "tone-mapping" and "black". A correction stays only if photographs held
+        out are predicted better with it; estimates row by row hold none out, and are never
+        corrected. The exposure of T is then that of the first frame.
     progress : bool or callable
         Whether to show a bar on a terminal and in notebooks; or what to call with (done, total)
         rows.
@@ -242,7 +242,10 @@ def estimate(
                 if not (model.names or found):
                     return None
                 warn_of(found)
-                kept = [*transport.provenance[FINDINGS], *(each.as_dict() for each in found)]
+                # A finding of what is corrected spoils T no more.
+                known = transport.provenance[FINDINGS]
+                kept = [each for each in known if each["kind"] not in model.names]
+                kept += [each.as_dict() for each in found]
                 return replace(transport, provenance={**transport.provenance, FINDINGS: kept})
 
             return run(
