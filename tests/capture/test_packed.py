@@ -136,9 +136,7 @@ def test_any_run_of_samples_is_that_of_the_frames(
     reopened = Capture.open(place)
     rows = sorted((one, other))
     for _ in range(2):
-        np.testing.assert_array_equal(
-            reopened.levels(*rows), original.raw[slice(*rows)]
-        )
+        np.testing.assert_array_equal(reopened.levels(*rows), original.raw[slice(*rows)])
     at = data.draw(st.integers(0, 34))
     np.testing.assert_array_equal(reopened.levels(at, at + 1)[0], original.raw[at])
 
