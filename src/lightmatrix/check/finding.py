@@ -95,12 +95,7 @@ class Finding:
 
     def as_dict(self) -> dict[str, Any]:
         """The finding, JSON-ready."""
-        return {
-            "kind": self.kind,
-            "frames": list(self.frames),
-            "message": self.message,
-            "advice": self.advice,
-        }
+        return {**vars(self), "frames": list(self.frames)}
 
 
 def join_names(names: Sequence[str]) -> str:
