@@ -258,7 +258,6 @@ def write_calibration(folder: Path, program: str, known: lm.RigGeometry) -> Path
     width, height = known.camera_shape[::-1]
     matrices = {"cam_K": k1, "cam_kc": d1, "proj_K": k2, "proj_kc": d2, "R": turn, "T": shift}
     slstudio = {"Kc": k1, "kc": d1.T, "Kp": k2, "kp": d2.T, "Rp": turn, "Tp": shift}
-    sizes = {"frameWidth": width, "frameHeight": height, "screenResX": 0, "screenResY": 0}
     slmaster = {"M1": k1, "D1": d1, "S": np.array([[width], [height]]), "M2": np.eye(3)}
     slmaster |= {"M4": k2, "D4": d2, "R": np.eye(3), "Rlp": turn, "Tlp": shift}
     kamino = {"img_shape": np.array([[height], [width]]), "rms": 0.25, "cam_int": k1}
@@ -266,7 +265,7 @@ def write_calibration(folder: Path, program: str, known: lm.RigGeometry) -> Path
     group = "settings:\n   name: left\n   M1: 3\n"
     files: dict[str, Callable[[], str]] = {
         "scan3d.yml": lambda: "%YAML:1.0\n---\n" + as_yaml({**matrices, "cam_error": 0.2, **more}),
-        "slstudio.xml": lambda: as_xml({**slstudio, **sizes, **more}),
+        "slstudio.xml": lambda: as_xml({**slstudio, **more}),
         "slmaster.yml": lambda: "%YAML:1.0\n---\n" + group + as_yaml({**more, **slmaster}),
         "kamino.xml": lambda: as_xml({**kamino, "translation": shift, **more}),
         "stereo/intrinsics.yml": lambda: as_yaml({"M1": k1, "D1": d1, "M2": k2, "D2": d2}),
@@ -290,7 +289,7 @@ def write_calibration(folder: Path, program: str, known: lm.RigGeometry) -> Path
 @pytest.mark.parametrize(
     ("program", "sizes"),
     [
-        ("scan3d.yml", 0), ("slstudio.xml", 1), ("slmaster.yml", 1), ("kamino.xml", 1),
+        ("scan3d.yml", 0), ("slstudio.xml", 0), ("slmaster.yml", 1), ("kamino.xml", 1),
         ("stereo", 0), ("ros", 2), ("ros2", 2), ("matlab.json", 2), ("old.json", 2),
         ("stereo.mat", 2), ("old.mat", 2),
     ],
@@ -331,7 +330,7 @@ def test_one_file_of_two_and_other_saves_of_matlab_are_explained(tmp_path: Path)
         "ros/camera.yaml": "the camera_info of one device",
         ".": "holds 1 files",
         "new.mat": "version 7.3",
-        "cut.mat": "is damaged",
+        "cut.mat": "cannot be read",
         "half.json": "stereoParameters lack 'IntrinsicMatrix'",
     }.items():
         with pytest.raises(lm.InputError, match=words):

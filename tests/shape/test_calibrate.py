@@ -186,7 +186,7 @@ def test_a_part_of_a_charuco_board_suffices_and_so_does_a_part_that_is_lit() -> 
     # The projector's pixels are the camera's, shifted.
     row, col = np.mgrid[: white.shape[0], : white.shape[1]].astype(np.float32)
     place = np.stack([row - 40, col - 100], axis=-1)
-    place[:450] = np.nan
+    place[:300] = np.nan
     pixel = np.nan_to_num(place, nan=-1).astype(np.int32)
     matches = lm.Correspondence(pixel, place, np.ones(white.shape, np.float32))
     lit = light_corners(found, matches, board)

@@ -256,14 +256,12 @@ def test_maps_of_other_programs_are_triangulated(tmp_path: Path, kind: str) -> N
 def test_images_that_are_no_map_are_refused(tmp_path: Path) -> None:
     pytest.importorskip("OpenEXR")
     lm.write_image(tmp_path / "grey.exr", np.ones((4, 4), np.float32))
-    lm.write_image(tmp_path / "stmap.exr", np.full((4, 4, 3), 0.5, np.float32))
     lm.write_image(tmp_path / "photograph.png", np.ones((4, 4), np.uint16))
     lm.write_image(tmp_path / "x.png", np.zeros((4, 4), np.uint16))
     lm.write_image(tmp_path / "y.png", np.zeros((4, 4), np.uint16))
     np.savez(tmp_path / "other.npz", x=np.ones((4, 4)), y=np.ones((4, 5)))
     for name, words in {
         "grey.exr": "one channel",
-        "stmap.exr": "shares of the projector's image",
         "photograph.png": "no image of a pair",
         "x.png": "no camera pixel sees",
         "other.npz": "x and y of shapes",

@@ -56,17 +56,16 @@ def calibrate(
     distortion and place are found, and those of the projector as if it were a second camera.
     Without a board, --focal finds the projector from one scene.
     """
+    written: dict[str, Any] = {"output": output, "overwrite": overwrite}
     if board is None or square is None:
-        _without_board(
-            poses, focal, principal, baseline, output, overwrite=overwrite, as_json=as_json
-        )
+        _without_board(poses, focal, principal, baseline, as_json, **written)
         return
     if focal is not None:
         raise InputError("--focal does not go with --board", hint="leave one of them out")
     side, units = _length("--square", square)
-    written: dict[str, Any] = {"units": units, "output": output, "overwrite": overwrite}
+    written |= {"kind": kind, "units": units}
     with progress("reading poses", "poses") as step:
-        measured = lm.calibrate_rig(poses, size(board), side, kind=kind, progress=step, **written)
+        measured = lm.calibrate_rig(poses, size(board), side, progress=step, **written)
     rig, facts = measured.geometry, measured.as_dict()
     answer(
         as_json,
@@ -88,10 +87,8 @@ def _without_board(
     focal: float | None,
     principal: str | None,
     baseline: str,
-    output: Path,
-    *,
-    overwrite: bool,
     as_json: bool,
+    **written: Any,
 ) -> None:
     """Self-calibration from one scene."""
     if focal is None:
@@ -112,14 +109,9 @@ def _without_board(
             raise InputError(f"--principal {principal}", hint=hint)
         axis = given[0], given[1]
     rig = lm.self_calibrate(
-        poses[0],
-        focal,
-        principal=axis,
-        baseline=length,
-        units=units,
-        output=output,
-        overwrite=overwrite,
+        poses[0], focal, principal=axis, baseline=length, units=units, **written
     )
+    output = written["output"]
     projector = float(rig.projector_intrinsics[0, 0])
     rms = {f"rms_{name}": value for name, value in rig.rms.items()}
     answer(

@@ -124,7 +124,8 @@ class FileKind:
         with file.open("rb") as opened:
             start = opened.read(1024)
         if isinstance(self.mark, str):
-            return self.mark.encode() in start
+            # Bare coordinates have no place for a mark.
+            return self.mark.encode() in start or file.suffix.lower() == ".xyz"
         return start.startswith(self.mark)
 
     def check_replaceable(self, shown: Path, target: Path) -> bool:
@@ -219,9 +220,8 @@ PAGE = FileKind("page of the viewer", (".html",), PAGE_MARK)
 CORRESPONDENCE = FileKind("correspondence", (".npz",), f"{CORRESPONDENCE_MARK}.npy")
 MAP_FOLDER = FolderKind("projector map")
 MPCDI = FileKind("MPCDI file", (".mpcdi",), MPCDI_MARK)
-CLOUD = FileKind("point cloud", (".ply", ".obj", ".pcd"), OUR_MARK)
-# Bare coordinates, and depth maps, do not say who wrote them, like images.
-BARE_CLOUD = FileKind("point cloud", (".xyz",), tuple(b"-0123456789"[k : k + 1] for k in range(11)))
+CLOUD = FileKind("point cloud", (".ply", ".obj", ".pcd", ".xyz"), OUR_MARK)
+# Depth maps do not say who wrote them, like images.
 DEPTH = FileKind("depth map", (".tif", ".tiff", ".npy", ".png"), _IMAGES)
 NPZ = FileKind("exported matrix", (".npz",), f"{TRANSPORT_MARK}.npy")
 MAT = FileKind("exported matrix", (".mat",), MAT_MARK)
@@ -234,11 +234,6 @@ def geometry_kind(path: str | Path) -> FileKind | FolderKind:
     """The kind of geometry that is written at a path, by its ending."""
     suffix = as_path(path).suffix.lower()
     return next((kind for kind in (OPENCV_GEOMETRY, COLMAP) if suffix in kind.suffixes), GEOMETRY)
-
-
-def cloud_kind(path: str | Path) -> FileKind:
-    """The kind of point cloud that is written at a path, by its ending."""
-    return BARE_CLOUD if as_path(path).suffix.lower() in BARE_CLOUD.suffixes else CLOUD
 
 
 def export_kind(path: str | Path) -> FileKind:

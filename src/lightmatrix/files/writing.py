@@ -20,6 +20,7 @@ import time
 from collections.abc import Iterator, Mapping
 from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
+from typing import Any
 
 from filelock import FileLock, Timeout
 
@@ -29,8 +30,6 @@ from lightmatrix.paths import as_path
 
 # The first line of the marker of a folder of running results (`running.py`).
 RUNNING = "lightmatrix running results"
-# Lies in the temporary folders of several files while they take their places.
-_UNFINISHED = "old.unfinished"
 # The errors of file systems without locks, some network file systems among them.
 _NO_LOCKS = {errno.ENOLCK, errno.ENOSYS, errno.ENOTSUP, errno.EOPNOTSUPP, errno.EINVAL}
 
@@ -49,8 +48,7 @@ def check_output(path: str | Path, kind: OutputKind, *, overwrite: bool = False)
         )
     target = final_target(output)
     with as_output_error(output):
-        replaceable = overwrite or _is_alone(target)
-        if os.path.lexists(target) and kind.check_replaceable(output, target) and not replaceable:
+        if os.path.lexists(target) and kind.check_replaceable(output, target) and not overwrite:
             hint = "pass overwrite=True to replace it, or choose a new name"
             raise OutputError(f"{output}: exists already", hint=hint)
         if kind.running:
@@ -192,12 +190,9 @@ def atomic_file(path: str | Path, kind: OutputKind, *, overwrite: bool = False) 
 
 @contextmanager
 def atomic_files(
-    kinds: Mapping[str | Path, OutputKind], *, overwrite: bool = False
+    kinds: Mapping[Any, OutputKind], *, overwrite: bool = False
 ) -> Iterator[list[Path]]:
-    """Write files at temporary paths, which take their places together, or none of them.
-
-    One of them alone would stand in the way of the next run.
-    """
+    """Write files at temporary paths; all take their places, or none, which would be in the way."""
     with ExitStack() as stack:
         targets, parts = [], []
         for path, kind in kinds.items():
@@ -212,20 +207,15 @@ def atomic_files(
                 os.fsync(written.fileno())
         for path, kind in kinds.items():
             check_output(path, kind, overwrite=overwrite)
-        several = parts if len(parts) > 1 else []
-        for part in several:
-            part.with_name(_UNFINISHED).touch()
-        placed = []
+        placed: list[Path] = []
         try:
             for target, part in zip(targets, parts, strict=True):
                 # Of several, old ones come back if this is stopped; see `_remove_temporary`.
-                if several:
+                if len(parts) > 1:
                     if os.path.lexists(target):
                         os.rename(target, part.with_name("old"))
                     placed.append(target)
                 os.replace(part, target)
-            for part in several:
-                part.with_name(_UNFINISHED).unlink()
         except BaseException:
             for target in placed:
                 target.unlink(missing_ok=True)
@@ -286,15 +276,7 @@ def _restore_leftovers(target: Path) -> None:
     if not ours or {entry.stem for entry in place.iterdir()} - {"new", "old"}:
         hint = "move it elsewhere, or choose another name for the output"
         raise OutputError(f"{place}: is in the way and was not made by lightmatrix", hint=hint)
-    if _is_alone(target):
-        target.unlink(missing_ok=True)
     _remove_temporary(target)
-
-
-def _is_alone(target: Path) -> bool:
-    """Whether a run was killed when this file had taken its place, and others had not yet."""
-    place = _temporary_folder(target)
-    return (place / _UNFINISHED).exists() and not any(place.glob("new*"))
 
 
 def _remove_temporary(target: Path) -> None:

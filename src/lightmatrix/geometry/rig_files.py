@@ -23,43 +23,29 @@ from lightmatrix.files.kinds import GEOMETRY_FORMAT, OUR_MARK
 from lightmatrix.files.reading import check_version, parse_json, read_bytes, read_text
 
 Values = dict[str, Any]
+Array = NDArray[np.float64]
 Contents = Mapping[Path, Values]
 VERSION = 1
-# Names that programs give to the same things, in lower case without "_" and "-". SLMaster's second
-# camera has M2, R and T, and its projector M4, Rlp and Tlp; its S is the camera's width and height.
-# One widely copied program misspells rotation.
+# Names that programs give to the same things, see `_plain`. SLMaster's second camera has M2, R and
+# T, and its projector M4, Rlp and Tlp; its S is the camera's width and height. One widely copied
+# program misspells rotation.
 _NAMES = {
     "camera_intrinsics": "cameraintrinsics camk camint cameramatrix1 cameramatrix k1 m1 kc kcam "
     "intrinsicscamera cameraintrinsic mtx1 kkleft",
     "projector_intrinsics": "projectorintrinsics projk projint m4 cameramatrix2 projectormatrix k2 "
     "m2 kp kproj intrinsicsprojector projectorintrinsic mtx2 kkright",
-    # SLStudio has Kc and kc, which differ in their size only.
     "camera_distortion": "cameradistortion camkc camdist distcoeffs1 distcoeffs d1 dist1 distcam "
-    "cameradistcoeffs cameradistortioncoefficients kc kcleft",
+    "cameradistcoeffs cameradistortioncoefficients kclens kcleft",
     "projector_distortion": "projectordistortion projkc projdist d4 distcoeffs2 d2 dist2 distproj "
-    "projectordistcoeffs projectordistortioncoefficients kp kcright",
+    "projectordistcoeffs projectordistortioncoefficients kplens kcright",
     "rotation": "rotation rlp rproj rp r rotationmatrix roration",
     "translation": "translation tlp tproj tp t tvec",
-    # As rows and columns; as width and height; and one by one.
+    # As rows and columns, and as width and height.
     "camera_shape": "camerashape imgshape",
     "projector_shape": "projectorshape",
     "camera_size": "camerasize cameraresolution camsize camres imagesize imagesize1 s",
     "projector_size": "projectorsize projectorresolution projsize projres imagesize2",
-    "camera_width": "framewidth",
-    "camera_height": "frameheight",
-    "projector_width": "screenresx",
-    "projector_height": "screenresy",
     "rms": "rms stereoerror stereorms rmsstereo",
-}
-_NEEDED = ("camera_intrinsics", "projector_intrinsics", "rotation", "translation")
-# The names of ROS, as files of its calibrator and as messages of both versions.
-_OF_ROS = {
-    "K": ("camera_matrix", "K", "k"),
-    "D": ("distortion_coefficients", "D", "d"),
-    "R": ("rectification_matrix", "R", "r"),
-    "P": ("projection_matrix", "P", "p"),
-    "width": ("image_width", "width"),
-    "height": ("image_height", "height"),
 }
 
 
@@ -93,44 +79,41 @@ def read_rig(path: Path) -> Values:
 def _content(file: Path) -> Values:
     """What a file holds by name: arrays, or as JSON and mat files nest it."""
     start = read_bytes(file)[:8]
-    if start.startswith(b"MATLAB 5"):
-        try:
-            return dict(loadmat(file, simplify_cells=True))
-        # Damaged files raise nearly anything.
-        except Exception as error:
-            raise InputError(f"{file}: is damaged", hint="save it again") from error
     if start in (b"MATLAB 7", b"\x89HDF\r\n\x1a\n"):
         raise InputError(f"{file}: is of MATLAB's version 7.3", hint="save it with the option -v7")
-    text = read_text(file).strip()
-    if text.startswith("{"):
-        return dict(parse_json(text, str(file)))
-    if text.startswith("<"):
-        try:
-            nodes = list(ElementTree.fromstring(text))
-        except ElementTree.ParseError as error:
-            hint = "is the file damaged?"
-            raise InputError(f"{file}: cannot be read ({error})", hint=hint) from error
-        parts = {
-            each.tag: (each.findtext("data", each.text), each.findtext("rows")) for each in nodes
-        }
-        return {name: _numbers(text or "", rows) for name, (text, rows) in parts.items()}
+    try:
+        if start == b"MATLAB 5":
+            return dict(loadmat(file, simplify_cells=True))
+        text = read_text(file).strip()
+        if text.startswith("{"):
+            return dict(parse_json(text, str(file)))
+        if text.startswith("<"):
+            return {
+                each.tag: _numbers(each.findtext("data", each.text) or "", each.findtext("rows"))
+                for each in ElementTree.fromstring(text)
+            }
+    except InputError:
+        raise
+    # Damaged mat files raise nearly anything.
+    except Exception as error:
+        raise InputError(f"{file}: cannot be read ({error})", hint="is it damaged?") from error
     # The entries of YAML begin at the margin; what they hold is indented, or a list.
     values: Values = {}
     for entry in re.split(r"^(?=\w)", text, flags=re.MULTILINE):
         name, _, rest = entry.partition(":")
         rows = re.search(r"^\s*rows:\s*(\d+)", rest, flags=re.MULTILINE)
-        values[name.strip()] = _numbers(rest.rpartition("data:")[2], rows and rows[1])
+        values[name] = _numbers(rest.rpartition("data:")[2], rows and rows[1])
     return values
 
 
-def _numbers(text: str, rows: str | None) -> NDArray[np.float64] | None:
+def _numbers(text: str, rows: str | None) -> Array | None:
     """The numbers of a text as an array of so many rows; None if there is anything else."""
     # Calibrations keep all corners beside their matrices, of which the largest is 4 x 4.
     words = [] if len(text) > 4000 else re.split(r"[\s,\[\]]+", text)
     return _array({"data": [word for word in words if word not in ("", "-")], "rows": rows or 1})
 
 
-def _array(value: Any) -> NDArray[np.float64] | None:
+def _array(value: Any) -> Array | None:
     """A value as an array of numbers; None if it is anything else."""
     try:
         # OpenCV's matrices, in JSON.
@@ -139,7 +122,20 @@ def _array(value: Any) -> NDArray[np.float64] | None:
         array = np.array(() if value is None else value, np.float64)
     except (KeyError, TypeError, ValueError):
         return None
-    return array if 0 < array.size <= 16 else None
+    return array.reshape(3, 3) if array.size == 9 else array if 0 < array.size <= 16 else None
+
+
+def _plain(content: Values) -> dict[str, Array]:
+    """The arrays of a file by their names, in lower case without "_" and "-".
+
+    SLStudio has Kc and kc, K and the distortion, which become kc and kclens.
+    """
+    plain: dict[str, Array] = {}
+    for name, value in content.items():
+        if (array := _array(value)) is not None:
+            key = re.sub("[_-]", "", name.lower())
+            plain[f"{key}lens" if re.fullmatch("k[cp]", name) else key] = array
+    return plain
 
 
 # How each program's files are read: None if they are of another program.
@@ -155,35 +151,28 @@ def _ours(contents: Contents) -> Values | None:
 
 def _matlab(contents: Contents) -> Values | None:
     (file, content), *_ = contents.items()
-    found = _group(content, "CameraParameters1")
-    if found is None:
+    if (found := _group(content, "CameraParameters1")) is None:
         return None
     values: Values = {}
     try:
         for number, device in ((1, "camera"), (2, "projector")):
             part = found[f"CameraParameters{number}"]
-            # Older versions store K transposed, and R as well, for points as rows.
-            matrix = np.array(part["K"] if "K" in part else np.transpose(part["IntrinsicMatrix"]))
-            # MATLAB counts pixels from 1.
-            values[f"{device}_intrinsics"] = matrix - [[0, 0, 1], [0, 0, 1], [0, 0, 0]]
-            radial = np.ravel(part["RadialDistortion"])
-            lens = (radial[:2], np.ravel(part["TangentialDistortion"]), radial[2:])
-            values[f"{device}_distortion"] = np.concatenate(lens)
-            if np.size(part.get("ImageSize", ())) == 2:
-                values[f"{device}_shape"] = tuple(int(n) for n in np.ravel(part["ImageSize"]))
-            units = str(part.get("WorldUnits") or "")
-            short = {"millimeters": "mm", "centimeters": "cm", "meters": "m"}
-            values["units"] = short.get(units, units) or None
-        if "PoseCamera2" in found:
-            pose = found["PoseCamera2"]
+            # Older versions store K and R transposed, for points as rows. Pixels count from 1.
+            matrix = part["K"] if "K" in part else np.transpose(part["IntrinsicMatrix"])
+            values[f"{device}_intrinsics"] = np.array(matrix) - [[0, 0, 1], [0, 0, 1], [0, 0, 0]]
+            k1, k2, *k3 = np.ravel(part["RadialDistortion"])
+            values[f"{device}_distortion"] = [k1, k2, *np.ravel(part["TangentialDistortion"]), *k3]
+            values[f"{device}_shape"] = tuple(int(n) for n in np.ravel(part["ImageSize"]))
+        units = str(part.get("WorldUnits") or "")
+        short = {"millimeters": "mm", "centimeters": "cm", "meters": "m"}
+        values["units"] = short.get(units, units) or None
+        if pose := found.get("PoseCamera2"):
             return values | {"rotation": pose["R"], "translation": pose["Translation"]}
         turn = np.transpose(found["RotationOfCamera2"])
         return values | {"rotation": turn, "translation": found["TranslationOfCamera2"]}
     except (KeyError, TypeError, ValueError) as error:
-        raise InputError(
-            f"{file}: its stereoParameters lack {error}",
-            hint="save them with jsonencode(stereoParams), or toStruct(stereoParams) as .mat",
-        ) from error
+        hint = "save them with jsonencode(stereoParams), or toStruct(stereoParams) as .mat"
+        raise InputError(f"{file}: its stereoParameters lack {error}", hint=hint) from error
 
 
 def _group(content: Any, name: str) -> Values | None:
@@ -195,52 +184,41 @@ def _group(content: Any, name: str) -> Values | None:
 
 def _ros(contents: Contents) -> Values | None:
     """A pair of camera_info: R and P lead from each device's frame to the one that both share."""
+    names = ["cameramatrix k", "distortioncoefficients d", "rectificationmatrix r"]
+    names += ["projectionmatrix p", "imagewidth width", "imageheight height"]
     devices = []
     for file, content in contents.items():
-        info: Values = {
-            name: each
-            for name, keys in _OF_ROS.items()
-            for key in keys
-            if (each := _array(content.get(key))) is not None
-        }
-        if [np.size(info.get(name, ())) for name in "KRP"] != [9, 9, 12]:
+        plain = _plain(content)
+        parts = [plain[each] for name in names for each in name.split() if each in plain]
+        if len(parts) != len(names) or parts[3].size != 12:
             return None
-        shared = np.reshape(info["P"], (3, 4))
+        shared = parts[3].reshape(3, 4)
         shift = np.linalg.solve(shared[:, :3], shared[:, 3])
         # The second device of a pair stands beside the origin.
         order = "proj" in file.name.lower(), float(np.abs(shift).max())
-        devices.append((order, info, np.reshape(info["R"], (3, 3)), shift))
+        devices.append((order, parts, shift))
     if len(devices) != 2:
         hint = "put those of camera and projector into a folder, and give the folder"
         raise InputError(f"{next(iter(contents))}: is the camera_info of one device", hint=hint)
-    devices.sort(key=lambda each: each[0])
-    (_, _, one, origin), (_, _, other, beside) = devices
-    values: Values = {"rotation": other.T @ one, "translation": other.T @ (beside - origin)}
-    for device, (_, info, _, _) in zip(("camera", "projector"), devices, strict=True):
-        values[f"{device}_intrinsics"] = np.reshape(info["K"], (3, 3))
-        values[f"{device}_distortion"] = info.get("D", np.zeros(5))
-        if {"width", "height"} <= set(info):
-            values[f"{device}_shape"] = int(info["height"].item()), int(info["width"].item())
+    (_, one, origin), (_, other, beside) = sorted(devices, key=lambda each: each[0])
+    values: Values = {"rotation": other[2].T @ one[2]}
+    values["translation"] = other[2].T @ (beside - origin)
+    for device, parts in (("camera", one), ("projector", other)):
+        values |= {f"{device}_intrinsics": parts[0], f"{device}_distortion": parts[1]}
+        values[f"{device}_shape"] = int(parts[5].item()), int(parts[4].item())
     return values
 
 
 def _named(contents: Contents) -> Values | None:
     """Matrices by their names, in one file or in two."""
-    plain: dict[str, list[NDArray[np.float64]]] = {}
-    for name, value in (pair for content in contents.values() for pair in content.items()):
-        if (array := _array(value)) is not None:
-            plain.setdefault(re.sub("[_-]", "", name.lower()), []).append(array)
+    plain = {name: each for content in contents.values() for name, each in _plain(content).items()}
     found: Values = {}
     for name, others in _NAMES.items():
-        fitting = [each for other in others.split() for each in plain.get(other, ())]
-        # K has 3 x 3 numbers; a distortion that goes by the same name has not.
-        if name.endswith(("intrinsics", "distortion")):
-            lens = name.endswith("distortion")
-            fitting = [each for each in fitting if (each.size == 9) != lens]
-        if fitting:
-            found[name] = fitting[0].reshape(3, 3) if fitting[0].size == 9 else fitting[0]
-    missing = [name.replace("_", " ") for name in _NEEDED if name not in found]
-    if len(missing) == len(_NEEDED):
+        if (first := next((each for each in others.split() if each in plain), None)) is not None:
+            found[name] = plain[first]
+    needed = ("camera_intrinsics", "projector_intrinsics", "rotation", "translation")
+    missing = [name.replace("_", " ") for name in needed if name not in found]
+    if len(missing) == len(needed):
         return None
     if missing:
         raise InputError(
@@ -252,14 +230,10 @@ def _named(contents: Contents) -> Values | None:
     if rms is not None and rms.size == 1:
         found["rms"] = {"stereo": float(rms.item())}
     for device in ("camera", "projector"):
-        shape, size, *sides = (
-            found.pop(f"{device}_{name}", None) for name in ("shape", "size", "height", "width")
-        )
-        if shape is None:
-            sides = [*size.ravel()[::-1]] if size is not None else sides
-            shape = np.array([np.nan if side is None else np.ravel(side)[0] for side in sides])
-        # SLStudio states 0 for what it does not know.
-        if shape.size == 2 and (shape > 0).all():
+        # OpenCV states a size as width and height.
+        size = found.pop(f"{device}_size", None)
+        shape = found.pop(f"{device}_shape", None if size is None else size.ravel()[::-1])
+        if shape is not None:
             found[f"{device}_shape"] = tuple(int(n) for n in np.ravel(shape))
     return found
 

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from lightmatrix.errors import InputError
 from lightmatrix.files.extras import write_exr
-from lightmatrix.files.kinds import IMAGE, PICTURE, cloud_kind
+from lightmatrix.files.kinds import CLOUD, IMAGE, PICTURE
 from lightmatrix.files.writing import atomic_files, check_output
 from lightmatrix.geometry.rig_geometry import RigGeometry
 from lightmatrix.paths import as_path
@@ -133,8 +133,7 @@ def layers(
     check_thresholds(tolerance, least_probability)
     outputs = {} if picture is None else {picture: PICTURE}
     if output is not None:
-        pixels = as_path(output).suffix.lower() == ".exr"
-        outputs[output] = IMAGE if pixels else cloud_kind(output)
+        outputs[output] = IMAGE if as_path(output).suffix.lower() == ".exr" else CLOUD
     for path, kind in outputs.items():
         check_output(path, kind, overwrite=overwrite)
     matrix = loaded(transport, 2.5)

@@ -15,11 +15,10 @@ from matplotlib.colors import BoundaryNorm, ListedColormap
 from numpy.typing import NDArray
 
 from lightmatrix.errors import InputError, warn
-from lightmatrix.files.extras import load_extra
 from lightmatrix.files.images import fill_image
-from lightmatrix.files.kinds import DEPTH, OUR_MARK, cloud_kind
+from lightmatrix.files.kinds import CLOUD, DEPTH, OUR_MARK
 from lightmatrix.files.writing import atomic_file
-from lightmatrix.geometry.rig_geometry import RigGeometry, decomposed
+from lightmatrix.geometry.rig_geometry import Array, RigGeometry, decomposed
 from lightmatrix.paths import as_path
 from lightmatrix.pictures.maps import UNKNOWN, Map
 from lightmatrix.pictures.style import COLOURS, STYLE, panel
@@ -32,7 +31,7 @@ MILLIMETRES = {"mm": 1.0, "cm": 10.0, "m": 1000.0, "in": 25.4}
 # Normals and triangles of a surface of which the depth of each camera pixel is known.
 
 
-def _steepest_step(depth: NDArray[np.floating], geometry: RigGeometry) -> NDArray[np.float64]:
+def _steepest_step(depth: NDArray[np.floating], geometry: RigGeometry) -> Array:
     """The largest change of depth from a pixel to the next on one surface, (rows, cols)."""
     focal = float(np.sqrt(np.prod(np.diag(geometry.camera_intrinsics)[:2])))
     # Surfaces inclined by more than 70 degrees to the image plane reflect little of the projector's
@@ -148,11 +147,12 @@ def write_cloud(
             lines += ["VIEWPOINT 0 0 0 1 0 0 0", f"POINTS {len(table)}", "DATA binary"]
         else:
             lines = ["ply", "format binary_little_endian 1.0", f"comment {OUR_MARK}"]
-            lines += [f"element vertex {len(table)}"]
-            lines += [f"property {'uchar' if small[name] else 'float'} {name}" for name in columns]
+            lines += [f"element vertex {len(table)}"] + [
+                f"property {'uchar' if small[name] else 'float'} {name}" for name in columns
+            ]
             if corners is not None:
-                lines += [f"element face {len(corners)}"]
-                lines += ["property list uchar int vertex_indices"]
+                of_faces = "property list uchar int vertex_indices"
+                lines += [f"element face {len(corners)}", of_faces]
             lines += ["end_header"]
         stream.write(("\n".join(lines) + "\n").encode("ascii"))
         stream.write(table.tobytes())
@@ -175,17 +175,11 @@ def depth_map(depth: NDArray[np.floating], units: str | None) -> Map:
     low, high = np.quantile(known, [0.02, 0.98]).tolist() if known.size else (0.0, 1.0)
     # A plane that faces the camera has one depth only.
     high = max(high, low + 1e-6 * max(1.0, abs(low)))
-    return Map(
-        "Depth along the camera's axis",
-        units or "unit of the geometry",
-        depth.astype(np.float64),
-        low,
-        high,
-        "viridis_r",
-    )
+    title, values = "Depth along the camera's axis", depth.astype(np.float64)
+    return Map(title, units or "unit of the geometry", values, low, high, "viridis_r")
 
 
-def normal_colours(normals: NDArray[np.floating]) -> NDArray[np.float64]:
+def normal_colours(normals: NDArray[np.floating]) -> Array:
     """Normals (rows, cols, 3) in the camera's frame as colours in [0, 1].
 
     Right, up and towards the camera are red, green and blue; pixels without a normal are grey.
@@ -308,8 +302,7 @@ class Shape:
         An OutputError refuses a file that exists, unless `overwrite` is set, or that cannot be
         written, an InputError millimetres of a geometry in unknown units.
         """
-        depth = as_path(path).suffix.lower() in DEPTH.suffixes
-        kind = DEPTH if depth else cloud_kind(path)
+        kind = DEPTH if as_path(path).suffix.lower() in DEPTH.suffixes else CLOUD
         with atomic_file(path, kind, overwrite=overwrite) as part:
             self.write(part, mesh=mesh)
 
@@ -331,11 +324,8 @@ class Shape:
         elif part.suffix in DEPTH.suffixes:
             tifffile.imwrite(part, self.depth)
         else:
-            columns = {
-                **dict(zip(("nx", "ny", "nz"), np.moveaxis(self.normals, -1, 0), strict=True)),
-                "uncertainty": self.uncertainty,
-                "probability": self.probability,
-            }
+            columns = dict(zip(("nx", "ny", "nz"), np.moveaxis(self.normals, -1, 0), strict=True))
+            columns |= {"uncertainty": self.uncertainty, "probability": self.probability}
             faces = surface_faces(self.depth, self.geometry) if mesh else None
             write_cloud(part, self.points, self.albedo, columns, faces)
 
@@ -358,17 +348,3 @@ class Shape:
             bar = drawing.colorbar(image, cax=scale, ticks=range(count))
             bar.set_ticklabels([test.name.lower().replace("_", " ") for test in ShapeTest])
         return drawing
-
-    def mesh(self) -> Any:
-        """The surface as a `trimesh.Trimesh`, which writes STL, OBJ and GLB and measures meshes.
-
-        Raises
-        ------
-        MissingExtraError
-            If trimesh is not installed.
-        """
-        trimesh = load_extra("trimesh", "meshes need trimesh", "shape")
-        faces = surface_faces(self.depth, self.geometry)
-        used, corners = np.unique(faces, return_inverse=True)
-        points = self.points.reshape(-1, 3)[used]
-        return trimesh.Trimesh(points, corners.reshape(-1, 3), process=False)

@@ -11,9 +11,9 @@ from scipy.ndimage import uniform_filter
 
 from lightmatrix.capture.capture import Capture
 from lightmatrix.errors import InputError
-from lightmatrix.files.kinds import DEPTH, PICTURE, cloud_kind
+from lightmatrix.files.kinds import CLOUD, DEPTH, PICTURE
 from lightmatrix.files.writing import atomic_files, check_output
-from lightmatrix.geometry.rig_geometry import RigGeometry, load_rig
+from lightmatrix.geometry.rig_geometry import Array, RigGeometry, load_rig
 from lightmatrix.shape.shape import Shape, ShapeTest, surface_normals
 from lightmatrix.shape.spots import check_thresholds, seen_by, surface_probability
 from lightmatrix.transport.correspondence import Correspondence
@@ -85,8 +85,8 @@ def triangulate(
     ((64, 64), True)
     """
     check_thresholds(tolerance, least_probability)
-    outputs = {} if output is None else {output: cloud_kind(output)}
-    outputs |= {path: kind for path, kind in ((depth, DEPTH), (picture, PICTURE)) if path}
+    wanted = ((output, CLOUD), (depth, DEPTH), (picture, PICTURE))
+    outputs = {path: kind for path, kind in wanted if path is not None}
     for path, kind in outputs.items():
         check_output(path, kind, overwrite=overwrite)
     source = open_matches(transport)
@@ -110,7 +110,7 @@ def triangulate(
     spread = np.sqrt(np.maximum(sums[0] / np.maximum(sums[1], 0.02), 0.01**2)).ravel()
     uncertainty = seen.slope[chosen] * spread
 
-    def mapped(values: NDArray[np.float64]) -> NDArray[np.float32]:
+    def mapped(values: Array) -> NDArray[np.float32]:
         shown = np.where(kept if values.ndim == 1 else kept[:, None], values, np.nan)
         return shown.astype(np.float32).reshape(*grid, *values.shape[1:])
 
@@ -191,7 +191,7 @@ def geometry_of(
             shape and (shape[0] * stated[name][0], shape[1] * stated[name][1])
             for name, shape in (("camera", camera_shape), ("projector", projector_shape))
         ]
-        rig = load_rig(RigGeometry, geometry, usual=(whole[0], whole[1]))
+        rig = load_rig(geometry, usual=(whole[0], whole[1]))
     shapes = {
         "camera": (camera_shape[0], camera_shape[1]),
         "projector": projector_shape or rig.projector_shape,

@@ -210,9 +210,8 @@ def read_correspondence(path: str | Path) -> Correspondence:
     Parameters
     ----------
     path : str or Path
-        The npz file of `decode`; one with the arrays x and y, (rows, cols) each, and perhaps
-        confidence and projector_shape; one of two images of 16 bits, NAME-x.png and NAME-y.png; or
-        an EXR image with x in red and y in green.
+        The npz file of `decode`; one with the arrays x and y, (rows, cols) each; one of two images
+        of 16 bits, NAME-x.png and NAME-y.png; or an EXR image with x in red and y in green.
 
     Returns
     -------
@@ -236,11 +235,8 @@ def read_correspondence(path: str | Path) -> Correspondence:
         return _map_of_images(file)
     content = read_npz(file)
     if {"x", "y"} <= set(content):
-        more = {
-            name: content[name] for name in ("confidence", "projector_shape") if name in content
-        }
         with errors_naming(file):
-            return _of_map(content["x"], content["y"], **more)
+            return _of_map(content["x"], content["y"])
     if kinds.CORRESPONDENCE_MARK not in content:
         hint = "give a file that `lightmatrix decode` wrote, or one with the arrays x and y"
         raise InputError(f"{file}: is no correspondence", hint=hint)
@@ -270,9 +266,6 @@ def _map_of_images(file: Path) -> Correspondence:
         if len(channels) < 2:
             raise InputError(f"{file}: has one channel", hint="give x in red and y in green")
         x, y = channels[:2]
-        if max(np.nanmax(x), np.nanmax(y)) <= 1:
-            hint = "multiply them by the projector's columns and rows"
-            raise InputError(f"{file}: holds shares of the projector's image, no pixels", hint=hint)
     else:
         stem = re.fullmatch(r"(.*?)[xy]", file.stem, flags=re.IGNORECASE | re.DOTALL)
         if stem is None:
@@ -283,12 +276,7 @@ def _map_of_images(file: Path) -> Correspondence:
         return _of_map(x, y)
 
 
-def _of_map(
-    x: NDArray[Any],
-    y: NDArray[Any],
-    confidence: NDArray[Any] | None = None,
-    projector_shape: NDArray[Any] | None = None,
-) -> Correspondence:
+def _of_map(x: NDArray[Any], y: NDArray[Any]) -> Correspondence:
     """A correspondence from the columns x and rows y, (rows, cols), that camera pixels see."""
     if np.ndim(x) != 2 or np.shape(x) != np.shape(y):
         hint = "give x and y as (rows, cols) of the camera, in projector pixels"
@@ -301,6 +289,4 @@ def _of_map(
         raise InputError("no camera pixel sees the projector", hint="is this the right file?")
     place[~known] = np.nan
     pixel = np.where(known[..., None], np.rint(np.nan_to_num(place)), -1).astype(np.int32)
-    share = np.asarray(known if confidence is None else np.where(known, confidence, 0), np.float32)
-    size: Any = None if projector_shape is None else tuple(map(int, np.ravel(projector_shape)))
-    return Correspondence(pixel, place, share, projector_shape=size)
+    return Correspondence(pixel, place, known.astype(np.float32))
