@@ -119,6 +119,7 @@ def pack_capture(
             capture.decoder,
             mask=capture.mask,
             provenance=provenance,
+            projectors=capture.projectors,
             projector_unknown=capture.projector_unknown,
         )
         write_extras(part)

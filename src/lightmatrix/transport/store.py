@@ -25,7 +25,7 @@ from zarr.codecs import BloscCodec
 
 from lightmatrix.errors import InputError
 from lightmatrix.files.colours import COLOURS, colour_paths
-from lightmatrix.files.kinds import COLOUR_STORES, CORRESPONDENCE, PARTIAL, STORE
+from lightmatrix.files.kinds import COLOUR_STORES, CORRESPONDENCE, PARTIAL, PROJECTOR_STORES, STORE
 from lightmatrix.files.reading import read_bytes
 from lightmatrix.files.writing import atomic_folder
 from lightmatrix.files.zarr_arrays import (
@@ -267,6 +267,18 @@ def save_colour(folder: str | Path, transport: ColourTransport, *, overwrite: bo
     with atomic_folder(folder, COLOUR_STORES, overwrite=overwrite) as part:
         for name, one in zip(COLOURS, transport, strict=True):
             save(part / f"{name}.zarr", one)
+
+
+def save_projectors(
+    folder: str | Path, transport: LightTransport, *, overwrite: bool = False
+) -> None:
+    """Write T of several projectors as projector-1.zarr, projector-2.zarr, ... in a folder.
+
+    An OutputError says that the folder exists or cannot be written.
+    """
+    with atomic_folder(folder, PROJECTOR_STORES, overwrite=overwrite) as part:
+        for number, one in enumerate(transport.split(), start=1):
+            save(part / f"projector-{number}.zarr", one)
 
 
 def open_colour(folder: str | Path) -> ColourTransport:

@@ -234,8 +234,11 @@ class RowSolver:
     @computed_once
     def backgrounds(self) -> Backgrounds:
         """The cells of the background, at most one a pixel."""
-        shape = self.capture.projector_shape
-        grid = min(self.background_grid[0], shape[0]), min(self.background_grid[1], shape[1])
+        shape, several = self.capture.projector_shape, max(1, len(self.capture.projectors))
+        grid = (
+            min(several * self.background_grid[0], shape[0]),
+            min(self.background_grid[1], shape[1]),
+        )
         return Backgrounds(grid, self.capture.patterns, self.unseen.single)
 
     def everywhere(
