@@ -86,7 +86,7 @@ def compensate(
         ),
     ] = False,
     rig: options.RigName = None,
-    projector: options.ProjectorName = None,
+    projector: options.ProjectorNames = None,
     camera: options.CameraName = None,
     settle: options.Settle = None,
     rig_file: options.RigFile = Path(RIG_FILE),

@@ -12,13 +12,18 @@ from lightmatrix.cli import options
 from lightmatrix.cli.terminal import enter_was_pressed, say
 from lightmatrix.defaults import RIG_FILE
 from lightmatrix.errors import InputError
+from lightmatrix.rig.rig import open_projectors
 
 
 def project(
     source: Annotated[
-        Path, Argument(metavar="SHOWN", help="An image, a folder of images, or a video.")
+        list[Path],
+        Argument(
+            metavar="SHOWN",
+            help="An image, a folder of images, or a video; or an image for each projector.",
+        ),
     ],
-    projector: options.ProjectorName = None,
+    projector: options.ProjectorNames = None,
     camera: options.CameraName = None,
     rig: options.RigName = None,
     photograph: Annotated[
@@ -58,12 +63,12 @@ def project(
     opened = (
         lm.open_rig(rig, projector=projector, camera=camera)
         if with_camera
-        else lm.open_projector(str(projector))
+        else open_projectors(projector or [])
     )
     try:
         lm.project(
             opened,
-            source,
+            source[0] if len(source) == 1 else source,
             seconds=seconds,
             fps=fps,
             cell=cell,

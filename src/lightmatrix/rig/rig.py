@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from contextlib import suppress
+from collections.abc import Callable, Sequence
+from contextlib import ExitStack, closing, suppress
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Self, TypeVar
@@ -17,6 +17,7 @@ from lightmatrix.patterns.pattern_set import PatternSet, to_grey
 from lightmatrix.patterns.projector_curve import ProjectorResponse
 from lightmatrix.rig.devices.base import Camera, Clock, Projector
 from lightmatrix.rig.devices.registry import open_camera, open_projector
+from lightmatrix.rig.devices.several import SeveralProjectors
 from lightmatrix.rig.devices.virtual import (
     HARDWARE,
     SimulatedClock,
@@ -127,7 +128,7 @@ class Rig:
 def open_rig(
     rig: str | VirtualSettings | None = None,
     *,
-    projector: str | None = None,
+    projector: str | Sequence[str] | None = None,
     camera: str | None = None,
 ) -> Rig:
     """Open a projector and a camera, or a virtual rig.
@@ -137,7 +138,8 @@ def open_rig(
     rig : str or VirtualSettings, optional
         ``virtual:SCENE``, or ``virtual:SCENE,name=value,...``; see `VirtualSettings`.
     projector, camera : str, optional
-        Instead: addresses of devices, such as ``window:1`` and ``aravis:ID``.
+        Instead: addresses of devices, such as ``window:1`` and ``aravis:ID``. Several projectors
+        become one, whose picture holds those of all, one above the other.
 
     Returns
     -------
@@ -159,24 +161,32 @@ def open_rig(
     >>> lm.open_rig("virtual:metal,delay=3,real=0")
     Rig(virtual:metal, virtual:metal)
     """
+    addresses = [projector] if isinstance(projector, str) else list(projector or ())
     if rig is None:
-        if projector is None or camera is None:
+        if not addresses or camera is None:
             raise InputError(
                 "there is no rig to photograph with",
                 hint="give a rig, virtual:l_objects, or a projector and a camera; "
                 "`lightmatrix rig list` names those that are there",
             )
         # The camera comes first: if another program has it, no window flashes up.
-        first = open_camera(camera)
-        try:
-            return Rig(open_projector(projector), first, lambda: open_camera(camera))
-        except BaseException:
-            first.close()
-            raise
-    elif projector is not None or camera is not None:
+        with ExitStack() as opened:
+            first = opened.enter_context(closing(open_camera(camera)))
+            shown = open_projectors(addresses)
+            opened.pop_all()
+        return Rig(shown, first, lambda: open_camera(camera))
+    elif addresses or camera is not None:
         hint = "a virtual rig has both; give one or the other"
         raise InputError("a rig and a projector or a camera", hint=hint)
     return _virtual(rig if isinstance(rig, VirtualSettings) else parse_settings(rig))
+
+
+def open_projectors(addresses: Sequence[str]) -> Projector:
+    """Open a projector, or several as one."""
+    with ExitStack() as opened:
+        several = [opened.enter_context(closing(open_projector(one))) for one in addresses]
+        opened.pop_all()
+    return several[0] if len(several) == 1 else SeveralProjectors(several)
 
 
 def _virtual(settings: VirtualSettings) -> Rig:
@@ -184,7 +194,7 @@ def _virtual(settings: VirtualSettings) -> Rig:
     if settings.scene == PROCEDURAL:
         truth = ProceduralScene(size, size, settings.seed).truth()
     else:
-        truth = library.truth(settings.scene, size)
+        truth = library.truth(settings.scene, size, camera=settings.camera)
     clock = SimulatedClock() if not settings.real else Clock()
     light = VirtualLight(truth, realism.ambient(truth, settings.room), settings)
     camera = VirtualCamera(light, clock)

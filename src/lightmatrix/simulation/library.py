@@ -142,6 +142,11 @@ def projectors_of(name: str | Path) -> int:
     return len(scene(str(name)).projectors) if str(name) in names() else 1
 
 
+def cameras_of(name: str | Path) -> int:
+    """The number of cameras of what `truth` takes: 1, but in some scenes."""
+    return len(scene(str(name)).cameras) if str(name) in names() else 1
+
+
 def _with_geometry(known: Truth, built: Scene) -> Truth:
     """A truth of a whole scene whose file does not hold the geometry."""
     if built.more_projectors:

@@ -15,6 +15,7 @@ from lightmatrix.capture.sensor import Sensor
 from lightmatrix.errors import DeviceError, InputError
 from lightmatrix.rig.devices.base import Address, Camera, Clock, Frame, Projector, check_image
 from lightmatrix.simulation.truth import Truth
+from lightmatrix.transport.matrix import PROJECTORS
 
 PREFIX = "virtual:"
 
@@ -25,8 +26,10 @@ class VirtualSettings:
 
     # A scene (see `scenes`), a truth file (T.npz), or "procedural".
     scene: str
-    # Pixels along a side of projector and camera; the bundled scenes have 64.
+    # Pixels along a side of each projector and camera; the bundled scenes have 64.
     size: int = 64
+    # Number of the camera, from 1 on, in scenes that have several.
+    camera: int = 1
     # Refreshes of the projector between `show` and the light.
     delay: float = 2.0
     # Exponent of the projector: light = (grey value / 255) ** gamma.
@@ -171,9 +174,11 @@ class VirtualProjector(Projector):
         self.image: NDArray[np.uint8] | None = np.zeros(self.shape, np.uint8)
 
     def info(self) -> dict[str, Any]:
+        sizes = self._light.truth.metadata.get(PROJECTORS)
         return {
             "name": PREFIX + self._light.settings.scene,
             "shape": list(self.shape),
+            **({PROJECTORS: sizes} if sizes else {}),
             "refresh": HARDWARE.refresh,
         }
 
