@@ -15,11 +15,11 @@ from lightmatrix.defaults import MOST_FRAMES, RIG_FILE, USUAL_FRAMES
 from lightmatrix.files.kinds import PROJECTOR_STORES, STORE
 from lightmatrix.files.writing import check_output
 from lightmatrix.rig.devices.virtual import parse_settings
-from lightmatrix.simulation.library import cameras_of
+from lightmatrix.simulation.library import cameras_of, projectors_of
 
 
 @described(
-    output=options.output_option("Capture folder to write."),
+    output="Capture folder to write.",
     count=Option(
         "-k",
         "--count",
@@ -77,55 +77,45 @@ def capture(
     settings = lm.CaptureSettings(cell, exposure, settle, response, check, until)
     if count is None:
         count = USUAL_FRAMES if until is None else MOST_FRAMES
+    scene = None if rig is None else parse_settings(rig).scene
     rigs: list[tuple[str | None, str | None]] = [(rig, one) for one in camera or [None]]
-    if rig is not None and not camera and "camera=" not in rig:
-        number = cameras_of(parse_settings(rig).scene)
-        rigs = [(f"{rig},camera={k}", None) for k in range(1, number + 1)] if number > 1 else rigs
+    if scene is not None and not camera and "camera=" not in str(rig):
+        rigs = [(f"{rig},camera={k}", None) for k in range(1, cameras_of(scene) + 1)]
+    several = projectors_of(scene) > 1 if scene is not None else len(projector or ()) > 1
+    kind = PROJECTOR_STORES if several else STORE
 
-    def place(folder: Path, number: int) -> Path:
-        return folder if len(rigs) == 1 else folder / f"camera-{number}"
+    def place(path: Path, number: int) -> Path:
+        return path if len(rigs) == 1 else path / f"camera-{number}"
 
-    several = bool(projector and len(projector) > 1)
-    for number in range(1, len(rigs) + 1):
-        if store is not None:
-            kind = PROJECTOR_STORES if several else STORE
+    numbers = range(1, len(rigs) + 1)
+    if store is not None:
+        for number in numbers:
             check_output(place(store, number), kind, overwrite=overwrite)
-    finished = [place(output, k) for k in range(1, len(rigs) + 1)]
-    finished = [one for one in finished if not overwrite and lm.Capture.lies_at(one)]
-    summaries = []
-    for number, (address, one) in enumerate(rigs, start=1):
+    finished = {k for k in numbers if not overwrite and lm.Capture.lies_at(place(output, k))}
+    summaries: list[dict[str, Any]] = []
+    for number, (address, one) in zip(numbers, rigs, strict=True):
         folder = place(output, number)
-        if folder in finished and len(finished) < len(rigs):
+        if number in finished and len(finished) < len(rigs):
             # An interrupted run had finished this camera.
-            say(f"{folder} is there already")
-            continue
-        own = rig_file if len(rigs) == 1 else rig_file.with_stem(f"{rig_file.stem}-{number}")
-        with lm.open_rig(address, projector=projector, camera=one) as opened, Stages() as shown:
-            captured = lm.take_capture(
-                folder,
-                opened,
-                pattern_folder,
-                count=count,
-                density=density,
-                seed=seed,
-                settings=settings,
-                keep=own,
-                overwrite=overwrite,
-                progress=shown.photographed,
-                measuring=shown.measured,
-            )
+            captured = lm.Capture.open(folder)
+        else:
+            own = rig_file if len(rigs) == 1 else rig_file.with_stem(f"{rig_file.stem}-{number}")
+            with lm.open_rig(address, projector=projector, camera=one) as opened, Stages() as shown:
+                captured = lm.take_capture(
+                    folder, opened, pattern_folder, count=count, density=density, seed=seed,
+                    settings=settings, keep=own, overwrite=overwrite,
+                    progress=shown.photographed, measuring=shown.measured,
+                )  # fmt: skip
         summary: dict[str, Any] = {"output": folder, "clipped_share": captured.clipped_share}
-        summary |= captured.provenance
-        summaries.append(summary)
+        summaries.append(summary | captured.provenance)
         if not as_json:
-            _show(summary)
+            _show(summaries[-1])
         if store is not None:
             target = place(store, number)
             with progress("estimating", "rows") as report:
-                transport = lm.estimate(
-                    captured, output=target, overwrite=overwrite, progress=report
-                )
-            summary["estimate"] = {"output": target, **transport.summary()}
+                written: dict[str, Any] = {"output": target, "overwrite": overwrite}
+                transport = lm.estimate(captured, **written, progress=report)
+            summaries[-1]["estimate"] = {"output": target, **transport.summary()}
             if not as_json:
                 say(f"light transport matrix in {target}")
     if as_json:

@@ -22,10 +22,8 @@ from lightmatrix.simulation.library import cameras_of
     scene=typer.Argument(
         metavar="SCENE|T.npz|procedural", help="A scene, a truth file, or a procedural scene."
     ),
-    output=typer.Option(
-        "-o", "--output", help="Capture folder to write; a packed capture if it ends in .zarr."
-    ),
-    patterns=typer.Option(help="Folder made by `lightmatrix patterns`."),
+    output="Capture folder to write; a packed capture if it ends in .zarr.",
+    patterns="Folder made by `lightmatrix patterns`.",
     exposure="Exposure e in sample = min(1, e T p); or several with their shares of the "
     f"frames, {EXPOSURES_EXAMPLE}.",
     bits="Bit depth: 8, 10, 12 or 16.",
@@ -88,25 +86,11 @@ def simulate(
     for camera, place in enumerate(places, start=1):
         with progress("simulating", "rows") as report:
             capture = lm.simulate(
-                scene,
-                patterns,
-                camera=camera,
-                exposure=exposure,
-                bits=bits,
-                noise=noise,
-                shot_noise=shot_noise,
-                full_well=full_well,
-                black_level=black_level,
-                blur=blur,
-                camera_blur=camera_blur,
-                leak=leak,
-                ambient=ambient,
-                vignetting=vignetting,
-                primary=primary,
-                faults=_amounts(fault or []),
-                seed=seed,
-                progress=report,
-            )
+                scene, patterns, camera=camera, exposure=exposure, bits=bits, noise=noise,
+                shot_noise=shot_noise, full_well=full_well, black_level=black_level, blur=blur,
+                camera_blur=camera_blur, leak=leak, ambient=ambient, vignetting=vignetting,
+                primary=primary, faults=_amounts(fault or []), seed=seed, progress=report,
+            )  # fmt: skip
             capture.save(place, overwrite=overwrite)
         clipped, exposures = capture.raw_clipped_share, Counter(capture.exposures.tolist())
         about = {"frames": capture.count, "exposures": exposures, "clipped_share": clipped}

@@ -167,19 +167,9 @@ def estimate(
     ((64, 64), 'one-sided')
     """
     settings = EstimateSettings(
-        solver,
-        fidelity,
-        regularization,
-        coherent,
-        multi_scale,
-        background,
-        signed,
-        iterations,
-        tile_rows,
-        memory,
-        workers,
-        cluster,
-    )
+        solver, fidelity, regularization, coherent, multi_scale, background, signed, iterations,
+        tile_rows, memory, workers, cluster,
+    )  # fmt: skip
     allowed = terms_to_correct(correct)
     capture = open_capture(capture)
     if isinstance(capture.patterns, ColourPatterns):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -29,7 +29,7 @@ from lightmatrix.rig.rig_measurements import measure_rig
 
 def project(
     device: Rig | Projector,
-    source: NDArray[Any] | str | Path | Sequence[str | Path],
+    source: NDArray[Any] | str | Path | list[str | Path] | list[Path],
     *,
     seconds: float | None = None,
     fps: float | None = None,
@@ -105,7 +105,7 @@ def project(
     curve = projector_response
     if isinstance(curve, str | Path):
         curve = ProjectorResponse.parse(curve)
-    if isinstance(source, list | tuple):
+    if isinstance(source, list):
         lights = [given_image("a picture", one, read_light) for one in source]
         sizes = pattern_sizes(projector, cell) or [lights[0].shape[:2]]
         source = stacked(lights, sizes)

@@ -208,17 +208,7 @@ class LightTransport(TransportOperator):
         return part.crop(region) if self.camera_shape[:2] == region.whole else part
 
     def split(self) -> tuple[LightTransport, ...]:
-        """T of each of several projectors that were measured at once; itself if there is one.
-
-        Examples
-        --------
-        >>> import lightmatrix as lm
-        >>> patterns = lm.BernoulliPatterns((32, 16), 24)
-        >>> both = lm.ProceduralScene((16, 16), (32, 16)).truth().transport()
-        >>> known = replace(both, provenance={"projectors": [[16, 16], [16, 16]]})
-        >>> [one.projector_shape for one in known.split()]
-        [(16, 16), (16, 16)]
-        """
+        """T of each of several projectors that were measured at once; itself if there is one."""
         sizes = self.provenance.get(PROJECTORS)
         if not sizes:
             return (self,)
@@ -232,16 +222,10 @@ class LightTransport(TransportOperator):
             grid = min(max(1, high // len(sizes)), rows), min(wide, cols)
             # What a cell gives each of its pixels, added up over the pixels of each new cell.
             cells = pooling[:, own] @ (cell_means((rows, cols), grid) > 0).T
-            result.append(
-                replace(
-                    self,
-                    sparse=csr_array(columns[:, own]),
-                    background=np.asarray(self.background @ cells, np.float32),
-                    projector_shape=(rows, cols),
-                    background_grid=grid,
-                    provenance={**kept, "projector": number},
-                )
-            )
+            background = np.asarray(self.background @ cells, np.float32)
+            parts = (csr_array(columns[:, own]), background, self.camera_shape, (rows, cols), grid)
+            about = {**kept, "projector": number}
+            result.append(LightTransport(*parts, self.diagnostics, about))
         return tuple(result)
 
     @property

@@ -391,17 +391,11 @@ class Neighbourhood:
     ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         """Samples that neighbours expect of some rows, and their variances, (m, K + E)."""
         if self.projectors == 1:
+            start, prepared = int(rows[0]), (self.atoms.prepared, unseen.prepared)
             return _core.expected_samples(
-                self.atoms.prepared,
-                unseen.prepared,
-                samples,
-                self,
-                background,
-                reach=REACH,
-                start=int(rows[0]),
-                level=level,
-                index=rows - rows[0],
-            )
+                *prepared, samples, self, background,
+                reach=REACH, start=start, level=level, index=rows - start,
+            )  # fmt: skip
         first, last = self.around(int(rows[0]), int(rows[-1]) + 1)
         own = background[rows - first, : self.atoms.count]
         # The background is divided among the projectors as their light is.
