@@ -311,13 +311,9 @@ class Capture:
         mask = None if self.mask is None else self.mask[inside]
         around = self.surroundings or Surroundings(self.decoder.black_frame, self.mask)
         return replace(
-            self,
-            frames=frames,
-            decoder=decoder,
-            mask=mask,
-            surroundings=around,
+            self, frames=frames, decoder=decoder, mask=mask, surroundings=around,
             correction=self.correction and self.correction.window(*inside, self.camera_shape),
-        )
+        )  # fmt: skip
 
     @property
     def whole(self) -> Capture:

@@ -165,17 +165,13 @@ def read_description(file: Path, *, allow_outside: bool = False) -> Description:
         path(curve_file(response))
     with errors_naming(file):
         settings = ReadSettings(
-            black=path(frame["file"]),
-            black_exposure=frame["exposure"],
-            black_level=values["black_level"],
-            clip=values["clip"],
-            full_scale=values["full_scale"],
+            black=path(frame["file"]), black_exposure=frame["exposure"],
+            black_level=values["black_level"], clip=values["clip"], full_scale=values["full_scale"],
             exposure=1.0 if values["exposure"] is None else values["exposure"],
             response=None if response is None else Response.parse(response, file.parent),
             projector_response=projector if projector == AUTOMATIC else path(projector),
-            mask=path(values["mask"]),
-            mosaic=bool(values["mosaic"]),
-        )
+            mask=path(values["mask"]), mosaic=bool(values["mosaic"]),
+        )  # fmt: skip
     absent = frozenset(KEYS.keys() - content.keys())
     shapes = values["projector_shape"], values["camera_shape"]
     projectors = values["projectors"] or ()

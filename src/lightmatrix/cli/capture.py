@@ -14,8 +14,6 @@ from lightmatrix.cli.terminal import Stages, progress, say, show_json
 from lightmatrix.defaults import MOST_FRAMES, RIG_FILE, USUAL_FRAMES
 from lightmatrix.files.kinds import PROJECTOR_STORES, STORE
 from lightmatrix.files.writing import check_output
-from lightmatrix.rig.devices.virtual import parse_settings
-from lightmatrix.simulation.library import cameras_of, projectors_of
 
 
 @described(
@@ -77,11 +75,12 @@ def capture(
     settings = lm.CaptureSettings(cell, exposure, settle, response, check, until)
     if count is None:
         count = USUAL_FRAMES if until is None else MOST_FRAMES
-    scene = None if rig is None else parse_settings(rig).scene
-    rigs: list[tuple[str | None, str | None]] = [(rig, one) for one in camera or [None]]
+    scene = None if rig is None else rig.partition(":")[2].partition(",")[0]
+    addresses: list[str | None] = [*camera] if camera else [None]
+    rigs = [(rig, one) for one in addresses]
     if scene is not None and not camera and "camera=" not in str(rig):
-        rigs = [(f"{rig},camera={k}", None) for k in range(1, cameras_of(scene) + 1)]
-    several = projectors_of(scene) > 1 if scene is not None else len(projector or ()) > 1
+        rigs = [(f"{rig},camera={k}", None) for k in range(1, lm.devices_of(scene).cameras + 1)]
+    several = lm.devices_of(scene).projectors > 1 if scene is not None else len(projector or ()) > 1
     kind = PROJECTOR_STORES if several else STORE
 
     def place(path: Path, number: int) -> Path:
@@ -107,7 +106,7 @@ def capture(
                     progress=shown.photographed, measuring=shown.measured,
                 )  # fmt: skip
         summary: dict[str, Any] = {"output": folder, "clipped_share": captured.clipped_share}
-        summaries.append(summary | captured.provenance)
+        summaries.append({**summary, **captured.provenance})
         if not as_json:
             _show(summaries[-1])
         if store is not None:

@@ -200,13 +200,9 @@ def estimate(
         _show_resources(lm.estimate_resources(capture, settings), as_json)
         return
     transport = lm.estimate(
-        capture,
-        **asdict(settings),
-        output=output,
-        overwrite=overwrite,
-        check=check,
+        capture, **asdict(settings), output=output, overwrite=overwrite, check=check,
         correct=correct if correct in ("auto", "none") else correct.split(","),
-    )
+    )  # fmt: skip
     seconds, outcome = round(time.perf_counter() - started, 2), None
     findings = transport.provenance["findings"]
     if report is not None:

@@ -11,7 +11,6 @@ from lightmatrix.cli import options
 from lightmatrix.cli.terminal import enter_was_pressed, say
 from lightmatrix.defaults import RIG_FILE
 from lightmatrix.errors import InputError
-from lightmatrix.rig.rig import open_projectors
 
 
 @options.described(
@@ -59,21 +58,14 @@ def project(
     opened = (
         lm.open_rig(rig, projector=projector, camera=camera)
         if with_camera
-        else open_projectors(projector or [])
+        else lm.open_projector(projector or [])
     )
     try:
         lm.project(
-            opened,
-            source[0] if len(source) == 1 else source,
-            seconds=seconds,
-            fps=fps,
-            cell=cell,
-            projector_response=projector_response,
-            until=enter_was_pressed,
-            photograph=photograph,
-            keep=rig_file,
-            overwrite=overwrite,
-        )
+            opened, source[0] if len(source) == 1 else source, seconds=seconds, fps=fps, cell=cell,
+            projector_response=projector_response, until=enter_was_pressed, photograph=photograph,
+            keep=rig_file, overwrite=overwrite,
+        )  # fmt: skip
     finally:
         opened.close()
     if photograph is not None:

@@ -15,7 +15,6 @@ from lightmatrix.defaults import EXPOSURES_EXAMPLE, USUAL_NOISE
 from lightmatrix.errors import InputError
 from lightmatrix.files.kinds import CAPTURE
 from lightmatrix.files.writing import check_output
-from lightmatrix.simulation.library import cameras_of
 
 
 @described(
@@ -78,7 +77,7 @@ def simulate(
     Patterns for two projectors stand one above the other, 128x64 for 64x64 each; every camera has a
     folder: camera-1, camera-2.
     """
-    cameras = cameras_of(scene)
+    cameras = lm.devices_of(scene).cameras
     places = [output] if cameras == 1 else [output / f"camera-{k}" for k in range(1, cameras + 1)]
     for place in places:
         check_output(place, CAPTURE, overwrite=overwrite)

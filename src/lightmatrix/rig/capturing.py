@@ -280,13 +280,9 @@ def take_capture(
         parts += ["response"] if patterns is not None and patterns.as_bits() is None else []
         if parts or settings.settle is not None:
             known = measure_rig(
-                rig,
-                parts,
-                keep=keep,
-                settle=settings.settle,
-                response=settings.response,
+                rig, parts, keep=keep, settle=settings.settle, response=settings.response,
                 progress=measuring,
-            )
+            )  # fmt: skip
         if patterns is None:
             if density is None:
                 density = 0.5 if known.exposure is None else known.exposure.density
@@ -356,15 +352,9 @@ def _begin(
             hint="put the rig back as it was, or begin anew: overwrite=True",
         )
     return CaptureSession(
-        photographer,
-        record,
-        patterns,
-        projected.image,
-        seconds,
-        references,
-        check=settings.check,
+        photographer, record, patterns, projected.image, seconds, references, check=settings.check,
         progress=progress,
-    )
+    )  # fmt: skip
 
 
 def _write(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from contextlib import ExitStack, closing, suppress
+from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Self, TypeVar
@@ -17,7 +17,6 @@ from lightmatrix.patterns.pattern_set import PatternSet, to_grey
 from lightmatrix.patterns.projector_curve import ProjectorResponse
 from lightmatrix.rig.devices.base import Camera, Clock, Projector
 from lightmatrix.rig.devices.registry import open_camera, open_projector
-from lightmatrix.rig.devices.several import SeveralProjectors
 from lightmatrix.rig.devices.virtual import (
     HARDWARE,
     SimulatedClock,
@@ -161,32 +160,24 @@ def open_rig(
     >>> lm.open_rig("virtual:metal,delay=3,real=0")
     Rig(virtual:metal, virtual:metal)
     """
-    addresses = [projector] if isinstance(projector, str) else list(projector or ())
     if rig is None:
-        if not addresses or camera is None:
+        if not projector or camera is None:
             raise InputError(
                 "there is no rig to photograph with",
                 hint="give a rig, virtual:l_objects, or a projector and a camera; "
                 "`lightmatrix rig list` names those that are there",
             )
         # The camera comes first: if another program has it, no window flashes up.
-        with ExitStack() as opened:
-            first = opened.enter_context(closing(open_camera(camera)))
-            shown = open_projectors(addresses)
-            opened.pop_all()
-        return Rig(shown, first, lambda: open_camera(camera))
-    elif addresses or camera is not None:
+        first = open_camera(camera)
+        try:
+            return Rig(open_projector(projector), first, lambda: open_camera(camera))
+        except BaseException:
+            first.close()
+            raise
+    elif projector or camera is not None:
         hint = "a virtual rig has both; give one or the other"
         raise InputError("a rig and a projector or a camera", hint=hint)
     return _virtual(rig if isinstance(rig, VirtualSettings) else parse_settings(rig))
-
-
-def open_projectors(addresses: Sequence[str]) -> Projector:
-    """Open a projector, or several as one."""
-    with ExitStack() as opened:
-        several = [opened.enter_context(closing(open_projector(one))) for one in addresses]
-        opened.pop_all()
-    return several[0] if len(several) == 1 else SeveralProjectors(several)
 
 
 def _virtual(settings: VirtualSettings) -> Rig:

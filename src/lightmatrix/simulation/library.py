@@ -137,14 +137,24 @@ def truth(
     return rendered
 
 
-def projectors_of(name: str | Path) -> int:
-    """The number of projectors of what `truth` takes: 1, but in some scenes."""
-    return len(scene(str(name)).projectors) if str(name) in names() else 1
+class Devices(NamedTuple):
+    """The numbers of projectors and of cameras of a scene."""
+
+    projectors: int
+    cameras: int
 
 
-def cameras_of(name: str | Path) -> int:
-    """The number of cameras of what `truth` takes: 1, but in some scenes."""
-    return len(scene(str(name)).cameras) if str(name) in names() else 1
+def devices_of(name: str | Path) -> Devices:
+    """The numbers of projectors and of cameras of what `truth` takes: 1, but in some scenes.
+
+    Examples
+    --------
+    >>> import lightmatrix as lm
+    >>> lm.devices_of("metal"), lm.devices_of("stage")
+    (Devices(projectors=1, cameras=1), Devices(projectors=2, cameras=2))
+    """
+    built = scene(str(name)) if str(name) in names() else None
+    return Devices(1, 1) if built is None else Devices(len(built.projectors), len(built.cameras))
 
 
 def _with_geometry(known: Truth, built: Scene) -> Truth:

@@ -11,7 +11,7 @@ import sys
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from functools import cache, partial
+from functools import cache
 from types import ModuleType
 from typing import Any
 
@@ -301,11 +301,10 @@ def render(
     started = time.perf_counter()
     mi = load_mitsuba()
     renderings = []
-    for number, view in enumerate(scene.projectors):
+    for view in scene.projectors:
         loaded = mitsuba_scene(mi, replace(scene, projector=view), size, projector)
         about = (mi, loaded, size, projector, scene.max_depth, channels, samples, seed)
-        shown = progress and partial(_of_several, progress, number, len(scene.projectors))
-        renderings.append(_Rendering(*about, shown))
+        renderings.append(_Rendering(*about, progress))
     rendering = renderings[0]
     most = min(rendering.pixels, samples * scene.max_depth)
     if needed_bytes(size, channels, most) > available_bytes():
@@ -356,10 +355,6 @@ def render(
         geometry, projector = None, (several * projector[0], projector[1])
     camera_shape = (*size, 3) if colour else size
     return Truth(matrix, direct, camera_shape, projector, metadata, geometry)
-
-
-def _of_several(progress: Progress, number: int, count: int, done: int, total: int) -> None:
-    progress(number * total + done, count * total)
 
 
 @dataclass

@@ -96,18 +96,12 @@ class SimulatedCapture(Capture):
         decoder = self.decoder
         black = decoder.black_frame
         write_capture(
-            folder,
-            self.patterns,
-            (self.frames.read(k) for k in range(self.count)),
-            sensor=self.sensor,
-            camera_shape=self.frames.shape,
+            folder, self.patterns, (self.frames.read(k) for k in range(self.count)),
+            sensor=self.sensor, camera_shape=self.frames.shape,
             black=None if black is None else black.reshape(self.frames.shape),
-            black_exposure=decoder.black_exposure,
-            provenance=self.provenance,
-            projectors=self.projectors,
-            write_extras=save_truth,
-            overwrite=overwrite,
-        )
+            black_exposure=decoder.black_exposure, provenance=self.provenance,
+            projectors=self.projectors, write_extras=save_truth, overwrite=overwrite,
+        )  # fmt: skip
 
     def crop(self, corner: tuple[int, int], shape: tuple[int, int]) -> SimulatedCapture:
         """A rectangle of the photographs, and the rows of the truth that belong to it."""
@@ -236,20 +230,16 @@ def simulate(
         exposure_sequence(exposures, patterns), as_float(black_level), noise, shot_noise, bits
     )
     realism.check_realism(
-        patterns.shape,
-        blur=blur,
-        camera_blur=camera_blur,
-        vignetting=vignetting,
-        leak=leak,
+        patterns.shape, blur=blur, camera_blur=camera_blur, vignetting=vignetting, leak=leak,
         ambient=ambient,
-    )
+    )  # fmt: skip
     wrong = Faults(faults or {}, seed)
     if wrong.black_exposure != 1 and not (leak or ambient):
         raise InputError(
             "a fault black without a black frame", hint="add room light too, such as ambient=0.05"
         )
     shape = patterns.primary_shape if isinstance(patterns, ColourPatterns) else patterns.shape
-    several = 1 if isinstance(scene, Truth) else library.projectors_of(scene)
+    several = 1 if isinstance(scene, Truth) else library.devices_of(scene).projectors
     if shape[0] % several:
         raise InputError(
             f"patterns of {shape[0]} rows for {several} projectors, one above the other",

@@ -97,14 +97,10 @@ def save(path: str | Path, transport: LightTransport, *, overwrite: bool = False
     transport = replace(transport)
     rows = SparseRows(transport.sparse, transport.background, transport.diagnostics)
     save_rows(
-        path,
-        [rows],
-        camera_shape=transport.camera_shape,
-        projector_shape=transport.projector_shape,
-        background_grid=transport.background_grid,
-        provenance=transport.provenance,
-        overwrite=overwrite,
-    )
+        path, [rows], camera_shape=transport.camera_shape,
+        projector_shape=transport.projector_shape, background_grid=transport.background_grid,
+        provenance=transport.provenance, overwrite=overwrite,
+    )  # fmt: skip
 
 
 def save_rows(
@@ -504,14 +500,9 @@ class StoredTransport(TransportOperator):
     def _in_memory(self, rows: SparseRows, camera_shape: tuple[int, ...]) -> LightTransport:
         with as_damage_error(self.place, self.remedy):
             return LightTransport(
-                rows.coefficients,
-                rows.background,
-                camera_shape,
-                self.projector_shape,
-                self.background_grid,
-                rows.diagnostics,
-                self.provenance,
-            )
+                rows.coefficients, rows.background, camera_shape, self.projector_shape,
+                self.background_grid, rows.diagnostics, self.provenance,
+            )  # fmt: skip
 
     @cached_property
     def _indptr(self) -> NDArray[np.int64]:

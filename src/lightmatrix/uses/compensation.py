@@ -494,13 +494,9 @@ class Compensator:
         scale = brightness * float(self.white_point[: len(self._channels)].mean())
         shape = self.light.camera_shape
         return Compensation(
-            self.light.split(pattern),
-            predicted.reshape(shape),
-            target.reshape(shape),
-            scale,
-            brightness,
-            reach.reshape(shape),
-        )
+            self.light.split(pattern), predicted.reshape(shape), target.reshape(shape), scale,
+            brightness, reach.reshape(shape),
+        )  # fmt: skip
 
 
 def compensator(

@@ -506,20 +506,11 @@ class Neighbourhood:
         wider = np.full(self.atoms.planes, constants.wider_spot, np.float32)
         wider[0] = constants.wider_pixel
         indptr, atoms, penalties = _core.likely_pixels(
-            self.rows.coefficients,
-            self.camera,
-            self.projector,
-            self.jacobian,
-            self.atoms.spots,
-            constants.within_at_first if first else constants.within,
-            wider,
-            np.ones(self.rows.count, np.float32) if first else self.singles,
-            reach,
-            most,
-            trust * self._independence(known, rows),
-            (0, self.rows.count),
-            rows,
-        )
+            self.rows.coefficients, self.camera, self.projector, self.jacobian, self.atoms.spots,
+            constants.within_at_first if first else constants.within, wider,
+            np.ones(self.rows.count, np.float32) if first else self.singles, reach, most,
+            trust * self._independence(known, rows), (0, self.rows.count), rows,
+        )  # fmt: skip
         return Candidates(indptr, atoms, penalties)
 
     def _independence(

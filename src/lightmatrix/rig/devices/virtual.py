@@ -28,8 +28,6 @@ class VirtualSettings:
     scene: str
     # Pixels along a side of each projector and camera; the bundled scenes have 64.
     size: int = 64
-    # Number of the camera, from 1 on, in scenes that have several.
-    camera: int = 1
     # Refreshes of the projector between `show` and the light.
     delay: float = 2.0
     # Exponent of the projector: light = (grey value / 255) ** gamma.
@@ -52,6 +50,8 @@ class VirtualSettings:
     seed: int = 0
     # 1: real time; 0: the clock of the rig jumps instead of waiting.
     real: int = 1
+    # Number of the camera, in scenes that have several.
+    camera: int = 1
 
     def __post_init__(self) -> None:
         least = {"size": 2, "gamma": 0.1, "camera_gamma": 0.1, "unit": 1e-6}
