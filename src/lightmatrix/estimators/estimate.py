@@ -5,7 +5,7 @@ A tile of rows is solved six calls below it:
 1. `estimate` (here) checks the settings and the capture, and chooses the estimator (`choice.py`).
 2. `Estimator.estimate` (`base.py`) plans the work and opens the checkpoint.
 3. `complete` (`work.py`) goes through the steps of the work and their missing tiles.
-4. A method of `Rounds` (`coherent/rounds.py`) reads the samples of a tile and keeps its rows.
+4. A method of `Rounds` (`coherent/rounds.py`) reads the samples of a tile and returns its rows.
 5. `RowSolver.near` (`coherent/row_solver.py`) sets up the weighted problem of these rows.
 6. `solve_weighted` (`solvers/active_set.py`) hands it to the compiled core.
 
@@ -244,19 +244,19 @@ def _without_faults(
     check: bool,
     first: LightTransport,
 ) -> LightTransport | None:
-    """T without what the rig did, which is told; None if nothing is known of it.
+    """Warn of what the rig did, and return T without it; None if nothing was found.
 
-    What is not `allowed` to be corrected, or cannot be, is found all the same if asked to `check`.
+    With `check`, what may not be corrected, or cannot be, is looked for all the same.
     """
     model, transport = corrected(capture, first, again, allowed)
     for sentence in model.sentences:
         warn(f"rig: {sentence}: corrected")
-    left = [name for name in TERMS if name not in allowed]
+    others = [name for name in TERMS if name not in allowed]
     if prediction_error(first) is None:
-        left = list(TERMS)
-    elif left and RigModel().refined(capture, capture, transport, left) is None:
-        left = []
-    found = rig_findings(capture, findings, left) if check and left else []
+        others = list(TERMS)
+    elif others and RigModel().refined(capture, capture, first, others) is None:
+        others = []
+    found = rig_findings(capture, findings, others) if check and others else []
     if not (model.names or found):
         return None
     warn_of(found)
