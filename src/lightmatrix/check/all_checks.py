@@ -259,7 +259,7 @@ def _check_by_pairs(
         return unrelated
     findings = check_plain_frames(survey, rows, names)
     of_pairs = check_pairs(survey, rows, pairs, names)
-    # One black or spoilt frame, and motion, look like a swap. It is one if the pairs add up once both
+    # One black or spoilt frame, and motion, look like a swap. It is one if pairs add up once both
     # frames are exchanged.
     if disorder and of_pairs and not any("black" in each.message for each in of_pairs):
         order = np.arange(survey.count)
