@@ -57,10 +57,7 @@ def small_scenes() -> Iterator[None]:
 
 # One process at a time can serve a camera on the loopback network, or look for cameras there and
 # find none.
-_TOGETHER = {
-    "tests/rig/test_aravis.py": "gige",
-    "tests/rig/test_devices.py": "gige",
-}
+_TOGETHER = {"tests/rig/test_aravis.py": "gige", "tests/rig/test_devices.py": "gige"}
 
 
 @pytest.hookimpl(optionalhook=True)

@@ -384,9 +384,7 @@ def test_a_scaled_black_frame_requires_a_black_level(tmp_path: Path) -> None:
     # 16 + (20 - 16) * 2 is subtracted.
     samples = Capture.open(place).samples()
     expected = Capture.from_arrays(
-        SETS[0],
-        photographs(SETS[0], Sensor()),
-        Decoder(255, 255, 16, black_frame=np.full(35, 24)),
+        SETS[0], photographs(SETS[0], Sensor()), Decoder(255, 255, 16, black_frame=np.full(35, 24))
     ).samples()
     np.testing.assert_allclose(samples.values, expected.values, atol=1e-6)
 

@@ -17,10 +17,7 @@ from scipy.ndimage import gaussian_filter
 import lightmatrix as lm
 from benchmarks import frame_checks
 from lightmatrix.capture.folder import write_capture
-from lightmatrix.check.all_checks import (
-    check_distinguishable,
-    check_interchanged,
-)
+from lightmatrix.check.all_checks import check_distinguishable, check_interchanged
 from lightmatrix.check.finding import KINDS
 from lightmatrix.check.survey import Survey
 from lightmatrix.cli import main

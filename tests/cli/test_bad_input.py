@@ -95,11 +95,7 @@ def nothing(folder: Path) -> None:
 
 FAULTS: dict[str, tuple[Fault, str, str]] = {
     # ---- the images of a capture
-    "two images swapped": (
-        swap(7, 30),
-        ESTIMATE,
-        "image_0007.png and image_0030.png look swapped",
-    ),
+    "two images swapped": (swap(7, 30), ESTIMATE, "image_0007.png and image_0030.png look swapped"),
     "images of two sizes": (resize(image(9)), ESTIMATE, "is 4 x 4, but image_0000.png is 18 x 22"),
     # ---- its patterns
     "projector binned to 1 x 1": (
@@ -198,10 +194,7 @@ def test_the_capture_without_faults_is_estimated(
 
 
 def test_suspicious_input_is_used_with_a_warning(
-    good: Path,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
+    good: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     folder = tmp_path / "work"
     shutil.copytree(good, folder)

@@ -253,10 +253,7 @@ def _wanted(work: Path) -> Path:
     [
         ("-o x.png", {}),
         ("-o x.npy --brightness 0.4 --gamma 2.2", {"brightness": 0.4, "gamma": 2.2}),
-        (
-            "-o x.tiff --mask {wanted} --black {black}",
-            {"mask": "{wanted}", "ambient": "{black}"},
-        ),
+        ("-o x.tiff --mask {wanted} --black {black}", {"mask": "{wanted}", "ambient": "{black}"}),
     ],
 )
 def test_compensate(
@@ -351,10 +348,7 @@ def test_compensate_on_a_rig(
     [
         ("", "no picture"),
         ("{wanted} --live", "--live for a compensation without"),
-        (
-            "{wanted} --rig virtual:metal --projector-response linear",
-            "--projector-response for",
-        ),
+        ("{wanted} --rig virtual:metal --projector-response linear", "--projector-response for"),
         (". --rig virtual:metal", "a video for a rig"),
         ("{wanted} --brightness 70", "give a share of the light of white, such as 0.7 for 70 %"),
         ("{wanted} --refine 2", "--refine for a compensation without"),

@@ -66,12 +66,9 @@ VALUES: dict[str, dict[str, tuple[str, ...]]] = {
     },
     "patterns blocks --size 8x8 -o new": {"--block": ("0x0", "-1", "x"), "-k": ("0", "9")},
     "patterns mix -k 64 --size 8x8 -o new": {
-        "--mix": ("fine:nan", "fine:-1,4x4:2", "99x99:1", "0x0:1", "fine:0.5,fine:0.5", "²x²:1"),
+        "--mix": ("fine:nan", "fine:-1,4x4:2", "99x99:1", "0x0:1", "fine:0.5,fine:0.5", "²x²:1")
     },
-    RELIGHT: {
-        "--exposure": ("nan", "0", "1e308"),
-        "--gamma": ("nan", "0", "1e-308"),
-    },
+    RELIGHT: {"--exposure": ("nan", "0", "1e308"), "--gamma": ("nan", "0", "1e-308")},
     COMPENSATE: {
         "--brightness": ("nan", "0", "bright"),
         "--exposure": ("nan", "0", "1e308"),

@@ -12,19 +12,7 @@ import pytest
 
 from .case import Case, Prepare, bear
 from .checks import if_accepted, same_matrix, says_not
-from .put import (
-    DEEP,
-    both,
-    cut,
-    described,
-    json_at,
-    json_edit,
-    link,
-    move,
-    pipe,
-    remove,
-    text,
-)
+from .put import DEEP, both, cut, described, json_at, json_edit, link, move, pipe, remove, text
 
 NEEDS = ("capture", "lit", "plain.zarr", "photos", "projected", "black.png", "holiday.jpg")
 ESTIMATE = "estimate capture --no-coherent -o new.zarr"

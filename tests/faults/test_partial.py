@@ -11,20 +11,7 @@ import pytest
 
 from .case import Case, Prepare, bear
 from .checks import holds, if_accepted, same_matrix, says_not
-from .put import (
-    DEEP,
-    both,
-    cut,
-    flip,
-    folder_at,
-    link,
-    move,
-    packed,
-    pipe,
-    remove,
-    text,
-    with_item,
-)
+from .put import DEEP, both, cut, flip, folder_at, link, move, packed, pipe, remove, text, with_item
 from .run import Limits, Ran, SkipError, run
 from .work import TILED
 

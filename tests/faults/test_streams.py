@@ -31,11 +31,7 @@ def _run(words: list[str], folder: Path, **environment: str) -> Ran:
         raise SkipError("the command is not installed")
     try:
         done = subprocess.run(
-            words,
-            cwd=folder,
-            env={**os.environ, **environment},
-            capture_output=True,
-            timeout=HANG,
+            words, cwd=folder, env={**os.environ, **environment}, capture_output=True, timeout=HANG
         )
     except subprocess.TimeoutExpired:
         return Ran(None)

@@ -8,16 +8,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from lightmatrix.simulation.scenes import names, scene
-from lightmatrix.simulation.shapes import (
-    Mesh,
-    ball,
-    box,
-    bracket,
-    l_block,
-    nut,
-    ring,
-    rod,
-)
+from lightmatrix.simulation.shapes import Mesh, ball, box, bracket, l_block, nut, ring, rod
 
 
 def volume(mesh: Mesh) -> float:

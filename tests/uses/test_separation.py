@@ -14,11 +14,7 @@ import lightmatrix as lm
 from lightmatrix.simulation.realism import defocus
 from lightmatrix.simulation.truth import binned
 from lightmatrix.uses import loading
-from lightmatrix.uses.separation import (
-    Separation,
-    crossing_spots,
-    outshone_spots,
-)
+from lightmatrix.uses.separation import Separation, crossing_spots, outshone_spots
 
 SIDE = 40
 
