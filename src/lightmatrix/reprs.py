@@ -106,6 +106,14 @@ def percent(share: float) -> str:
     return f"{digits} %"
 
 
+def amount(size: float) -> str:
+    """A number of bytes of memory or disk space, such as 3.21 GiB or 160 MiB."""
+    units = ["bytes", "KiB", "MiB", "GiB", "TiB"]
+    while size >= 1000 and len(units) > 1:
+        size, units = size / 1024, units[1:]
+    return f"{size:,.0f} {units[0]}" if size >= 100 else f"{size:.3g} {units[0]}"
+
+
 def jsonable(value: Any) -> Any:
     """NumPy numbers and arrays as JSON can hold them; to be the ``default`` of ``json.dumps``."""
     return value.tolist() if hasattr(value, "tolist") else value

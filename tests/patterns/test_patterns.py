@@ -22,7 +22,6 @@ from lightmatrix.patterns.bits import BernoulliPatterns, BitPatterns, with_white
 from lightmatrix.patterns.blocks import BlockPatterns, sampled_pixels
 from lightmatrix.patterns.folder import read_patterns, write_patterns
 from lightmatrix.patterns.hadamard import HadamardPatterns
-from lightmatrix.patterns.inverse import inverse
 from lightmatrix.patterns.making import make_patterns, remake_patterns
 from lightmatrix.patterns.mix import MixedPatterns, default_mix, parse_mix
 from lightmatrix.patterns.pattern_set import ImagePatterns, PatternSet, grid_cells
@@ -386,7 +385,7 @@ def test_levels_are_of_random_patterns_only() -> None:
 )
 def test_samples_of_complete_sets_give_t_and_its_noise(patterns: PatternSet) -> None:
     random = np.random.default_rng(0)
-    found = inverse(patterns)
+    found = patterns.inverted
     assert found is not None
     lit = found.gains > 0
     t = random.random((3, patterns.pixels)) * lit
@@ -407,4 +406,4 @@ def test_samples_of_complete_sets_give_t_and_its_noise(patterns: PatternSet) -> 
     ],
 )
 def test_other_sets_have_no_inverse(patterns: PatternSet) -> None:
-    assert inverse(patterns) is None
+    assert patterns.inverted is None

@@ -89,5 +89,5 @@ def test_texts_that_are_no_amount_of_memory(text: str) -> None:
 def test_a_file_that_fits_no_memory_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(memory, "available_bytes", lambda: 1 << 30)
     check_memory(Path("T.npz"), 1 << 30)
-    with pytest.raises(InputError, match=r"T\.npz: announces 2 GiB of data, 1 GiB of memory"):
+    with pytest.raises(InputError, match=r"T\.npz: takes 2 GiB of memory, 1 GiB are free"):
         check_memory(Path("T.npz"), 2 << 30)

@@ -33,8 +33,8 @@ def test_the_command_and_the_strips_of_the_benchmarks_give_the_same_frames(
 def test_a_truth_that_does_not_fit_is_refused_before_it_is_computed(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr("lightmatrix.simulation.procedural.available_bytes", lambda: 1000)
-    with pytest.raises(InputError, match="T of this scene takes about"):
+    monkeypatch.setattr("lightmatrix.resources.memory.available_bytes", lambda: 1000)
+    with pytest.raises(InputError, match="T of this scene takes"):
         SCENE.truth()
 
 

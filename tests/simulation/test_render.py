@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from lightmatrix.errors import InputError, LightMatrixWarning
+from lightmatrix.resources import memory
 from lightmatrix.simulation import library, renderer
 from lightmatrix.simulation.renderer import needed_bytes, render
 from lightmatrix.simulation.truth import Truth
@@ -112,11 +113,12 @@ def test_impossible_renderings_are_refused(options: dict[str, object], message: 
 @needs_llvm
 def test_memory_is_estimated_from_a_few_rows(monkeypatch: pytest.MonkeyPatch) -> None:
     room = needed_bytes((16, 16), entries=2000)
-    monkeypatch.setattr(renderer, "available_bytes", lambda: room)
+    for module in (renderer, memory):
+        monkeypatch.setattr(module, "available_bytes", lambda: room)
     sparse = render("wall", (16, 16), projector_size=(64, 64), samples=4096)
     assert sparse.matrix.nnz < 256 * 2000
     room = needed_bytes((16, 16), entries=300)
-    with pytest.raises(InputError, match="needs about"):
+    with pytest.raises(InputError, match="camera by 64x64 projector pixels takes"):
         render("corner", (16, 16), projector_size=(64, 64), samples=4096)
     thin = render("corner", (16, 16), projector_size=(64, 64), samples=4096, keep=0.8)
     assert thin.matrix.nnz < 256 * 300

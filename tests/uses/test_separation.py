@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_array, kron
 
 import lightmatrix as lm
+from lightmatrix.resources import memory
 from lightmatrix.simulation.realism import defocus
 from lightmatrix.simulation.truth import binned
-from lightmatrix.uses import loading
 from lightmatrix.uses.separation import Separation, crossing_spots, outshone_spots
 
 SIDE = 40
@@ -216,8 +216,8 @@ def test_a_store_is_loaded_or_refused(tmp_path: Path, monkeypatch: pytest.Monkey
     for source in (stored, tmp_path / "scene.zarr"):
         assert (lm.separate(source).direct.sparse != wanted).nnz == 0
     size = sum(array.bytes for array in stored.arrays.values())
-    monkeypatch.setattr(loading, "available_bytes", lambda: 4 * size)
-    with pytest.raises(lm.InputError, match=r"scene\.zarr: takes .* GiB of memory") as refused:
+    monkeypatch.setattr(memory, "available_bytes", lambda: 4 * size)
+    with pytest.raises(lm.InputError, match=r"scene\.zarr: takes .* KiB of memory") as refused:
         lm.separate(stored)
     assert "crop" in (refused.value.hint or "")
     # What the message advises works.

@@ -56,14 +56,6 @@ class Plan:
         """Everything that the result depends on."""
         return {**self.provenance, "capture": self.work.capture.digest}
 
-    @property
-    def least_disk_bytes(self) -> int:
-        """Bytes that tiles and output take on disk, with few entries in each row."""
-        cells = self.background_grid[0] * self.background_grid[1]
-        # The tiles are kept until the compressed output is complete.
-        # Most rows of T have more than 16 entries, so the check refuses only what cannot fit.
-        return (6 * cells + 8 * 16 + 40) * self.work.capture.rows
-
 
 class Estimator(ABC):
     """From a capture to its light transport matrix, in one way."""
@@ -132,8 +124,11 @@ class Estimator(ABC):
                 complete(plan.work, tiles, progress, pool)
                 transport = _joined(tiles, shapes)
                 return (review and review(transport)) or transport
-            target = final_target(output)
-            check_disk_space(target.parent, plan.least_disk_bytes, output, "at least about")
+            # The tiles are kept until the compressed output is complete. Most rows of T have more
+            # than 16 entries, so the check refuses only what cannot fit.
+            cells = plan.background_grid[0] * plan.background_grid[1]
+            least = (6 * cells + 8 * 16 + 40) * plan.work.capture.rows
+            check_disk_space(final_target(output).parent, least, output, "at least about")
             checkpoint = stack.enter_context(
                 Checkpoint.open(output, plan.fingerprint, overwrite=overwrite)
             )

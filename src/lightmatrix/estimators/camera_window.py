@@ -7,9 +7,6 @@ from numpy.typing import NDArray
 
 from lightmatrix.capture.capture import Capture
 
-# `window_of_levels` takes 64 x 64 camera pixels, enough for the 2,000 rows that tell a response.
-_SIDE = 64
-
 
 def window_of_light(
     capture: Capture, frames: NDArray[np.int64], samples: int
@@ -41,10 +38,11 @@ def mean_image(capture: Capture, frames: NDArray[np.int64]) -> NDArray[np.float3
     return np.concatenate([tile.values.mean(axis=1) for _, tile in tiles])
 
 
-def window_of_levels(capture: Capture, side: int = _SIDE) -> Capture:
+def window_of_levels(capture: Capture, side: int = 64) -> Capture:
     """The capture's window of at most `side` x `side` camera pixels of the most diverse brightness.
 
     Where all pixels are alike, their photographs hold few levels, and do not determine a curve.
+    64 x 64 pixels are enough for the 2,000 rows that tell a response.
     """
     rows, cols = capture.camera_shape[:2]
     high, wide = min(rows, side), min(cols, side)

@@ -23,7 +23,6 @@ from lightmatrix.estimators.multiscale import MultiScaleEstimator
 from lightmatrix.estimators.plain import PlainEstimator
 from lightmatrix.estimators.resource_estimate import ResourceEstimate, estimate_resources
 from lightmatrix.estimators.settings import EstimateSettings
-from lightmatrix.patterns.inverse import inverse
 from lightmatrix.solvers import ActiveSet
 
 # Both ways are tried on about this many camera samples around the middle of the light: a square of
@@ -52,11 +51,8 @@ def choose_estimator(
     if settings.multi_scale:
         return MultiScaleEstimator(solver, regularization, nonnegative, settings.background)
     tile_rows = settings.tile_rows if settings.memory is None else resources.tile_rows
-    if (
-        isinstance(solver, ActiveSet)
-        and settings.may_be_direct
-        and inverse(capture.patterns) is not None
-    ):
+    may_be_direct = isinstance(solver, ActiveSet) and settings.may_be_direct
+    if may_be_direct and capture.patterns.inverted is not None:
         return DirectEstimator(solver, tile_rows=tile_rows)
     row_by_row = PlainEstimator(solver, regularization, nonnegative, settings.background, tile_rows)
     if not (resources.coherent and isinstance(solver, ActiveSet)):

@@ -45,9 +45,6 @@ from lightmatrix.solvers.loop import Progress
 from lightmatrix.transport.matrix import ColourTransport, LightTransport
 from lightmatrix.transport.store import save_colour
 
-# How much of each primary's light reaches each channel of a camera pixel: the gains M.
-
-
 PRIMARIES = len(COLOURS)
 # The mixing before any is measured: filters that pass a quarter of the next primary's light, and a
 # tenth of that after it. Chosen by hand. It needs not be right: the geometry that it gives is a
@@ -136,9 +133,6 @@ def _of_frame(gains: NDArray[np.float64], light: NDArray[np.float32]) -> NDArray
     if not fine.any(axis=0).all():
         return USUAL_MIXING / USUAL_MIXING.sum(axis=1, keepdims=True)
     return np.maximum(np.nanmedian(shares, axis=0), 0)
-
-
-# What a grey camera would have seen: samples under the pattern of each primary by itself.
 
 
 # What keeps the inverse of a mixing regular, relative to gains of about 1. The weight of primaries
@@ -283,7 +277,16 @@ def estimate_colour(
     >>> image = colour.relight(np.ones((64, 64, 3)))  # doctest: +SKIP
     """
     capture = open_capture(capture)
-    patterns = _checked(capture)
+    patterns = capture.patterns
+    if not isinstance(patterns, ColourPatterns) or patterns.grey.all():
+        hint = "use lm.estimate, or `lightmatrix estimate`"
+        raise InputError("the patterns are grey, or of one colour", hint=hint)
+    if capture.camera_shape[2:] != (PRIMARIES,):
+        raise InputError(
+            "patterns of several colours, but a camera without three channels",
+            hint="photograph them with a colour camera; or show and photograph all patterns in "
+            "red, then in green, then in blue, as captures of their own",
+        )
     if capture.projector_unknown or capture.decoder.response.name == AUTOMATIC:
         raise InputError(
             "responses are to be found (auto), which photographs in colour do not allow yet",
@@ -325,50 +328,26 @@ def estimate_colour(
         "estimator": "colour",
         FINDINGS: [finding.as_dict() for finding in findings],
     }
-    clipped = samples.clipped.mean(axis=2, dtype=np.float32).ravel()
-    red, green, blue = (
-        _of_primary(geometry, gains[..., number], name, clipped, provenance)
-        for number, name in enumerate(COLOURS)
-    )
-    colour = ColourTransport(red, green, blue)
+    # Of each primary the geometry, three times a camera pixel, times the gains (n, 3).
+    pixel = np.repeat(np.arange(samples.pixels), PRIMARIES)
+    diagnostics = {key: values[pixel] for key, values in geometry.diagnostics.items()}
+    diagnostics["clipped_share"] = samples.clipped.mean(axis=2, dtype=np.float32).ravel()
+    parts = []
+    for number, name in enumerate(COLOURS):
+        factors = gains[..., number].ravel().astype(np.float32)
+        sparse = geometry.sparse[pixel]
+        sparse.data *= np.repeat(factors, np.diff(sparse.indptr))
+        parts.append(
+            replace(
+                geometry,
+                sparse=sparse,
+                background=geometry.background[pixel] * factors[:, None],
+                camera_shape=capture.camera_shape,
+                diagnostics=diagnostics,
+                provenance={**provenance, "primary": name},
+            )
+        )
+    colour = ColourTransport(*parts)
     if output is not None:
         save_colour(output, colour, overwrite=overwrite)
     return colour
-
-
-def _checked(capture: Capture) -> ColourPatterns:
-    """The patterns, if they and the camera are in colour."""
-    patterns = capture.patterns
-    if not isinstance(patterns, ColourPatterns) or patterns.grey.all():
-        hint = "use lm.estimate, or `lightmatrix estimate`"
-        raise InputError("the patterns are grey, or of one colour", hint=hint)
-    if capture.camera_shape[2:] != (PRIMARIES,):
-        raise InputError(
-            "patterns of several colours, but a camera without three channels",
-            hint="photograph them with a colour camera; or show and photograph all patterns in "
-            "red, then in green, then in blue, as captures of their own",
-        )
-    return patterns
-
-
-def _of_primary(
-    geometry: LightTransport,
-    gains: NDArray[np.float64],
-    name: str,
-    clipped: NDArray[np.float32],
-    provenance: dict[str, object],
-) -> LightTransport:
-    """T of one primary: the geometry, three times a camera pixel, times the gains (n, 3)."""
-    factors = gains.ravel().astype(np.float32)
-    pixel = np.repeat(np.arange(len(gains)), PRIMARIES)
-    sparse = geometry.sparse[pixel]
-    sparse.data *= np.repeat(factors, np.diff(sparse.indptr))
-    diagnostics = {key: values[pixel] for key, values in geometry.diagnostics.items()}
-    return replace(
-        geometry,
-        sparse=sparse,
-        background=geometry.background[pixel] * factors[:, None],
-        camera_shape=(*geometry.camera_shape, PRIMARIES),
-        diagnostics={**diagnostics, "clipped_share": clipped},
-        provenance={**provenance, "primary": name},
-    )

@@ -21,7 +21,7 @@ from lightmatrix.estimators.base import Plan
 from lightmatrix.estimators.certainty import with_certainty
 from lightmatrix.estimators.plain import PlainEstimator, PlainRows
 from lightmatrix.estimators.work import TILE_BYTES, Work, cut_rows
-from lightmatrix.patterns.inverse import Inverse, inverse
+from lightmatrix.patterns.inverse import Inverse
 from lightmatrix.resources.threads import computed_once
 from lightmatrix.solvers import solve
 from lightmatrix.solvers.loop import Progress
@@ -51,11 +51,10 @@ class DirectEstimator(PlainEstimator):
 
 
 class _Inverted(PlainRows):
-    @computed_once
+    @property
     def inverse(self) -> Inverse:
-        found = inverse(self.capture.patterns)
-        assert found is not None
-        return found
+        assert self.capture.patterns.inverted is not None
+        return self.capture.patterns.inverted
 
     @computed_once
     def noise(self) -> tuple[float, bool]:

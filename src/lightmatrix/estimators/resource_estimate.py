@@ -15,6 +15,7 @@ from lightmatrix.estimators.settings import EstimateSettings
 from lightmatrix.estimators.work import TILE_BYTES
 from lightmatrix.patterns.pattern_set import ImagePatterns, PatternSet
 from lightmatrix.patterns.stripes import stripes_of
+from lightmatrix.reprs import amount
 from lightmatrix.resources.disk import SCRATCH_MEMORY_BYTES
 from lightmatrix.resources.memory import available_bytes
 from lightmatrix.resources.threads import core_threads
@@ -75,9 +76,9 @@ class ResourceEstimate:
 
     def __str__(self) -> str:
         time = "" if self.seconds is None else f", and {_time(self.seconds)}"
-        disk = f", {_gigabytes(self.temporary)} of temporary files" if self.temporary else ""
+        disk = f", {amount(self.temporary)} of temporary files" if self.temporary else ""
         shared = f" ({self.workers} workers)" if self.workers > 1 else ""
-        return f"up to {_gigabytes(self.memory)} of memory{shared}{disk}{time}"
+        return f"up to {amount(self.memory)} of memory{shared}{disk}{time}"
 
     def check(self) -> None:
         """Refuse an estimate that does not fit into memory.
@@ -89,8 +90,8 @@ class ResourceEstimate:
         """
         if not self.fits:
             raise InputError(
-                f"the estimate takes up to {_gigabytes(self.memory)} of memory, "
-                f"{_gigabytes(self.available)} are {'allowed' if self.limited else 'free'}",
+                f"the estimate takes up to {amount(self.memory)} of memory, "
+                f"{amount(self.available)} are {'allowed' if self.limited else 'free'}",
                 hint=self.advice,
             )
 
@@ -245,8 +246,3 @@ def _time(seconds: float) -> str:
         if seconds < limit:
             return word
     return "days"
-
-
-def _gigabytes(size: int) -> str:
-    gigabytes = size / 2**30
-    return f"{gigabytes:.2g} GiB" if gigabytes < 10 else f"{gigabytes:,.0f} GiB"

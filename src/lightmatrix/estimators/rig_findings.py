@@ -19,10 +19,8 @@ from lightmatrix.estimators.camera_window import window_of_levels
 from lightmatrix.estimators.choice import choose_estimator
 from lightmatrix.estimators.corrected import corrected
 from lightmatrix.patterns.colour import ColourPatterns
-from lightmatrix.patterns.inverse import inverse
 from lightmatrix.patterns.pattern_set import PatternSet
 from lightmatrix.patterns.stripes import is_separable
-from lightmatrix.rig_model.model import RigModel
 from lightmatrix.rig_model.terms import TERMS
 
 # After these findings T cannot be estimated, or it shows them in place of what the rig did.
@@ -103,7 +101,7 @@ def rig_findings(
         or isinstance(patterns, ColourPatterns)
         or is_separable(patterns)
         # A T that the photographs determine explains whatever the rig does.
-        or inverse(patterns) is not None
+        or patterns.inverted is not None
     ):
         return []
     if "jpeg" in kinds:
@@ -123,14 +121,6 @@ def rig_findings(
         model, _ = corrected(part, estimator.estimate(part), estimator.estimate, terms)
     except InputError:
         return []
-    return [each for each in findings_of(model) if each.kind not in kinds | unknown]
-
-
-def findings_of(model: RigModel) -> list[Finding]:
-    """What a rig did, a finding for each term."""
-    findings = []
-    for name, values in model.values.items():
-        term = TERMS[name]()
-        sentence, advice = term.sentence(values), term.advice
-        findings.append(Finding(term.label_of(values), (), sentence, advice))
-    return findings
+    terms_found = [(TERMS[name](), values) for name, values in model.values.items()]
+    found = [Finding(t.label_of(v), (), t.sentence(v), t.advice) for t, v in terms_found]
+    return [each for each in found if each.kind not in kinds | unknown]

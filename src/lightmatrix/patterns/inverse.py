@@ -4,14 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lightmatrix.defaults import COHERENT_UP_TO
-from lightmatrix.patterns.hadamard import HadamardPatterns
-from lightmatrix.patterns.pattern_set import PatternSet
+
+if TYPE_CHECKING:
+    from lightmatrix.patterns.pattern_set import PatternSet
 
 Floats = NDArray[np.float64]
 
@@ -29,7 +30,7 @@ class Inverse:
     lone: bool = False
 
 
-def inverse(patterns: PatternSet) -> Inverse | None:
+def inverse_of(patterns: PatternSet) -> Inverse | None:
     """The inverse of patterns that light one pixel each, and of as many as pixels or more.
 
     None if least squares amplify the noise by far more than orthogonal patterns do.
@@ -38,8 +39,8 @@ def inverse(patterns: PatternSet) -> Inverse | None:
         lit = patterns.squares > 0
         scale = np.where(lit, 1 / np.where(lit, patterns.squares, 1), 0)
         return Inverse(lambda y: patterns.adjoint(y) * scale, np.sqrt(scale), lone=True)
-    if isinstance(patterns, HadamardPatterns) and patterns.count == patterns.transform_size:
-        return _hadamard(patterns)
+    if patterns.transform is not None and patterns.count == patterns.transform[0]:
+        return _hadamard(patterns, *patterns.transform)
     # Beyond these sizes the inverse takes minutes and gigabytes.
     if not patterns.pixels <= patterns.count <= (1 << 25) // patterns.pixels:
         return None
@@ -69,9 +70,11 @@ def lights_one(patterns: PatternSet) -> bool:
     return all(bool((np.count_nonzero(part, axis=1) <= 1).all()) for _, part in patterns.chunks())
 
 
-def _hadamard(patterns: HadamardPatterns) -> Inverse:
-    """The fast inverse of a complete set, one of which is white."""
-    size, white = patterns.transform_size, int(np.flatnonzero(patterns.selected == 0)[0])
+def _hadamard(
+    patterns: PatternSet, size: int, selected: NDArray[np.int64], position: NDArray[np.int64]
+) -> Inverse:
+    """The fast inverse of a complete set, one of which is white; see `PatternSet.transform`."""
+    white = int(np.flatnonzero(selected == 0)[0])
 
     def solve(samples: NDArray[Any]) -> Floats:
         signed = 2.0 * samples - samples[:, [white]]
@@ -79,5 +82,5 @@ def _hadamard(patterns: HadamardPatterns) -> Inverse:
         return np.asarray(back / size)
 
     # The pixel that all patterns light is known from the difference of sums only.
-    gains = np.where(patterns.position == 0, 1.0, 2 / np.sqrt(size))
+    gains = np.where(position == 0, 1.0, 2 / np.sqrt(size))
     return Inverse(solve, gains)

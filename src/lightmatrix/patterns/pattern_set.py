@@ -25,6 +25,7 @@ from scipy.ndimage import convolve
 
 from lightmatrix import _core
 from lightmatrix.errors import InputError
+from lightmatrix.patterns.inverse import Inverse, inverse_of
 from lightmatrix.ranges import check_sides, check_whole, real_array
 from lightmatrix.reprs import jsonable, short_repr
 from lightmatrix.resources.threads import computed_once, work_ahead
@@ -361,6 +362,11 @@ class PatternSet(ABC):
                 return None
             packed.append(np.packbits(lit, axis=1, bitorder="little"))
         return np.concatenate(packed)
+
+    @computed_once
+    def inverted(self) -> Inverse | None:
+        """How T follows from samples, if the patterns determine it; else None."""
+        return inverse_of(self)
 
     @computed_once
     def prepared(self) -> _core.PreparedPatterns:

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lightmatrix.errors import OutputError
+from lightmatrix.reprs import amount
 
 # Arrays of up to 2 GiB are held in memory, larger ones in a temporary file. Chosen by hand: less
 # writes the samples of ordinary captures to disk, more leaves small machines no memory to solve in.
@@ -29,7 +30,7 @@ def check_disk_space(folder: Path, needed: int, output: str | Path, words: str =
         return
     if needed > free:
         raise OutputError(
-            f"{output}: takes {words} {needed / 2**30:.3g} GiB, {free / 2**30:.3g} GiB are free",
+            f"{output}: takes {words} {amount(needed)}, {amount(free)} are free",
             hint="free some space, or choose a folder on another disk",
         )
 
@@ -52,7 +53,7 @@ def scratch_array(
     try:
         free = shutil.disk_usage(place).free
         if free < size:
-            raise OSError(f"{free / 2**30:.1f} GiB free")
+            raise OSError(f"{amount(free)} are free")
         with tempfile.TemporaryFile(dir=place) as file:
             # A hole in the file would kill the process when the disk is full at its first use.
             if hasattr(os, "posix_fallocate"):
@@ -64,7 +65,6 @@ def scratch_array(
     except OSError as error:
         other = "choose a folder on another disk" if folder else "set TMPDIR to a larger disk"
         raise OutputError(
-            f"{place}: no space for {size / 2**30:.1f} GiB of temporary data "
-            f"({error.strerror or error})",
+            f"{place}: no space for {amount(size)} of temporary data ({error.strerror or error})",
             hint=f"{other}, or bin the camera's pixels",
         ) from error

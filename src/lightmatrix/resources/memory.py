@@ -9,6 +9,7 @@ from pathlib import Path
 import psutil
 
 from lightmatrix.errors import InputError
+from lightmatrix.reprs import amount
 
 # Bytes of each unit, by its name in lower case.
 UNITS = {"mb": 10**6, "gb": 10**9, "tb": 10**12, "mib": 2**20, "gib": 2**30, "tib": 2**40}
@@ -36,14 +37,13 @@ def memory_bytes(text: str) -> int:
     return int(amount)
 
 
-def check_memory(file: Path, needed: int) -> None:
-    """Refuse to read a file whose content, perhaps compressed, exceeds the free memory."""
-    available = available_bytes()
-    if needed > available:
+def check_memory(what: Path | str, needed: float, hint: str | None = None) -> None:
+    """Refuse what exceeds the free memory, such as a file by its content before it is read."""
+    if needed > (free := available_bytes()):
+        subject = f"{what}:" if isinstance(what, Path) else what
         raise InputError(
-            f"{file}: announces {needed / 2**30:.3g} GiB of data, {available / 2**30:.3g} GiB of "
-            "memory are free",
-            hint="if the file is intact, read it on a machine with more memory",
+            f"{subject} takes {amount(needed)} of memory, {amount(free)} are free",
+            hint=hint or "if the file is intact, read it on a machine with more memory",
         )
 
 

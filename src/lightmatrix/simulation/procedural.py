@@ -19,7 +19,7 @@ from scipy.sparse import csr_array
 from lightmatrix.defaults import PROCEDURAL
 from lightmatrix.errors import InputError
 from lightmatrix.ranges import as_float, check_seed, check_sides
-from lightmatrix.resources.memory import available_bytes
+from lightmatrix.resources.memory import check_memory
 from lightmatrix.simulation.truth import Truth
 from lightmatrix.transport.sparse_rows import stack_rows
 
@@ -132,12 +132,8 @@ class ProceduralScene:
         entries = 4 + self.bounces * bool(self.indirect) + _GLOW_ENTRIES * bool(self.background)
         # Column, value and direct part, 4 bytes each, exist twice while blocks are joined.
         needed = 24 * math.prod(self.camera_shape) * entries
-        if needed > (free := available_bytes()):
-            raise InputError(
-                f"T of this scene takes about {needed / 2**30:.3g} GiB of memory, "
-                f"{free / 2**30:.3g} GiB are free",
-                hint="make the camera smaller, or take its rows in parts: `rows` and `blocks`",
-            )
+        hint = "make the camera smaller, or take its rows in parts: `rows` and `blocks`"
+        check_memory("T of this scene", needed, hint)
         parts = list(self.blocks())
         matrix = stack_rows([part for _, part, _ in parts])
         direct = np.concatenate([straight for _, _, straight in parts])

@@ -21,7 +21,7 @@ from scipy.sparse import csr_array
 
 from lightmatrix.errors import InputError, MissingExtraError
 from lightmatrix.ranges import check_seed, check_sides
-from lightmatrix.resources.memory import available_bytes
+from lightmatrix.resources.memory import available_bytes, check_memory
 from lightmatrix.simulation.scenes import Part, Scene, View
 from lightmatrix.simulation.scenes import scene as find_scene
 from lightmatrix.simulation.thinning import joined, thinned_in_steps
@@ -179,21 +179,6 @@ def needed_bytes(size: tuple[int, int], channels: int = 1, entries: int = 1) -> 
     return (256 << 20) + WAVEFRONT * (200 + 20 * 40) + size[0] * size[1] * channels * entries * 24
 
 
-def check_memory(
-    size: tuple[int, int], projector: tuple[int, int], channels: int, entries: int = 1
-) -> None:
-    """Raise InputError if a rendering would not fit."""
-    available = available_bytes()
-    needed = needed_bytes(size, channels, entries)
-    if needed > available:
-        raise InputError(
-            f"rendering {size[0]}x{size[1]} camera by {projector[0]}x{projector[1]} projector "
-            f"pixels needs about {needed / 2**30:.1f} GiB, {available / 2**30:.1f} GiB are free",
-            hint="use a smaller size"
-            + (", fewer samples, or keep a smaller share of the light" if entries > 1 else ""),
-        )
-
-
 # Light paths from the camera, each vertex of which is connected to the projector.
 #
 # The whole of T comes from one pass. At each surface point of a path, the light that arrives
@@ -304,21 +289,25 @@ def render(
         raise InputError(f"{samples} samples a pixel", hint="use at least 2, better 1024 or more")
     if not 0 < keep <= 1:
         raise InputError(f"keep is {keep}", hint="use a share of the energy such as 0.999")
-    check_memory(size, projector, 3 if colour else 1)
+    channels = 3 if colour else 1
+    words = "a rendering of {}x{} camera by {}x{} projector pixels".format(*size, *projector)
+    check_memory(words, needed_bytes(size, channels), "use a smaller size")
     started = time.perf_counter()
     mi = load_mitsuba()
     loaded = mitsuba_scene(mi, scene, size, projector)
-    about = (mi, loaded, size, projector, scene.max_depth, 3 if colour else 1, samples, seed)
+    about = (mi, loaded, size, projector, scene.max_depth, channels, samples, seed)
     rendering = _Rendering(*about, progress)
     most = min(rendering.pixels, samples * scene.max_depth)
-    if needed_bytes(size, rendering.channels, most) > available_bytes():
+    if needed_bytes(size, channels, most) > available_bytes():
         # The size of the result is estimated from a few camera pixels, with a margin of 30 %: they
         # cost little beside a rendering that might not fit.
         pixels = np.unique(np.linspace(0, size[0] * size[1] - 1, 24).astype(int))
         pilot = _Rendering(*about)
         thin = [thinned_in_steps(*pilot.rows(int(pixel), 1), keep)[0] for pixel in pixels]
-        entries = 1.3 * float(np.mean([part.nnz for part in thin])) / rendering.channels
-        check_memory(size, projector, rendering.channels, int(min(most, entries)))
+        entries = 1.3 * float(np.mean([part.nnz for part in thin])) / channels
+        needed = needed_bytes(size, channels, int(min(most, entries)))
+        hint = "use a smaller size, fewer samples, or keep a smaller share of the light"
+        check_memory(words, needed, hint)
     matrix, direct = rendering.matrix(keep)
     # At exposure 1, a fifth of the rows clip under their strongest single pixel.
     level = float(np.quantile(matrix.max(axis=1).toarray(), 0.8))

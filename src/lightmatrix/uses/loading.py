@@ -7,7 +7,7 @@ from pathlib import Path
 from lightmatrix.errors import InputError
 from lightmatrix.paths import as_path
 from lightmatrix.ranges import check_finite
-from lightmatrix.resources.memory import available_bytes
+from lightmatrix.resources.memory import check_memory
 from lightmatrix.transport import store
 from lightmatrix.transport.matrix import LightTransport
 
@@ -33,12 +33,11 @@ def loaded(source: Transport, times: float) -> LightTransport:
         # Nothing is kept: the matrix is loaded whole below.
         source = store.StoredTransport.open(source, memory=0)
     needed = times * sum(array.bytes for array in source.arrays.values())
-    free = available_bytes()
-    if needed > free:
-        raise InputError(
-            f"{source.place}: takes {needed / 2**30:.3g} GiB of memory, "
-            f"{free / 2**30:.3g} GiB are free, and all of the matrix is needed at once",
-            hint="take a part of the camera (lm.StoredTransport.open(...).crop), estimate with "
-            "the camera's pixels binned, or use a machine with more memory",
-        )
+    check_memory(
+        source.place,
+        needed,
+        "all of the matrix is needed at once: take a part of the camera "
+        "(lm.StoredTransport.open(...).crop), estimate with the camera's pixels binned, or use a "
+        "machine with more memory",
+    )
     return source.load()
