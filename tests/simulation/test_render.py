@@ -124,7 +124,7 @@ def test_memory_is_estimated_from_a_few_rows(monkeypatch: pytest.MonkeyPatch) ->
     assert thin.matrix.nnz < 256 * 300
     # The paths in flight take this much whatever the size.
     room = 1 << 30
-    with pytest.raises(InputError, match=r"needs about .* GiB"):
+    with pytest.raises(InputError, match=r"takes .* GiB of memory"):
         render("wall", (2, 2))
 
 

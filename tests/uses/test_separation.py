@@ -217,7 +217,7 @@ def test_a_store_is_loaded_or_refused(tmp_path: Path, monkeypatch: pytest.Monkey
         assert (lm.separate(source).direct.sparse != wanted).nnz == 0
     size = sum(array.bytes for array in stored.arrays.values())
     monkeypatch.setattr(memory, "available_bytes", lambda: 4 * size)
-    with pytest.raises(lm.InputError, match=r"scene\.zarr: takes .* KiB of memory") as refused:
+    with pytest.raises(lm.InputError, match=r"scene\.zarr: takes .* MiB of memory") as refused:
         lm.separate(stored)
     assert "crop" in (refused.value.hint or "")
     # What the message advises works.
