@@ -111,7 +111,8 @@ _reporting = functools.partial(Option, rich_help_panel="Check and report")
         metavar="auto|none|NAME,...",
         help="Which faults of the rig to look for in the photographs and to take out of T: all, "
         "none, or some of gain, exposure, ambient, shift, rows, previous, camera-curve, "
-        "projector-curve, crosstalk, sharpening, camera-sharpening, dynamic-contrast.",
+        "projector-curve, crosstalk, sharpening, camera-sharpening, dynamic-contrast, "
+        "tone-mapping, black.",
     ),
     report=Option(
         metavar="DIR",
@@ -245,15 +246,10 @@ def _check_report(
     output: Path, report: Path | None, viewer: bool, geometry: Path | None, *, overwrite: bool
 ) -> None:
     """Refuse a viewer and a geometry without the report, and a report that cannot be written."""
-    if viewer and report is None:
-        hint = "add --report, or run `lightmatrix view --export` on the estimate"
-        raise InputError("--viewer without --report", hint=hint)
-    if geometry is not None and report is None:
-        raise InputError(
-            "--geometry without --report",
-            hint="add --report, which shows depth and normals; or run `lightmatrix triangulate` "
-            "on the estimate",
-        )
+    for name, given in (("--viewer", viewer), ("--geometry", geometry)):
+        if given and report is None:
+            hint = "add --report; or run `lightmatrix view` or `triangulate` on the estimate"
+            raise InputError(f"{name} without --report", hint=hint)
     if report is not None and output.absolute() in (report.absolute(), *report.absolute().parents):
         raise InputError(
             f"{report}: is where the estimate goes", hint="choose another folder for the report"
