@@ -5,7 +5,7 @@ A tile of rows is solved six calls below it:
 1. `estimate` (here) checks the settings and the capture, and chooses the estimator (`choice.py`).
 2. `Estimator.estimate` (`base.py`) plans the work and opens the checkpoint.
 3. `complete` (`work.py`) goes through the steps of the work and their missing tiles.
-4. A method of `Rounds` (`coherent/rounds.py`) reads the samples of a tile and keeps its rows.
+4. A method of `Rounds` (`coherent/rounds.py`) reads the samples of a tile and returns its rows.
 5. `RowSolver.near` (`coherent/row_solver.py`) sets up the weighted problem of these rows.
 6. `solve_weighted` (`solvers/active_set.py`) hands it to the compiled core.
 
@@ -236,7 +236,7 @@ def estimate(
                 left = [name for name in TERMS if name not in allowed]
                 if prediction_error(first) is None:
                     left = list(TERMS)
-                elif left and RigModel().refined(capture, capture, transport, left) is None:
+                elif left and RigModel().refined(capture, capture, first, left) is None:
                     left = []
                 found = rig_findings(capture, findings, left) if check and left else []
                 if not (model.names or found):
