@@ -47,16 +47,9 @@ def triangulate(
     camera pixel sees: an npz of x and y, NAME-x.png and NAME-y.png of 16 bits, or an EXR image.
     """
     shape = lm.triangulate(
-        scene,
-        geometry,
-        tolerance=tolerance,
-        least_probability=least_probability,
-        output=output,
-        depth=depth,
-        picture=picture,
-        mesh=mesh,
-        overwrite=overwrite,
-    )
+        scene, geometry, tolerance=tolerance, least_probability=least_probability, output=output,
+        depth=depth, picture=picture, mesh=mesh, overwrite=overwrite,
+    )  # fmt: skip
     summary = shape.summary()
     units = f" {shape.geometry.units}" if shape.geometry.units else ""
     share = summary["points"] / shape.kept.size

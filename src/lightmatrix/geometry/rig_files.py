@@ -143,8 +143,11 @@ def _plain(content: Values) -> dict[str, Array]:
 
 def _ours(contents: Contents) -> Values | None:
     (file, content), *more = contents.items()
-    if more or content.get("format") != GEOMETRY_FORMAT:
+    if more or not str(content.get("format")).startswith("lightmatrix-"):
         return None
+    if content["format"] != GEOMETRY_FORMAT:
+        hint = "give a file of `lightmatrix calibrate`"
+        raise InputError(f"{file}: is not a {GEOMETRY_FORMAT} file", hint=hint)
     check_version(file, content.get("version"), VERSION)
     return content
 

@@ -243,14 +243,6 @@ class Shape:
         Its distance from the line, in projector pixels.
     geometry : RigGeometry
         Of images of these sizes.
-
-    Examples
-    --------
-    >>> import lightmatrix as lm
-    >>> known = lm.truth("l_objects")
-    >>> shape = lm.triangulate(known.transport(), known.geometry)
-    >>> bool(np.nanmedian(np.abs(shape.depth - known.depth)) < 0.01)
-    True
     """
 
     depth: NDArray[np.float32]
