@@ -287,19 +287,12 @@ class RigGeometry:
 
     @classmethod
     def from_intrinsics(
-        cls,
-        camera_intrinsics: ArrayLike,
-        projector_intrinsics: ArrayLike,
-        rotation: ArrayLike,
-        translation: ArrayLike,
-        camera_shape: Shape,
-        projector_shape: Shape,
-        *,
+        cls, camera_intrinsics: ArrayLike, projector_intrinsics: ArrayLike, rotation: ArrayLike,
+        translation: ArrayLike, camera_shape: Shape, projector_shape: Shape, *,
         camera_distortion: ArrayLike = (0, 0, 0, 0, 0),
         projector_distortion: ArrayLike = (0, 0, 0, 0, 0),
-        units: str | None = None,
-        rms: Mapping[str, float] | None = None,
-    ) -> Self:
+        units: str | None = None, rms: Mapping[str, float] | None = None,
+    ) -> Self:  # fmt: skip
         """The geometry in the camera's frame: x to the right, y down, z forwards.
 
         Parameters

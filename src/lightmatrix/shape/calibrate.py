@@ -246,12 +246,9 @@ def fit_stereo(
 
 
 def _fit(
-    poses: Sequence[BoardCorners],
-    points: Array,
-    used: NDArray[np.bool_],
-    camera_shape: Shape,
+    poses: Sequence[BoardCorners], points: Array, used: NDArray[np.bool_], camera_shape: Shape,
     projector_shape: Shape,
-) -> StereoFit:
+) -> StereoFit:  # fmt: skip
     """One fit to the corners that count."""
     cv2 = load_opencv("calibrating a rig", "shape")
     # Five poses do not support more than two coefficients of radial distortion, so tangential terms
@@ -368,24 +365,17 @@ class RigCalibration:
     def as_dict(self) -> dict[str, Any]:
         """The residuals, JSON-ready."""
         poses = [
-            {
-                "pose": pose.name,
-                "corners": int(pose.used.sum()),
-                "rms_camera": round(pose.rms_camera, 4),
-                "rms_projector": round(pose.rms_projector, 4),
-            }
+            {"pose": pose.name, "corners": int(pose.used.sum()),
+             "rms_camera": round(pose.rms_camera, 4), "rms_projector": round(pose.rms_projector, 4)}
             for pose in self.poses
-        ]
+        ]  # fmt: skip
+        rms = {f"rms_{name}": round(value, 4) for name, value in self.geometry.rms.items()}
+        total = sum(len(pose.used) for pose in self.poses)
         return {
-            **{f"rms_{name}": round(value, 4) for name, value in self.geometry.rms.items()},
-            "corners": self.corners,
-            "of_corners": sum(len(pose.used) for pose in self.poses),
-            "largest_turn": round(self.turn, 1),
-            "baseline": round(self.geometry.baseline, 4),
-            "units": self.geometry.units,
-            "poses": poses,
-            "left_out": dict(self.left_out),
-        }
+            **rms, "corners": self.corners, "of_corners": total, "poses": poses,
+            "largest_turn": round(self.turn, 1), "baseline": round(self.geometry.baseline, 4),
+            "units": self.geometry.units, "left_out": dict(self.left_out),
+        }  # fmt: skip
 
 
 def calibrate_rig(
@@ -777,14 +767,9 @@ def _centred(focal: float, shape: tuple[int, int]) -> Array:
 
 
 def _pose(
-    fundamental: Array,
-    seen: Array,
-    lit: Array,
-    camera: Array,
-    projector: Array | None,
-    projector_shape: tuple[int, int],
-    free: float,
-) -> tuple[tuple[Array, Array, Array], float]:
+    fundamental: Array, seen: Array, lit: Array, camera: Array, projector: Array | None,
+    projector_shape: Shape, free: float,
+) -> tuple[tuple[Array, Array, Array], float]:  # fmt: skip
     """K of the projector, R and t of length 1, that bring the matches nearest to their lines.
 
     `free` is how near those of the fundamental matrix come. The standard error of the projector's

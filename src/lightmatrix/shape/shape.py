@@ -99,12 +99,9 @@ def surface_faces(depth: NDArray[np.float32], geometry: RigGeometry) -> NDArray[
 
 
 def write_cloud(
-    part: Path,
-    points: NDArray[np.float32],
-    light: NDArray[np.float32],
-    more: dict[str, NDArray[Any]],
-    faces: NDArray[np.int64] | None = None,
-) -> None:
+    part: Path, points: NDArray[np.float32], light: NDArray[np.float32],
+    more: dict[str, NDArray[Any]], faces: NDArray[np.int64] | None = None,
+) -> None:  # fmt: skip
     """Write the finite ones of points (..., 3), in the format of a file's ending.
 
     `light` (...) becomes grey values, `more` names further columns (...), and `faces` (n, 3) are
