@@ -409,9 +409,10 @@ def test_rendered_scenes_give_the_rig(name: str) -> None:
     known = lm.truth(name)
     exact, transport = known.geometry, known.transport()
     assert exact is not None
-    for projector, most in ((None, 0.3), (exact.projector_intrinsics, 0.1)):
+    ways = ((transport, None, 0.3), (lm.correspondence(transport), exact.projector_intrinsics, 0.1))
+    for source, projector, most in ways:
         rig = lm.self_calibrate(
-            transport,
+            source,
             exact.camera_intrinsics,
             projector_intrinsics=projector,
             baseline=exact.baseline,
@@ -482,7 +483,7 @@ def test_an_axis_beside_the_middle_is_refused_unless_it_is_stated(name: str) -> 
 
 
 def test_a_mirrored_projector_gives_the_same_depth() -> None:
-    known = lm.truth("l_objects")
+    known = lm.truth("corner")
     assert known.geometry is not None
     plain = lm.correspondence(known.transport())
     place = (plain.place * [1, -1] + [0, 63]).astype(np.float32)
