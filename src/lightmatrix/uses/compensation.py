@@ -815,9 +815,8 @@ def cancel_global(
         )
     target = part.relight(shown)
     if not target.any():
-        raise InputError(
-            "the pattern gives no direct light", hint="give a pattern that lights the scene"
-        )
+        hint = "give a pattern that lights the scene"
+        raise InputError("the pattern gives no direct light", hint=hint)
     # The target is made from T, with the same errors, so that no row is trusted less. Twice the
     # usual iterations were chosen by hand.
     shared = replace(compensator(matrix), weigh_errors=False)
