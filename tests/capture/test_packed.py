@@ -41,10 +41,7 @@ def patterns(kind: str) -> PatternSet:
 
 
 def capture(
-    camera: tuple[int, ...] = (5, 7),
-    dtype: Any = np.uint8,
-    kind: str = "bernoulli",
-    **decoder: Any,
+    camera: tuple[int, ...] = (5, 7), dtype: Any = np.uint8, kind: str = "bernoulli", **decoder: Any
 ) -> Capture:
     """Random frames, which hold every level."""
     generator = np.random.default_rng(2)

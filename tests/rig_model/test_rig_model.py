@@ -43,9 +43,7 @@ def intact() -> tuple[SimulatedCapture, lm.LightTransport]:
     return capture, lm.estimate(capture, progress=False)
 
 
-def test_an_intact_capture_gets_no_name(
-    intact: tuple[SimulatedCapture, lm.LightTransport],
-) -> None:
+def test_an_intact_capture_gets_no_name(intact: tuple[SimulatedCapture, lm.LightTransport]) -> None:
     capture, transport = intact
     assert lm.fit_rig(capture, transport).names == ()
     assert "rig" not in transport.provenance

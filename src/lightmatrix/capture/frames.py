@@ -375,3 +375,5 @@ class CaptureParts:
     provenance: Mapping[str, Any] = field(default_factory=dict)
     # Whether the patterns are grey values whose light is to be found in the frames.
     projector_unknown: bool = False
+    # Rows and columns of each of several projectors.
+    projectors: tuple[tuple[int, int], ...] = ()

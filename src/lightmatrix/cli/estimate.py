@@ -47,7 +47,8 @@ _reporting = functools.partial(Option, rich_help_panel="Check and report")
 
 @with_source()
 @described(
-    output="The store to write, ending in .zarr. For patterns in colour: a folder of three.",
+    output="The store to write, ending in .zarr. For patterns in colour, or several projectors, a "
+    "folder of stores.",
     solver=_solving(
         help="active-set (one-sided, rejection, linear; certifies a duality gap), "
         "saturation-admm (clipped, one-sided, rejection, linear), admm (linear), "
@@ -178,14 +179,16 @@ def estimate(
         set_by_user |= {**others, "correct": correct != "auto"}
         named = {f"--{name.replace('_', '-')}": value for name, value in set_by_user.items()}
         refuse(named, "patterns in colour")
+    if isinstance(capture.patterns, lm.ColourPatterns) or capture.projectors:
         if output == _OUTPUT:
             output = Path("scene")
         if output.suffix.lower() == ".zarr":
+            what = "several projectors" if capture.projectors else "patterns in colour"
             raise InputError(
-                f"{output} for patterns in colour, whose T is a folder of three stores",
+                f"{output} for {what}, whose T is a folder of stores",
                 hint=f"name a folder: -o {output.with_suffix('')}",
             )
-    else:
+    if not isinstance(capture.patterns, lm.ColourPatterns):
         _check_report(output, report, viewer, geometry, overwrite=overwrite)
     capture = capture.bin(projector=size(bin_projector), camera=size(bin_camera))
     if isinstance(capture.patterns, lm.ColourPatterns):
@@ -200,13 +203,9 @@ def estimate(
         answer(as_json, needed.as_dict(), f"the estimate takes {needed} ({free})", *advice)
         return
     transport = lm.estimate(
-        capture,
-        **asdict(settings),
-        output=output,
-        overwrite=overwrite,
-        check=check,
+        capture, **asdict(settings), output=output, overwrite=overwrite, check=check,
         correct=correct if correct in ("auto", "none") else correct.split(","),
-    )
+    )  # fmt: skip
     seconds, outcome = round(time.perf_counter() - started, 2), None
     findings = transport.provenance["findings"]
     if report is not None:

@@ -165,15 +165,11 @@ def estimate_resources(
     while limit is not None and workers * memory(tile_bytes) > available and tile_bytes > 8 << 20:
         tile_bytes //= 2
     return ResourceEstimate(
-        workers * memory(tile_bytes),
-        workers * temporary,
-        _seconds(capture, coherent) if active_set else None,
-        available,
-        max(1, tile_bytes // max(1, row_bytes)),
-        coherent,
-        limit is not None and available == limit,
+        workers * memory(tile_bytes), workers * temporary,
+        _seconds(capture, coherent) if active_set else None, available,
+        max(1, tile_bytes // max(1, row_bytes)), coherent, limit is not None and available == limit,
         workers,
-    )
+    )  # fmt: skip
 
 
 def _is_grey(patterns: PatternSet) -> bool:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -18,6 +18,7 @@ from lightmatrix.files.writing import check_output
 from lightmatrix.patterns.pattern_set import ImagePatterns
 from lightmatrix.reprs import short_repr
 from lightmatrix.rig.devices.base import set_exposure
+from lightmatrix.rig.devices.several import pattern_sizes, stacked
 from lightmatrix.rig.photograph import (
     AveragedFrame,
     Photographer,
@@ -158,7 +159,10 @@ def refine_compensation(
     if output is not None:
         check_output(output, IMAGE, overwrite=overwrite)
     shared = compensator(transport, mask=mask, projector_mask=projector_mask)
-    shared.light.check_single()
+    count, several = len(shared.light.matrices), len(pattern_sizes(rig.projector)) or 1
+    if count != several:
+        hint = "give the matrix of each projector of the rig"
+        raise InputError(f"{count} matrices, for a rig of {several} projectors", hint=hint)
     if response is None:
         captured = shared.light.matrices[0].provenance.get("capture_description")
         response = captured.get("response") if isinstance(captured, Mapping) else None
@@ -177,7 +181,7 @@ def refine_compensation(
         if step:
             start = np.concatenate([pattern.ravel() for pattern in found.patterns])
             found = shared.reaching(target, brightness, start=start, asked=asked)
-        seen = loop.photograph(found.pattern)
+        seen = loop.photograph(found.patterns)
         missed = np.where(counted, target - seen, 0)
         mean_square = float(np.mean((missed[counted] / found.scale) ** 2))
         errors.append(-10 * float(np.log10(max(mean_square, 1e-12))))
@@ -190,7 +194,7 @@ def refine_compensation(
         if progress is not None:
             progress(step + 1, steps + 1)
     assert best is not None
-    found = replace(best[0], encoding=(loop.known.response,))
+    found = replace(best[0], encoding=(loop.known.response,) * len(found.patterns))
     if output is not None:
         write_shown(output, found.encoded, overwrite=overwrite)
     photograph = best[1].reshape(shared.light.camera_shape)
@@ -248,9 +252,11 @@ class _ClosedLoop:
         light = self.curve.linearise(frame.mean / top) - self.curve.linearise(black / top)
         return np.asarray(light.ravel() / self.unit, np.float32)
 
-    def photograph(self, pattern: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Show a pattern and photograph it: its light, (M,), in the units of T."""
+    def photograph(self, patterns: Sequence[NDArray[np.float32]]) -> NDArray[np.float32]:
+        """Show the pattern of each projector and photograph: the light, (M,), in the units of T."""
         rig = self.photographer.rig
+        sizes = pattern_sizes(rig.projector)
+        pattern = stacked(patterns, sizes) if sizes else patterns[0]
         shown = ProjectedPatterns(
             ImagePatterns(pattern[None]), rig.projector.shape, response=self.known.response
         )

@@ -275,14 +275,10 @@ def measure_exposure(
             )
     seconds_used = tuple(sorted(possible, reverse=True))
     return ExposureAdvice(
-        seconds_used,
-        advise_density(frame, advised),
-        tuple(clipped_share(frame, exposure) for exposure in seconds_used),
-        noise,
-        pedestal,
-        period,
+        seconds_used, advise_density(frame, advised),
+        tuple(clipped_share(frame, exposure) for exposure in seconds_used), noise, pedestal, period,
         tuple(warnings),
-    )
+    )  # fmt: skip
 
 
 def measure_response(
