@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 from typer import Option
 
@@ -37,16 +38,12 @@ def map(
     if stores_within(scene):
         refuse({"--geometry": geometry, "--reverse": reverse}, "several projectors")
         several = lm.map_projectors(scene, output=output, overwrite=overwrite)
-        shares = [float(found.known.mean()) for found in several]
-        shown = ", ".join(f"{100 * share:.1f} %" for share in shares)
-        text = f"{output}: {shown} of the projectors' pixels have a place"
-        answer(as_json, {"output": output, "known": shares}, text)
-        return
-    found = lm.map_projector(
-        scene, geometry=geometry, reverse=reverse, output=output, overwrite=overwrite
-    )
-    shown_map = found.reverse if reverse and found.reverse is not None else found
-    known = float(shown_map.known.mean())
+    else:
+        about: dict[str, Any] = {"geometry": geometry, "reverse": reverse, "output": output}
+        found = lm.map_projector(scene, **about, overwrite=overwrite)
+        several = (found.reverse if reverse and found.reverse is not None else found,)
+    known = [float(shown.known.mean()) for shown in several]
     pixels = "camera" if reverse else "projector"
-    text = f"{output}: {100 * known:.1f} % of the {pixels} pixels have a place"
-    answer(as_json, {"output": output, "known": known}, text)
+    shares = " and ".join(f"{100 * share:.1f} %" for share in known)
+    result = {"output": output, "known": known[0] if len(known) == 1 else known}
+    answer(as_json, result, f"{output}: {shares} of the {pixels} pixels have a place")

@@ -504,14 +504,17 @@ def _glass() -> Scene:
 MIRROR_TURN, MIRROR_PLACE = turn("y", -70), (0.35, 0.0, 0.5)
 
 
+def _statue() -> Mesh:
+    profile = [(0.34, 0.0), (0.34, 0.1), (0.24, 0.14), (0.2, 0.35), (0.14, 0.5), (0.06, 0.56)]
+    return merge([revolve(profile, 128), ball(0.15, 64).placed((0.0, 0.0, 0.5))])
+
+
 def _mirror() -> Scene:
     """A statue beside a dusty mirror."""
     silver = {"type": "conductor", "material": "Ag"}
     dusty = {"type": "blendbsdf", "weight": 0.4, "bsdf_0": silver, "bsdf_1": matt(0.7)["bsdf"]}
     plate = sheet(1.1).placed(MIRROR_PLACE, MIRROR_TURN)
-    profile = [(0.34, 0.0), (0.34, 0.1), (0.24, 0.14), (0.2, 0.35), (0.14, 0.5), (0.06, 0.56)]
-    statue = merge([revolve(profile, 128), ball(0.15, 64).placed((0.0, 0.0, 0.5))])
-    stone = Part(statue.placed((-0.5, 0.0, 0.0)), matt(0.85))
+    stone = Part(_statue().placed((-0.5, 0.0, 0.0)), matt(0.85))
     parts = (Part(sheet(), matt(0.4)), Part(plate, {"type": "twosided", "bsdf": dusty}), stone)
     return Scene("mirror", "a statue beside a dusty mirror that shows it", parts, 6)
 
@@ -539,8 +542,7 @@ def _stage() -> Scene:
 
 def _statues() -> Scene:
     """Two statues on a table under two projectors, each of which lights both from its side."""
-    profile = [(0.34, 0.0), (0.34, 0.1), (0.24, 0.14), (0.2, 0.35), (0.14, 0.5), (0.06, 0.56)]
-    stone = merge([revolve(profile, 128), ball(0.15, 64).placed((0.0, 0.0, 0.5))])
+    stone = _statue()
     places = ((-0.42, -0.3, 0.0), (0.42, 0.3, 0.0))
     parts = (Part(sheet(6.0), matt(0.5)), *(Part(stone.placed(at), matt(0.85)) for at in places))
     return replace(

@@ -239,7 +239,7 @@ def simulate(
             "a fault black without a black frame", hint="add room light too, such as ambient=0.05"
         )
     shape = patterns.primary_shape if isinstance(patterns, ColourPatterns) else patterns.shape
-    several = 1 if isinstance(scene, Truth) else library.devices_of(scene).projectors
+    several = 1 if isinstance(scene, Truth) else library.devices_of(scene)[0]
     if shape[0] % several:
         raise InputError(
             f"patterns of {shape[0]} rows for {several} projectors, one above the other",

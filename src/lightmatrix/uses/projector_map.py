@@ -211,10 +211,6 @@ _FILES = """
     </fileset>"""
 
 
-def _write_mpcdi(found: ProjectorMap, part: Path, _: Path) -> None:
-    _write_regions([found], part)
-
-
 def _write_regions(several: Sequence[ProjectorMap], part: Path) -> None:
     buffers, files = [], []
     with zipfile.ZipFile(part, "w", zipfile.ZIP_DEFLATED) as archive:
@@ -241,7 +237,7 @@ def _write_regions(several: Sequence[ProjectorMap], part: Path) -> None:
 
 
 _WRITERS: Mapping[str, Callable[[ProjectorMap, Path, Path], None]] = {
-    ".mpcdi": _write_mpcdi,
+    ".mpcdi": lambda found, part, _: _write_regions([found], part),
     ".exr": _write_uv,
     ".png": _write_axis,
     ".npz": _write_remap,
