@@ -33,7 +33,6 @@ from lightmatrix.reprs import amount, labelled
 
 if TYPE_CHECKING:
     from lightmatrix import ColourTransport, LightTransport
-    from lightmatrix.estimators.resource_estimate import ResourceEstimate
 
 # What is written where no other name is given.
 _OUTPUT = Path("scene.zarr")
@@ -198,7 +197,10 @@ def estimate(
         return
     rig = None if geometry is None else lm.geometry_of(capture, geometry)
     if dry_run:
-        _show_resources(lm.estimate_resources(capture, settings), as_json)
+        needed = lm.estimate_resources(capture, settings)
+        free = f"{amount(needed.available)} are {'allowed' if needed.limited else 'free'}"
+        advice = [as_options(needed.advice)] if needed.advice else []
+        answer(as_json, needed.as_dict(), f"the estimate takes {needed} ({free})", *advice)
         return
     transport = lm.estimate(
         capture, **asdict(settings), output=output, overwrite=overwrite, check=check,
@@ -277,14 +279,3 @@ def _show_colour(output: Path, colour: ColourTransport, seconds: float, as_json:
     names = ", ".join(f"{name}.zarr" for name in COLOURS)
     result |= judged_json(judged) | findings
     answer(as_json, result, *judged.lines(), f"{names} in {output}")
-
-
-def _show_resources(resources: ResourceEstimate, as_json: bool) -> None:
-    """Print the memory and time that the estimate would take, for --dry-run."""
-    if as_json:
-        show_json(resources.as_dict())
-        return
-    free = f"{amount(resources.available)} are {'allowed' if resources.limited else 'free'}"
-    say(f"the estimate takes {resources} ({free})", style=None if resources.fits else "yellow")
-    if resources.advice:
-        say(as_options(resources.advice))

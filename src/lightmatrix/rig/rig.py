@@ -53,14 +53,6 @@ class Rig:
         The T that a virtual rig shows, at an exposure of `unit` seconds.
     unit : float
         Seconds.
-
-    Examples
-    --------
-    >>> import lightmatrix as lm
-    >>> with lm.open_rig("virtual:l_objects,real=0") as rig:
-    ...     frame = rig.camera.get_image(timeout=1.0)
-    >>> frame.data.shape, rig.projector.shape
-    ((64, 64), (64, 64))
     """
 
     projector: Projector
