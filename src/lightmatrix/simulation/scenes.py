@@ -135,13 +135,9 @@ def metal(kind: str, roughness: float) -> Material:
 def translucent(reflectance: float, through: float) -> Material:
     """A thin sheet that scatters light to both sides; `through` in [0, 2], 1 sends half through."""
     return {
-        "type": "principledthin",
-        "base_color": _rgb(reflectance),
-        "diff_trans": through,
-        "roughness": 0.6,
-        "spec_trans": 0.0,
-        "eta": 1.3,
-    }
+        "type": "principledthin", "base_color": _rgb(reflectance), "diff_trans": through,
+        "roughness": 0.6, "spec_trans": 0.0, "eta": 1.3,
+    }  # fmt: skip
 
 
 def _rgb(value: float | tuple[float, float, float]) -> dict[str, Any]:
@@ -555,20 +551,10 @@ def _statues() -> Scene:
 
 
 BUILDERS: dict[str, Callable[[], Scene]] = {
-    "l_objects": _l_objects,
-    "gripper": _gripper,
-    "metal": _metal,
-    "corner": _corner,
-    "translucent": _translucent,
-    "wall": _wall,
-    "vase": _vase_scene,
-    "mirror_balls": _mirror_balls,
-    "curtain": _curtain,
-    "glass": _glass,
-    "mirror": _mirror,
-    "stage": _stage,
-    "statues": _statues,
-}
+    "l_objects": _l_objects, "gripper": _gripper, "metal": _metal, "corner": _corner,
+    "translucent": _translucent, "wall": _wall, "vase": _vase_scene, "mirror_balls": _mirror_balls,
+    "curtain": _curtain, "glass": _glass, "mirror": _mirror, "stage": _stage, "statues": _statues,
+}  # fmt: skip
 
 
 def scene(name: str) -> Scene:

@@ -18,7 +18,7 @@ from lightmatrix.errors import InputError, OutputError
 from lightmatrix.files import kinds
 from lightmatrix.files.extras import write_exr
 from lightmatrix.files.images import fill_image
-from lightmatrix.files.writing import atomic_files, atomic_folder, check_output
+from lightmatrix.files.writing import atomic_file, atomic_files, atomic_folder, check_output
 from lightmatrix.geometry.rig_geometry import RigGeometry
 from lightmatrix.paths import as_path
 from lightmatrix.reprs import short_repr
