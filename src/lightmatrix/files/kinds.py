@@ -89,9 +89,8 @@ class FolderKind:
             problem = f"holds {printable(name)}, which was not written by lightmatrix"
             if name in files:
                 problem = f"{printable(name)} in it was changed since lightmatrix wrote it"
-            raise OutputError(
-                f"{shown}: {problem}", hint=f"{ANOTHER_NAME}, or move that file elsewhere"
-            )
+            hint = f"{ANOTHER_NAME}, or move that file elsewhere"
+            raise OutputError(f"{shown}: {problem}", hint=hint)
         return True
 
     def mark(self, folder: Path) -> None:
