@@ -95,13 +95,10 @@ class ActiveSet:
         """The settings for the core."""
         return _core.Settings(
             regularization=float(problem.regularization),
-            fidelity=Fidelity(self.fidelity).term.name,
-            nonnegative=problem.nonnegative,
-            background=problem.background,
-            tolerance=self.tolerance,
-            max_passes=self.max_passes,
+            fidelity=Fidelity(self.fidelity).term.name, nonnegative=problem.nonnegative,
+            background=problem.background, tolerance=self.tolerance, max_passes=self.max_passes,
             threads=self.threads,
-        )
+        )  # fmt: skip
 
     def row_bytes(self, patterns: int, pixels: int) -> int:
         """Bytes of one row: samples twice, 512 entries, a share of the scores of active rows."""
