@@ -135,6 +135,7 @@ from .rig.closed_loop import refine_compensation as refine_compensation
 from .uses.projector_map import (
     ProjectorMap as ProjectorMap,
     map_projector as map_projector,
+    map_projectors as map_projectors,
 )
 from .uses.probing import (
     max_min as max_min,

@@ -7,7 +7,7 @@ Frames stay as they were stored. They are decoded into linear samples tile by ti
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -41,7 +41,7 @@ Crop = tuple[tuple[int, int], tuple[int, int]]
 
 
 @dataclass(frozen=True, eq=False)
-class Capture:
+class Capture(Reader):
     """A pattern set and the frames taken under it; see `open`, `from_folders` and `from_arrays`.
 
     Parameters
@@ -63,6 +63,10 @@ class Capture:
     projector_unknown : bool
         Whether the patterns are grey values whose light `estimate` finds in the frames. They are
         taken as light until then.
+    projectors : tuple of (rows, cols)
+        The sizes of several projectors that show their patterns at once. The patterns are those of
+        all of them, one above the other, each in the upper left of as many rows and columns as the
+        largest has. Empty: there is one.
     correction : Correction, optional
         What the rig did to the binned samples, taken out as they are read; see `fit_rig`.
     known : Samples, optional
@@ -91,6 +95,7 @@ class Capture:
     provenance: Mapping[str, Any] = field(default_factory=dict)
     surroundings: Surroundings | None = None
     projector_unknown: bool = False
+    projectors: tuple[tuple[int, int], ...] = ()
     correction: Correction | None = None
     known: Samples | None = None
 
@@ -107,6 +112,14 @@ class Capture:
                 f"{self.patterns.count} patterns, but {self.frames.count} images",
                 hint="give one image for each pattern, both in natural order; is one missing?",
             )
+        if self.projectors:
+            rows, cols = (max(sides) for sides in zip(*self.projectors, strict=True))
+            if self.projector_shape != (len(self.projectors) * rows, cols):
+                raise InputError(
+                    f"patterns of {self.patterns.shape} for projectors of {self.projectors}",
+                    hint="let patterns hold those of all projectors, one above the other, and do "
+                    "not bin their pixels",
+                )
         if self.mask is not None and self.mask.shape != self.frames.shape:
             raise InputError(
                 f"a mask of shape {self.mask.shape} for images of {self.frames.shape}",
@@ -242,21 +255,6 @@ class Capture:
         return self.patterns.shape
 
     @property
-    def camera_shape(self) -> tuple[int, ...]:
-        """Camera rows, columns and, for a colour camera, channels, binned."""
-        return self.reader.camera_shape
-
-    @property
-    def rows(self) -> int:
-        """Number of camera samples M, binned."""
-        return self.reader.rows
-
-    @property
-    def exposures(self) -> NDArray[np.float64]:
-        """Exposure of each frame, (K,)."""
-        return self.reader.exposures
-
-    @property
     def reference_level(self) -> float:
         """Clip level of the longest exposure, as a sample at exposure 1: the unit of a row of T."""
         return float(1 / self.exposures.max())
@@ -298,13 +296,9 @@ class Capture:
         mask = None if self.mask is None else self.mask[inside]
         around = self.surroundings or Surroundings(self.decoder.black_frame, self.mask)
         return replace(
-            self,
-            frames=frames,
-            decoder=decoder,
-            mask=mask,
-            surroundings=around,
+            self, frames=frames, decoder=decoder, mask=mask, surroundings=around,
             correction=self.correction and self.correction.window(*inside, self.camera_shape),
-        )
+        )  # fmt: skip
 
     @property
     def whole(self) -> Capture:
@@ -347,9 +341,8 @@ class Capture:
         blocks = block_size(projector, "projector"), block_size(camera, "camera")
         for name, block in zip(("bin_projector", "bin_camera"), blocks, strict=True):
             if block != (1, 1) and getattr(self, name) != (1, 1):
-                raise InputError(
-                    f"the capture is binned already, {getattr(self, name)}", hint="bin it once"
-                )
+                hint = "bin it once"
+                raise InputError(f"the capture is binned already, {getattr(self, name)}", hint=hint)
         result = self
         if blocks[0] != (1, 1):
             coarse = self.patterns.coarse(blocks[0])
@@ -370,28 +363,6 @@ class Capture:
     def frame(self, index: int) -> NDArray[Any]:
         """Raw levels of one frame as stored, not binned."""
         return self.frames.read(index)
-
-    def samples(self, start: int = 0, stop: int | None = None) -> Samples:
-        """Linear samples of the camera rows start..stop, decoded from the raw frames.
-
-        They are for exposure 1, in units of the clip level, as `Problem` takes them.
-        """
-        return self.reader.samples(start, self.rows if stop is None else stop)
-
-    @computed_once
-    def reader(self) -> Reader:
-        """The reader, which decodes the frames and keeps the levels that it has read."""
-        parts = self.frames, self.decoder, self.mask, self.bin_camera, self.correction
-        return Reader(*parts, self.known)
-
-    @property
-    def valid(self) -> NDArray[np.bool_]:
-        """Camera samples that are not masked and do not clip without light, (M,)."""
-        return self.reader.valid
-
-    def tiles(self, rows: int = 4096) -> Iterable[tuple[int, Samples]]:
-        """Iterate over (first row, samples) of the whole camera."""
-        return self.reader.tiles(rows)
 
     @computed_once
     def clipped_share(self) -> float:
@@ -436,20 +407,14 @@ class Capture:
         decoder, frames = self.decoder, self.frames
         cropped = {"crop": frames.region.as_dict()} if isinstance(frames, CutFrames) else {}
         return {
-            **cropped,
-            "camera_shape": list(self.camera_shape),
-            "projector_shape": list(self.projector_shape),
-            "frames": self.count,
-            "bin_camera": list(self.bin_camera),
-            "bin_projector": list(self.bin_projector),
-            "clip": jsonable(decoder.clip),
-            "black_level": jsonable(decoder.black_level),
-            "black_frame": decoder.black_frame is not None,
-            "exposure": jsonable(decoder.exposure),
-            "response": decoder.response.name,
-            "masked": int((~self.valid).sum()),
+            **cropped, "camera_shape": list(self.camera_shape),
+            "projector_shape": list(self.projector_shape), "frames": self.count,
+            "bin_camera": list(self.bin_camera), "bin_projector": list(self.bin_projector),
+            "clip": jsonable(decoder.clip), "black_level": jsonable(decoder.black_level),
+            "black_frame": decoder.black_frame is not None, "exposure": jsonable(decoder.exposure),
+            "response": decoder.response.name, "masked": int((~self.valid).sum()),
             **self.provenance,
-        }
+        }  # fmt: skip
 
 
 def open_capture(capture: Capture | str | Path) -> Capture:

@@ -18,7 +18,7 @@ import json
 import math
 import os
 import shutil
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -110,9 +110,8 @@ def read_capture(
             decoder.check_count(stack.count)
     mask = read_mask(settings.mask, stack.shape)
     unknown = settings.projector_response == AUTOMATIC
-    return CaptureParts(
-        patterns, stack, decoder, mask, {**description.provenance, **curve}, unknown
-    )
+    provenance = {**description.provenance, **curve}
+    return CaptureParts(patterns, stack, decoder, mask, provenance, unknown, description.projectors)
 
 
 def read_folders(
@@ -166,6 +165,7 @@ def write_capture(
     black_exposure: float | None = None,
     response: str = "linear",
     provenance: Mapping[str, Any] | None = None,
+    projectors: Sequence[tuple[int, int]] = (),
     write_extras: Callable[[Path], None] | None = None,
     overwrite: bool = False,
 ) -> None:
@@ -198,15 +198,13 @@ def write_capture(
                 )
             fill_image(image, frame)
         if count != patterns.count:
-            raise InputError(
-                f"{count} frames for {patterns.count} patterns", hint="give one a pattern"
-            )
+            hint = "give one a pattern"
+            raise InputError(f"{count} frames for {patterns.count} patterns", hint=hint)
         decoder = sensor.decoder()
         if black is not None:
             decoder = replace(decoder, black_frame=black, black_exposure=black_exposure)
-        write_description(
-            part, patterns, shape or (), decoder, response=response, provenance=provenance
-        )
+        about: dict[str, Any] = {"provenance": provenance, "projectors": projectors}
+        write_description(part, patterns, shape or (), decoder, response=response, **about)
         if write_extras is not None:
             write_extras(part)
 
@@ -220,6 +218,7 @@ def write_description(
     response: str | None = None,
     mask: NDArray[np.bool_] | None = None,
     provenance: Mapping[str, Any] | None = None,
+    projectors: Sequence[tuple[int, int]] = (),
     projector_unknown: bool = False,
 ) -> None:
     """Write all of a capture folder but its images: patterns, capture.json, the files it names.
@@ -241,17 +240,11 @@ def write_description(
         (part / "patterns").mkdir()
         fill_pattern_folder(part / "patterns", patterns)
     content: dict[str, Any] = {
-        "format": FORMAT,
-        "version": VERSION,
-        "projector_shape": list(patterns.shape),
-        "camera_shape": list(shape),
-        "patterns": patterns.digests,
-        "exposure": decoder.exposure,
-        "black_level": decoder.black_level,
-        "full_scale": decoder.full_scale,
-        "response": response or decoder.response.name,
-        "provenance": dict(provenance or {}),
-    }
+        "format": FORMAT, "version": VERSION, "projector_shape": list(patterns.shape),
+        "camera_shape": list(shape), "patterns": patterns.digests, "exposure": decoder.exposure,
+        "black_level": decoder.black_level, "full_scale": decoder.full_scale,
+        "response": response or decoder.response.name, "provenance": dict(provenance or {}),
+    }  # fmt: skip
     if not decoder.clip_assumed:
         content["clip"] = decoder.clip
     if decoder.black_frame is not None:
@@ -267,6 +260,8 @@ def write_description(
     if response is None and (points := decoder.response.nameless) is not None:
         np.save(part / "response.npy", points)
         content["response"] = "curve:response.npy"
+    if projectors:
+        content["projectors"] = [list(size) for size in projectors]
     if projector_unknown:
         content["projector_response"] = AUTOMATIC
     (part / NAME).write_text(json.dumps(content, indent=2, default=jsonable) + "\n")
@@ -416,9 +411,8 @@ def _read_black(
             hint="save it with the bit depth of the images",
         )
     if float(np.median(image)) >= np.min(clip):
-        raise InputError(
-            f"{file}: the black frame is clipped", hint="take it with the projector showing black"
-        )
+        hint = "take it with the projector showing black"
+        raise InputError(f"{file}: the black frame is clipped", hint=hint)
     exposure = settings.black_exposure
     differs = exposure is not None and bool((np.asarray(settings.exposure) != exposure).any())
     if settings.black_level is None and differs:
@@ -520,9 +514,8 @@ def read_white_frame(path: str | Path, settings: ReadSettings) -> Samples:
     file = as_path(path)
     if not file.exists() or file.is_dir():
         problem = "is a folder" if file.is_dir() else "no such file"
-        raise InputError(
-            f"{file}: {problem}", hint="give a photograph of a white pattern, a scene, or a T.npz"
-        )
+        hint = "give a photograph of a white pattern, a scene, or a T.npz"
+        raise InputError(f"{file}: {problem}", hint=hint)
     stack = ImageStack.open([file])
     decoder = make_decoder(stack, replace(settings, response=settings.response or Response()))
     check_depth(stack, decoder)

@@ -134,9 +134,8 @@ def in_memory(frames: Any, mask: Any) -> tuple[ArrayStack, NDArray[np.bool_] | N
     """Frames and mask from anything array-like; an InputError says why they are none."""
     array = real_array("frames", frames)
     if array.ndim not in (3, 4) or array.size == 0:
-        raise InputError(
-            f"frames of shape {array.shape}", hint="give (K, rows, cols) or (K, rows, cols, 3)"
-        )
+        hint = "give (K, rows, cols) or (K, rows, cols, 3)"
+        raise InputError(f"frames of shape {array.shape}", hint=hint)
     if mask is None:
         return ArrayStack(array), None
     values = real_array("a mask", mask)
@@ -223,23 +222,21 @@ def cut(frames: Frames, corner: tuple[int, int], shape: tuple[int, int]) -> CutF
 _STRIP = 1 << 20
 
 
-@dataclass(frozen=True, eq=False)
 class Reader:
-    """Linear samples of K frames within a mask, averaged over blocks of (rows, cols)."""
+    """Linear samples of K frames, averaged over blocks; `Capture` extends it by the patterns."""
 
     frames: Frames
     decoder: Decoder
     mask: NDArray[np.bool_] | None
-    block: tuple[int, int]
-    correction: Correction | None = None
-    # The samples, where they are not those of the frames.
-    known: Samples | None = None
+    bin_camera: tuple[int, int]
+    correction: Correction | None
+    known: Samples | None
 
     @property
     def camera_shape(self) -> tuple[int, ...]:
         """Camera rows, columns and, for a colour camera, channels, binned."""
         rows, cols, *channels = self.frames.shape
-        return (-(-rows // self.block[0]), -(-cols // self.block[1]), *channels)
+        return (-(-rows // self.bin_camera[0]), -(-cols // self.bin_camera[1]), *channels)
 
     @property
     def rows(self) -> int:
@@ -256,53 +253,41 @@ class Reader:
         for start in range(0, self.rows, rows):
             yield start, self.samples(start, start + rows)
 
-    def samples(self, start: int, stop: int) -> Samples:
-        """Samples of the camera rows start..stop; masked ones are 0 and have weight 0."""
-        samples = self._uncorrected(start, stop)
+    def samples(self, start: int = 0, stop: int | None = None) -> Samples:
+        """Linear samples of the camera rows start..stop, decoded from the raw frames.
+
+        They are for exposure 1, in units of the clip level, as `Problem` takes them. Masked ones
+        are 0 and have weight 0.
+        """
+        stop = self.rows if stop is None else min(stop, self.rows)
+        if self.known is not None:
+            samples = self.known.rows(slice(start, stop))
+        else:
+            if self.bin_camera == (1, 1):
+                samples = self.decoder.decode(self.levels(start, stop), first_row=start)
+            else:
+                samples = self._binned.rows(slice(start, stop))
+            valid, weights = self.valid[start:stop, None], frame_weights(self.exposures)
+            values, clipped = samples.values, samples.clipped
+            if not valid.all():
+                values, clipped = values * valid, clipped & valid
+                every = np.ones(self.frames.count, np.float32) if weights is None else weights
+                weights = valid * every
+            samples = Samples(values, clipped, samples.clip_level, weights)
         if self.correction is None:
             return samples
         return self.correction.applied(samples, start, self.camera_shape)
 
-    def _uncorrected(self, start: int, stop: int) -> Samples:
-        stop = min(stop, self.rows)
-        if self.known is not None:
-            return self.known.rows(slice(start, stop))
-        if self.block == (1, 1):
-            decoded = self.decoder.decode(self.levels(start, stop), first_row=start)
-        else:
-            decoded = self._binned.rows(slice(start, stop))
-        valid = self.valid[start:stop]
-        weights = frame_weights(self.exposures)
-        if valid.all():
-            return Samples(decoded.values, decoded.clipped, decoded.clip_level, weights)
-        if weights is None:
-            weights = np.ones(self.frames.count, np.float32)
-        return Samples(
-            decoded.values * valid[:, None],
-            decoded.clipped & valid[:, None],
-            decoded.clip_level,
-            valid[:, None] * weights,
-        )
-
     @computed_once
     def valid(self) -> NDArray[np.bool_]:
-        """Which camera samples count: not masked, and not clipped without light; (M,)."""
-        if self.block == (1, 1):
+        """Camera samples that are not masked and do not clip without light, (M,)."""
+        if self.bin_camera == (1, 1):
             return self._valid_pixels
         valid = self._valid_pixels.reshape(*self.frames.shape[:2], -1)
         for axis in (0, 1):
-            starts = np.arange(0, valid.shape[axis], self.block[axis])
+            starts = np.arange(0, valid.shape[axis], self.bin_camera[axis])
             valid = np.logical_or.reduceat(valid, starts, axis=axis)
         return valid.ravel()
-
-    def _strips(self) -> Iterator[tuple[slice, slice]]:
-        """Rows of a frame that are binned at a time, and the slice of their samples."""
-        height, *others = self.frames.shape
-        width = int(np.prod(others))
-        step = self.block[0] * max(1, _STRIP // (self.block[0] * width))
-        for start in range(0, height, step):
-            stop = min(start + step, height)
-            yield slice(start, stop), slice(start * width, stop * width)
 
     @computed_once
     def _valid_pixels(self) -> NDArray[np.bool_]:
@@ -344,7 +329,7 @@ class Reader:
             decoded = self.decoder.decode(raw, first_row=first, first_frame=k)
             shape = (len(raw) // math.prod(self.frames.shape[1:]), *self.frames.shape[1:])
             valid = self._valid_pixels[first : first + len(raw)]
-            binned = bin_samples(decoded, valid, shape, self.block)
+            binned = bin_samples(decoded, valid, shape, self.bin_camera)
             values[where, k], clipped[where, k] = binned.values[:, 0], binned.clipped[:, 0]
             if binned.clip_level.ndim == 1:
                 frame_levels[k] = binned.clip_level[0]
@@ -360,13 +345,15 @@ class Reader:
 
     def _columns(self) -> Iterator[tuple[slice, int, int, NDArray[Any]]]:
         """Strips in the faster order: binned rows, first sample, frame, and raw levels (n, 1)."""
-        frames, down = self.frames, self.block[0]
+        frames, down = self.frames, self.bin_camera[0]
         wide, narrow = (math.prod(shape[1:]) for shape in (frames.shape, self.camera_shape))
         if not isinstance(frames, PixelFrames):
+            step = down * max(1, _STRIP // (down * wide))
             for k, frame in enumerate(in_order(frames)):
-                for rows, pixels in self._strips():
-                    where = slice(rows.start // down * narrow, -(-rows.stop // down) * narrow)
-                    yield where, pixels.start, k, frame[rows].reshape(-1, 1)
+                for top in range(0, len(frame), step):
+                    end = min(top + step, len(frame))
+                    where = slice(top // down * narrow, -(-end // down) * narrow)
+                    yield where, top * wide, k, frame[top:end].reshape(-1, 1)
             return
         step = down * max(1, BLOCK_LEVELS // (frames.count * wide * down))
         for top in range(0, frames.shape[0], step):
@@ -388,3 +375,5 @@ class CaptureParts:
     provenance: Mapping[str, Any] = field(default_factory=dict)
     # Whether the patterns are grey values whose light is to be found in the frames.
     projector_unknown: bool = False
+    # Rows and columns of each of several projectors.
+    projectors: tuple[tuple[int, int], ...] = ()

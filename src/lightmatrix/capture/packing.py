@@ -106,19 +106,15 @@ def pack_capture(
         line = math.prod(frames.shape[1:])
         for top in range(0, height, rows):
             end = min(top + rows, height)
-            levels = capture.reader.levels(top * line, end * line)
+            levels = capture.levels(top * line, end * line)
             packed[:, top:end] = levels.T.reshape(count, end - top, *frames.shape[1:])
             if progress is not None:
                 progress(end, height)
         names = [frames.name(k) for k in range(count)]
         group.attrs.update({"format": FORMAT, "version": VERSION, "names": names})
         write_description(
-            part,
-            capture.patterns,
-            frames.shape,
-            capture.decoder,
-            mask=capture.mask,
-            provenance=provenance,
+            part, capture.patterns, frames.shape, capture.decoder, mask=capture.mask,
+            provenance=provenance, projectors=capture.projectors,
             projector_unknown=capture.projector_unknown,
-        )
+        )  # fmt: skip
         write_extras(part)

@@ -1,6 +1,6 @@
 """All checks of photographs as such, in memory or on disk, also of some that cannot be opened.
 
-Each check knows what those before it found. `lm.check` (`estimators/rig_findings.py`) adds what the
+Later checks use what earlier ones found. `lm.check` (`estimators/rig_findings.py`) adds what the
 rig did in the course of the capture.
 """
 
@@ -39,7 +39,8 @@ from lightmatrix.patterns.pattern_set import ImagePatterns, PatternSet
 from lightmatrix.patterns.stripes import is_separable
 from lightmatrix.resources.threads import one_blas_thread, side_by_side
 
-# Nothing is inferred from fewer frames, or from fewer camera pixels that can be predicted.
+# Frames are not compared with each other if there are fewer, or fewer camera pixels that can be
+# predicted: chance then looks like a fault.
 _FEWEST_FRAMES, _FEWEST_ROWS = 12, 20
 # If more than a quarter of the frames are odd, the cause is not in single frames.
 _MOST_ODD = 0.25
@@ -60,9 +61,8 @@ def check_source(
     elif patterns is not None and images is not None:
         parts = read_folders(patterns, images, settings or ReadSettings(), counted=False)
     else:
-        raise InputError(
-            "there is nothing to check", hint="give a capture folder, or patterns and images"
-        )
+        hint = "give a capture folder, or patterns and images"
+        raise InputError("there is nothing to check", hint=hint)
     try:
         if parts.patterns.count != parts.frames.count:
             return _check_uncounted(parts), None
@@ -155,17 +155,19 @@ def _check_surveyed(survey: Survey, capture: Capture) -> list[Finding]:
 
     lattice = CodeLattice.of(survey)
     displaced = [] if lattice is None else check_code_order(lattice, names.__getitem__)
+    # Two frames may seem swapped for another reason, which what follows may find.
     two_swapped = len(displaced) == 1 and len(displaced[0].frames) == 2
     few = survey.count < _FEWEST_FRAMES or len(rows) < _FEWEST_ROWS
     if few or (displaced and not two_swapped):
         return of_light() + displaced
 
-    def of_order() -> list[Finding]:
-        return check_order(survey, names.__getitem__) if lattice is None else []
-
     # The longest first; each of them keeps about one core busy.
     disorder, findings, unrelated = side_by_side(
-        [of_order, of_light, lambda: check_relation(survey)]
+        [
+            lambda: [] if lattice else check_order(survey, names.__getitem__),
+            of_light,
+            lambda: check_relation(survey),
+        ]
     )
     pairs = find_pairs(survey.patterns)
     if len(pairs):
@@ -184,10 +186,9 @@ def _check_surveyed(survey: Survey, capture: Capture) -> list[Finding]:
 
 
 def _survey(capture: Capture) -> Survey:
-    patterns = capture.patterns
     # Stripes are decoded in seconds, and checking them shall take no longer.
-    share = 0.25 if is_separable(patterns) else 1
-    return Survey.take(patterns, capture.frames, capture.decoder, capture.mask, share)
+    share = 0.25 if is_separable(capture.patterns) else 1
+    return Survey.take(capture.patterns, capture.frames, capture.decoder, capture.mask, share)
 
 
 def check_distinguishable(patterns: PatternSet) -> list[Finding]:
@@ -257,7 +258,8 @@ def _check_by_pairs(
         return unrelated
     findings = check_plain_frames(survey, rows, names)
     of_pairs = check_pairs(survey, rows, pairs, names)
-    # One black or spoilt frame, and motion, look like a swap. It is one if all is well without it.
+    # One black or spoilt frame, and motion, look like a swap. It is one if pairs add up once both
+    # frames are exchanged.
     if disorder and of_pairs and not any("black" in each.message for each in of_pairs):
         order = np.arange(survey.count)
         for each in disorder:

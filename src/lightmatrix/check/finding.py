@@ -74,13 +74,6 @@ class Finding:
         What is wrong, and how it shows.
     advice : str
         What to do.
-
-    Examples
-    --------
-    >>> import lightmatrix as lm
-    >>> from lightmatrix.check.finding import Finding
-    >>> Finding("gain", (), "the light varied by 5 %", "use a steady lamp").kind
-    'gain'
     """
 
     kind: str
@@ -95,12 +88,7 @@ class Finding:
 
     def as_dict(self) -> dict[str, Any]:
         """The finding, JSON-ready."""
-        return {
-            "kind": self.kind,
-            "frames": list(self.frames),
-            "message": self.message,
-            "advice": self.advice,
-        }
+        return {**vars(self), "frames": list(self.frames)}
 
 
 def join_names(names: Sequence[str]) -> str:

@@ -73,7 +73,15 @@ RigName = Annotated[
     Option("--rig", metavar="virtual:SCENE", help="A virtual rig, which needs no hardware."),
 ]
 ProjectorName = Annotated[str | None, Option("--projector", help="A projector, such as window:1.")]
+ProjectorNames = Annotated[
+    list[str] | None,
+    Option("--projector", help="A projector, such as window:1; repeat it for several at once."),
+]
 CameraName = Annotated[str | None, Option("--camera", help="A camera, such as aravis:ID.")]
+CameraNames = Annotated[
+    list[str] | None,
+    Option("--camera", help="A camera, such as aravis:ID; repeat it for several in turn."),
+]
 Settle = Annotated[
     float | None,
     Option(help="Seconds to wait after showing a picture.", show_default="as measured"),
@@ -103,7 +111,6 @@ def size(text: str) -> tuple[int, int]:
     rows = int(match[1])
     cols = int(match[2] or rows)
     if rows < 1 or cols < 1 or rows * cols > MOST_PIXELS:
-        raise InputError(
-            f"a size of {text!r}", hint=f"use at least 1x1 and at most {MOST_PIXELS:,} pixels"
-        )
+        hint = f"use at least 1x1 and at most {MOST_PIXELS:,} pixels"
+        raise InputError(f"a size of {text!r}", hint=hint)
     return rows, cols

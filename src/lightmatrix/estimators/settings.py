@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -12,12 +13,13 @@ from lightmatrix.ranges import check_at_least_one, check_number, check_whole
 from lightmatrix.resources.memory import memory_bytes
 from lightmatrix.solvers import ADMM, ROMP, ActiveSet, Fidelity, SaturationADMM, Solver
 
-# The solvers by name, each with the fidelity that it has unless the user asks for another.
-SOLVERS = {
-    "active-set": Fidelity.ONE_SIDED,
-    "saturation-admm": Fidelity.ONE_SIDED,
-    "admm": Fidelity.LINEAR,
-    "romp": Fidelity.REJECTION,
+# The solvers by name, each with the fidelity that it has unless the user asks for another, and with
+# the parameter that limits its iterations.
+SOLVERS: dict[str, tuple[Callable[..., Solver], Fidelity, str]] = {
+    "active-set": (ActiveSet, Fidelity.ONE_SIDED, "max_passes"),
+    "saturation-admm": (SaturationADMM, Fidelity.ONE_SIDED, "max_iterations"),
+    "admm": (ADMM, Fidelity.LINEAR, "max_iterations"),
+    "romp": (ROMP, Fidelity.REJECTION, "max_iterations"),
 }
 # The largest number of iterations that an estimate accepts. It is beyond what anybody can wait for
 # and fits into 32 bits.
@@ -60,13 +62,11 @@ class EstimateSettings:
 
     def __post_init__(self) -> None:
         if self.solver not in SOLVERS:
-            raise InputError(
-                f"there is no solver {self.solver!r}", hint=f"use one of {', '.join(SOLVERS)}"
-            )
+            hint = f"use one of {', '.join(SOLVERS)}"
+            raise InputError(f"there is no solver {self.solver!r}", hint=hint)
         if self.fidelity is not None and self.fidelity not in list(Fidelity):
-            raise InputError(
-                f"there is no fidelity {self.fidelity!r}", hint=f"use one of {', '.join(Fidelity)}"
-            )
+            hint = f"use one of {', '.join(Fidelity)}"
+            raise InputError(f"there is no fidelity {self.fidelity!r}", hint=hint)
         if self.iterations is not None:
             hint = f"use 1 to {MOST_ITERATIONS}"
             check_whole("iterations", self.iterations, most=MOST_ITERATIONS, hint=hint)
@@ -89,16 +89,12 @@ class EstimateSettings:
         value = self.regularization
         if not isinstance(value, str):
             check_number(
-                "a regularization",
-                value,
-                least=LEAST_REGULARIZATION,
-                most=MOST_REGULARIZATION,
+                "a regularization", value, least=LEAST_REGULARIZATION, most=MOST_REGULARIZATION,
                 hint="use auto or a positive number in units of camera sample, such as 0.3",
-            )
+            )  # fmt: skip
         elif value != "auto":
-            raise InputError(
-                f"a regularization of {value!r}", hint="use auto or a number such as 0.3"
-            )
+            hint = "use auto or a number such as 0.3"
+            raise InputError(f"a regularization of {value!r}", hint=hint)
         reason = self._reason_against_coherent
         if self.coherent and reason is not None:
             raise InputError(f"the coherent estimate {reason}", hint="leave out one of the two")
@@ -107,19 +103,15 @@ class EstimateSettings:
     @cached_property
     def row_solver(self) -> Solver:
         """The solver with its fidelity and iteration limit."""
-        fidelity = SOLVERS[self.solver] if self.fidelity is None else Fidelity(self.fidelity)
-        limit = {} if self.iterations is None else {"max_iterations": self.iterations}
-        if self.solver == "active-set":
-            passes = ActiveSet.max_passes if self.iterations is None else self.iterations
-            return ActiveSet(fidelity, max_passes=passes)
-        if self.solver == "romp":
-            return ROMP(fidelity=fidelity, **limit)
-        if self.solver == "saturation-admm":
-            return SaturationADMM(fidelity=fidelity, **limit)
+        solver, usual, limit = SOLVERS[self.solver]
+        fidelity = usual if self.fidelity is None else Fidelity(self.fidelity)
+        limits = {} if self.iterations is None else {limit: self.iterations}
+        if solver is not ADMM:
+            return solver(fidelity=fidelity, **limits)
         if fidelity is not Fidelity.LINEAR:
             hint = "use the solver saturation-admm, or the fidelity linear"
             raise InputError(f"the solver admm cannot use the fidelity {fidelity}", hint=hint)
-        return ADMM(**limit)
+        return ADMM(**limits)
 
     @property
     def memory_limit(self) -> int | None:

@@ -95,9 +95,8 @@ class Photographer:
             # Times are rounded to microseconds.
             if frame.timestamp - actual >= earliest - 1e-6:
                 return Shot(frame, actual)
-        raise UntrustedFrameError(
-            "32 frames came, all of before the pattern", hint="are the camera's timestamps right?"
-        )
+        hint = "are the camera's timestamps right?"
+        raise UntrustedFrameError("32 frames came, all of before the pattern", hint=hint)
 
 
 @dataclass(frozen=True, eq=False)
@@ -328,7 +327,7 @@ class References:
 
         `before` is the light shown before one or the other, in levels above black: a small share of
         known light stands out from noise far sooner than an unknown change does. The tolerances
-        are chosen so that `python -m tests.rig.rig_mixtures` keeps less light of late images than
+        are chosen so that `python -m benchmarks.rig_mixtures` keeps less light of late images than
         noise.
         """
         free = (one < self.white.clip_level) & (other < self.white.clip_level)

@@ -74,13 +74,9 @@ class Checkpoint:
         with ExitStack() as claim:
             target = claim.enter_context(claimed(path, STORE, overwrite=overwrite))
             kept = RunningResults.resume(
-                target,
-                PARTIAL,
-                wanted,
-                file=_FINGERPRINT,
-                contents="an incomplete estimate with other settings",
-                overwrite=overwrite,
-            )
+                target, PARTIAL, wanted, file=_FINGERPRINT,
+                contents="an incomplete estimate with other settings", overwrite=overwrite,
+            )  # fmt: skip
             if not kept.has(_FINGERPRINT):
                 try:
                     with kept.keep(_FINGERPRINT) as part:
@@ -156,14 +152,10 @@ class Checkpoint:
         provenance = dict(provenance or {})
         try:
             save_rows(
-                self._path,
-                self._tiles(step),
-                camera_shape=camera_shape,
-                projector_shape=projector_shape,
-                background_grid=background_grid,
-                provenance=provenance,
-                overwrite=self._overwrite,
-            )
+                self._path, self._tiles(step), camera_shape=camera_shape,
+                projector_shape=projector_shape, background_grid=background_grid,
+                provenance=provenance, overwrite=self._overwrite,
+            )  # fmt: skip
         except OutputError as error:
             raise OutputError(
                 error.message,
@@ -180,8 +172,16 @@ class Checkpoint:
         return [(match[0], match[1], (int(match[2]), int(match[3]))) for match in found]
 
     def _tile(self, step: str, span: Span) -> SparseRows | None:
-        """A finished tile; None if it is damaged."""
-        return read_tile(self._kept.file(tile_name(step, span)), self._token, span[1] - span[0])
+        """A finished tile; None if it is missing, damaged, or was written for another token."""
+        name = tile_name(step, span)
+        try:
+            arrays = read_npz(self._kept.file(name))
+            if str(arrays.pop(_MARK, "")) != f"{name} of {self._token}":
+                return None
+            rows = SparseRows.from_arrays(arrays)
+        except InputError:
+            return None
+        return rows if rows.count == span[1] - span[0] else None
 
     def _tiles(self, step: str) -> Iterator[SparseRows]:
         """Finished tiles one after the other, so that they are never all in memory."""
@@ -201,18 +201,6 @@ class Checkpoint:
 def tile_name(step: str, span: Span) -> str:
     """The name of the file that keeps a tile of a step."""
     return f"{step}-{span[0]}-{span[1]}.npz"
-
-
-def read_tile(file: Path, token: str, count: int) -> SparseRows | None:
-    """A tile of `count` rows; None if it is missing, damaged, or was written for another token."""
-    try:
-        arrays = read_npz(file)
-        if str(arrays.pop(_MARK, "")) != f"{file.name} of {token}":
-            return None
-        rows = SparseRows.from_arrays(arrays)
-    except InputError:
-        return None
-    return rows if rows.count == count else None
 
 
 def _without_overlap(spans: Iterable[Span]) -> list[Span]:

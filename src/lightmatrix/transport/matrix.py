@@ -18,9 +18,11 @@ from lightmatrix.patterns.pattern_set import check_grid
 from lightmatrix.ranges import check_finite, check_type, real_array
 from lightmatrix.regions import Region
 from lightmatrix.reprs import html_table, labelled
-from lightmatrix.transport.operator import HOW_TO_GIVE, TransportOperator
+from lightmatrix.transport.operator import HOW_TO_GIVE, TransportOperator, cell_means
 from lightmatrix.transport.sparse_rows import SparseRows, checked_matrix, checked_shape
 
+# The entry of the provenance with the sizes of several projectors; see `Capture.projectors`.
+PROJECTORS = "projectors"
 # The entries of the provenance that a summary repeats.
 _SUMMARY_KEYS = ("estimator", "solver", "regularization", "certificate", "pattern_digest", "scene")
 
@@ -122,9 +124,8 @@ class LightTransport(TransportOperator):
             rows, cols = checked_shape(self.projector_shape, (2,), "projector_shape")
             high, wide = checked_shape(self.background_grid, (2,), "background_grid")
         except ValueError as error:
-            raise InputError(
-                f"{error}", hint="give whole numbers from 1, such as (480, 640)"
-            ) from error
+            hint = "give whole numbers from 1, such as (480, 640)"
+            raise InputError(f"{error}", hint=hint) from error
         expected = (math.prod(camera), rows * cols)
         if sparse.shape != expected:
             raise InputError(
@@ -154,9 +155,8 @@ class LightTransport(TransportOperator):
                 raise InputError(f"diagnostic {name!r} has shape {values.shape}", hint=hint)
             # Names become those of folders.
             if not name.isidentifier():
-                raise InputError(
-                    f"a diagnostic called {name!r}", hint="use letters, digits and underscores"
-                )
+                hint = "use letters, digits and underscores"
+                raise InputError(f"a diagnostic called {name!r}", hint=hint)
         checked = (sparse, background, camera, (rows, cols), (high, wide), diagnostics)
         for part, value in zip(fields(self), checked, strict=False):
             object.__setattr__(self, part.name, value)
@@ -198,11 +198,33 @@ class LightTransport(TransportOperator):
         )
 
     def cropped_like(self, estimate: LightTransport) -> LightTransport:
-        """The part that `estimate` covers, if it comes from cropped photographs; else all of it."""
-        region = estimate.region
+        """The part that `estimate` covers: of cropped photographs, of one of several projectors."""
+        region, number = estimate.region, estimate.provenance.get("projector")
+        part = self.split()[number - 1] if number and PROJECTORS in self.provenance else self
         if region is None or estimate.camera_shape[:2] != region.shape:
-            return self
-        return self.crop(region) if self.camera_shape[:2] == region.whole else self
+            return part
+        return part.crop(region) if self.camera_shape[:2] == region.whole else part
+
+    def split(self) -> tuple[LightTransport, ...]:
+        """T of each of several projectors that were measured at once; itself if there is one."""
+        sizes = self.provenance.get(PROJECTORS)
+        if not sizes:
+            return (self,)
+        places = np.arange(self.shape[1]).reshape(len(sizes), -1, self.projector_shape[1])
+        columns, pooling = self.sparse.tocsc(), self.pooling.tocsc()
+        kept = {key: value for key, value in self.provenance.items() if key != PROJECTORS}
+        result = []
+        for number, (rows, cols) in enumerate(sizes, start=1):
+            own = places[number - 1, :rows, :cols].ravel()
+            high, wide = self.background_grid
+            grid = min(max(1, high // len(sizes)), rows), min(wide, cols)
+            # What a cell gives each of its pixels, added up over the pixels of each new cell.
+            cells = pooling[:, own] @ (cell_means((rows, cols), grid) > 0).T
+            background = np.asarray(self.background @ cells, np.float32)
+            parts = (csr_array(columns[:, own]), background, self.camera_shape, (rows, cols), grid)
+            about = {**kept, "projector": number}
+            result.append(LightTransport(*parts, self.diagnostics, about))
+        return tuple(result)
 
     @property
     def region(self) -> Region | None:

@@ -114,15 +114,9 @@ class CoherentEstimator(Estimator):
         """The estimate before it is made."""
         rounds = schedule(capture.camera_shape, capture.patterns.pixels, self.windows)
         solver = RowSolver(
-            capture,
-            self._solver,
-            self.regularization,
-            self.trust,
-            self.candidates,
-            self.sizes,
-            self.background_grid,
-            narrow=rounds[0].spacing > 1,
-        )
+            capture, self._solver, self.regularization, self.trust, self.candidates, self.sizes,
+            self.background_grid, narrow=rounds[0].spacing > 1,
+        )  # fmt: skip
         work = Rounds(solver, rounds, self.tile_rows, self.judged)
         return Plan(work, self._provenance(capture, solver.penalty), solver.backgrounds.grid)
 
