@@ -89,9 +89,8 @@ def patterns(
         raise InputError(f"--mix for {kind} patterns", hint="write `lightmatrix patterns mix`")
     in_colour = primary == "rgb"
     if in_colour and kind != "bernoulli":
-        raise InputError(
-            f"{kind} patterns in rgb", hint="write `lightmatrix patterns bernoulli --primary rgb`"
-        )
+        hint = "write `lightmatrix patterns bernoulli --primary rgb`"
+        raise InputError(f"{kind} patterns in rgb", hint=hint)
     if grey is not None and not in_colour:
         raise InputError("--grey without --primary rgb", hint="all of these patterns are grey")
     made: PatternSet
@@ -104,12 +103,9 @@ def patterns(
             permute=permute, block=size(block), inverse=inverse, period=period, seed=seed,
         )  # fmt: skip
     lm.write_patterns(
-        output,
-        made,
-        colour=None if in_colour else primary,
-        bit_planes=bit_planes,
+        output, made, colour=None if in_colour else primary, bit_planes=bit_planes,
         overwrite=overwrite,
-    )
+    )  # fmt: skip
     result = {**made.description, "count": made.count, "digest": made.digest, "output": output}
     rows, cols = size(shape)
     lines = [f"{made.count} patterns ({kind}) of {rows} x {cols} pixels in {output}"]

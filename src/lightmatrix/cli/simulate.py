@@ -77,7 +77,7 @@ def simulate(
     Patterns for two projectors stand one above the other, 128x64 for 64x64 each; every camera has a
     folder: camera-1, camera-2.
     """
-    cameras = lm.devices_of(scene).cameras
+    cameras = next((one.cameras for one in lm.scenes() if one.name == scene), 1)
     places = [output] if cameras == 1 else [output / f"camera-{k}" for k in range(1, cameras + 1)]
     for place in places:
         check_output(place, CAPTURE, overwrite=overwrite)
@@ -107,9 +107,8 @@ def _amounts(faults: list[str]) -> dict[str, float]:
         try:
             number = float(amount)
         except ValueError:
-            raise InputError(
-                f"a fault of {text!r}", hint="write NAME=AMOUNT, with a number such as 0.1"
-            ) from None
+            hint = "write NAME=AMOUNT, with a number such as 0.1"
+            raise InputError(f"a fault of {text!r}", hint=hint) from None
         if amounts.setdefault(name, number) != number:
             raise InputError(f"{name} twice", hint="give each fault once")
     return amounts

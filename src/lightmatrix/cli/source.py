@@ -72,12 +72,9 @@ class Source:
     def check(self) -> list[Finding]:
         """What is wrong with the capture, which may be one that cannot be opened."""
         return lm.check(
-            self.folder,
-            patterns=self.patterns,
-            images=self.images,
-            settings=self.settings,
+            self.folder, patterns=self.patterns, images=self.images, settings=self.settings,
             crop=self.crop,
-        )
+        )  # fmt: skip
 
 
 def refuse_unknown_projector(capture: Capture) -> None:
@@ -215,9 +212,8 @@ def read_source(
             )
         return Source(capture, None, None, None, region, find, find_projector)
     if patterns is None and images is None:
-        raise InputError(
-            "no capture is given", hint="give a capture folder, or --patterns and --images"
-        )
+        hint = "give a capture folder, or --patterns and --images"
+        raise InputError("no capture is given", hint=hint)
     if patterns is None or images is None:
         missing = "--patterns" if patterns is None else "--images"
         raise InputError(f"{missing} is missing", hint="give both, or a capture folder")

@@ -129,9 +129,8 @@ def check_code_shape(shape: tuple[int, int]) -> None:
     """Refuse projectors of one pixel, which nothing can encode."""
     check_geometry(shape, 1)
     if max(shape) < 2:
-        raise InputError(
-            f"a code for a projector of shape {shape}", hint="give (rows, cols), one above 1"
-        )
+        hint = "give (rows, cols), one above 1"
+        raise InputError(f"a code for a projector of shape {shape}", hint=hint)
 
 
 def both_axes(shape: tuple[int, int]) -> tuple[tuple[int, int], ...]:
@@ -157,8 +156,6 @@ class GrayCodePatterns(StripePatterns):
 
     Parameters
     ----------
-    shape : (int, int)
-        Projector rows and columns.
     inverse : bool
         Whether each bit is followed by its inverse. The brighter of the two decides a bit, whatever
         the surface and the global light.
@@ -205,8 +202,6 @@ class PhasePatterns(StripePatterns):
 
     Parameters
     ----------
-    shape : (int, int)
-        Projector rows and columns.
     period : float
         Projector pixels of a period, at least 3. Short periods place a pixel more finely, but a
         projector out of focus by a pixel leaves a quarter less of 8 pixels' contrast.
@@ -243,9 +238,8 @@ def sinusoid(phase: NDArray[np.float64]) -> NDArray[np.float32]:
 def check_period(period: float) -> None:
     """Refuse periods that pixels cannot show."""
     if not 3 <= as_float(period) < np.inf:
-        raise InputError(
-            f"a period of {period} projector pixels", hint="use at least 3, such as 8 or 16"
-        )
+        hint = "use at least 3, such as 8 or 16"
+        raise InputError(f"a period of {period} projector pixels", hint=hint)
 
 
 # Periods lie within this share of their mean, as in the paper: all are then short, which is what
@@ -263,8 +257,6 @@ class MicroPhasePatterns(StripePatterns):
 
     Parameters
     ----------
-    shape : (int, int)
-        Projector rows and columns.
     total : int
         Number of patterns: an equal number, at least 5, for the columns and for the rows.
     period : float

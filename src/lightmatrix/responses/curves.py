@@ -59,9 +59,8 @@ def exposures_of(frames: Frames, stated: float | NDArray[Any] | None) -> NDArray
         hint = "give one for each, in the order of the photographs"
         raise InputError(f"{exposures.size} exposures for {frames.count} photographs", hint=hint)
     if not (np.isfinite(exposures).all() and (exposures > 0).all()):
-        raise InputError(
-            f"an exposure of {exposures.min():g}", hint="use positive numbers, in any unit"
-        )
+        hint = "use positive numbers, in any unit"
+        raise InputError(f"an exposure of {exposures.min():g}", hint=hint)
     return exposures
 
 
@@ -352,13 +351,10 @@ def camera_response(
     residuals = measure_residuals(curve, series)
     measured = CameraResponse(
         Response(np.arange(TOP + 1) / TOP, curve, "measured", top),
-        float(several.std(axis=0, ddof=1).max()),
-        float(max(abs(residuals[1]), default=np.nan)),
-        nearest_gamma((np.arange(TOP + 1) - series.black) / (TOP - series.black), curve),
-        times,
-        max((float(np.abs(each - curve).max()) for each in by_channel), default=None),
-        residuals,
-    )
+        float(several.std(axis=0, ddof=1).max()), float(max(abs(residuals[1]), default=np.nan)),
+        nearest_gamma((np.arange(TOP + 1) - series.black) / (TOP - series.black), curve), times,
+        max((float(np.abs(each - curve).max()) for each in by_channel), default=None), residuals,
+    )  # fmt: skip
     if output is not None:
         measured.save(output, overwrite=overwrite)
     if picture is not None:

@@ -216,9 +216,8 @@ def simulate(
     if not isinstance(patterns, PatternSet):
         patterns = read_patterns(patterns)
     if primary is not None and isinstance(patterns, ColourPatterns):
-        raise InputError(
-            f"the primary {primary} for patterns in colour", hint="leave out one of the two"
-        )
+        hint = "leave out one of the two"
+        raise InputError(f"the primary {primary} for patterns in colour", hint=hint)
     exposures = parse_exposures(exposure if isinstance(exposure, str) else repr(as_float(exposure)))
     if full_well is not None:
         if shot_noise:
@@ -235,11 +234,10 @@ def simulate(
     )  # fmt: skip
     wrong = Faults(faults or {}, seed)
     if wrong.black_exposure != 1 and not (leak or ambient):
-        raise InputError(
-            "a fault black without a black frame", hint="add room light too, such as ambient=0.05"
-        )
+        hint = "add room light too, such as ambient=0.05"
+        raise InputError("a fault black without a black frame", hint=hint)
     shape = patterns.primary_shape if isinstance(patterns, ColourPatterns) else patterns.shape
-    several = 1 if isinstance(scene, Truth) else library.devices_of(scene).projectors
+    several = 1 if isinstance(scene, Truth) else library.devices_of(scene)[0]
     if shape[0] % several:
         raise InputError(
             f"patterns of {shape[0]} rows for {several} projectors, one above the other",
@@ -267,7 +265,7 @@ def simulate(
     about = (patterns, truth.camera_shape, sensor.exposure)
     if wrong.amounts:
         glow = leak * white[:, None]
-        light = wrong.of_light(light + glow, *about) - glow
+        light = wrong.acted("light", light + glow, *about) - glow
     light = wrong.of_camera(light + dark, *about)
     raw = sensor.expose(light, seed=seed)
     frames = np.ascontiguousarray(raw.T).reshape(patterns.count, *truth.camera_shape)

@@ -79,9 +79,8 @@ class ActiveSet:
                 hint="use one-sided, or the solver saturation-admm",
             )
         if not 0 < as_float(self.tolerance) < 1:
-            raise InputError(
-                f"a tolerance of {self.tolerance}", hint="use a relative gap such as 1e-4"
-            )
+            hint = "use a relative gap such as 1e-4"
+            raise InputError(f"a tolerance of {self.tolerance}", hint=hint)
         check_at_least_one(max_passes=self.max_passes, threads=self.threads)
 
     def solve(self, problem: Problem, progress: Progress | None = None) -> Result:
@@ -96,13 +95,10 @@ class ActiveSet:
         """The settings for the core."""
         return _core.Settings(
             regularization=float(problem.regularization),
-            fidelity=Fidelity(self.fidelity).term.name,
-            nonnegative=problem.nonnegative,
-            background=problem.background,
-            tolerance=self.tolerance,
-            max_passes=self.max_passes,
+            fidelity=Fidelity(self.fidelity).term.name, nonnegative=problem.nonnegative,
+            background=problem.background, tolerance=self.tolerance, max_passes=self.max_passes,
             threads=self.threads,
-        )
+        )  # fmt: skip
 
     def row_bytes(self, patterns: int, pixels: int) -> int:
         """Bytes of one row: samples twice, 512 entries, a share of the scores of active rows."""
