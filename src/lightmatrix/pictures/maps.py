@@ -102,6 +102,15 @@ def estimated_error_map(transport: LightTransport) -> Map:
     return _of_errors("Estimated error per camera pixel", "estimated ", errors)
 
 
+def changes_map(transport: LightTransport) -> Map:
+    """The photograph with which each camera pixel changed last; grey for those that did not."""
+    since = _diagnostic(transport, "since")
+    changed, unknown = since > 0, np.nanmean(_diagnostic(transport, "unknown") > 0)
+    title = f"Changed: {percent(changed.mean())}, of it not known yet: {percent(unknown)} of all"
+    last = max(1.0, float(transport.provenance.get("tracked_photographs", since.max())))
+    return Map(title, "photograph", np.where(changed, since, np.nan), 1, max(last, 2))
+
+
 def error_map(values: NDArray[np.floating]) -> Map:
     """Relative error of each camera pixel against the truth, (rows, cols); NaN where T is dark."""
     return _of_errors("Error against the truth", "", values.astype(float))

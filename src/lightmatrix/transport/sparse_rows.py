@@ -46,6 +46,12 @@ class SparseRows:
             {name: values[index] for name, values in self.diagnostics.items()},
         )
 
+    def replaced(self, places: NDArray[np.int64], new: SparseRows) -> SparseRows:
+        """These rows with new ones at some places."""
+        order = np.arange(self.count)
+        order[places] = self.count + np.arange(new.count)
+        return SparseRows.joined([self, new]).rows(order)
+
     def single(self) -> SparseRows:
         """The same rows in single precision."""
         coefficients = csr_array(self.coefficients, dtype=np.float32)

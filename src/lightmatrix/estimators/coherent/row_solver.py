@@ -242,7 +242,7 @@ class RowSolver:
         self, samples: Samples, progress: Progress | None = None, *, brief: bool = False
     ) -> Result:
         """Solve each row by itself on all atoms; in two passes if it may be `brief`."""
-        problem = self._problem(samples, FIRST_REGULARIZATION * self.level)
+        problem = self.first_problem(samples)
         passes = self.solver.max_passes
         # A gap of 1 % suffices to show where light may be. Until it is reached there would be 3.5
         # passes; but where every row has neighbours that have searched, two give the same errors.
@@ -345,6 +345,10 @@ class RowSolver:
         backgrounds = self.backgrounds
         centres = csr_array(neighbours.centres[start:stop])
         return backgrounds.under_patterns(backgrounds.spread(centres))
+
+    def first_problem(self, samples: Samples) -> Problem:
+        """The problem of rows of which nothing is known."""
+        return self._problem(samples, FIRST_REGULARIZATION * self.level)
 
     def _problem(self, samples: Samples, penalty: float) -> Problem:
         """The problem of rows of atoms, for a penalty of single pixels."""

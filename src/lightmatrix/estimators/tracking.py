@@ -1,0 +1,437 @@
+"""`lm.Tracker`: T that follows a scene, photograph by photograph.
+
+Each photograph is predicted before it is used, and what the prediction misses tells three things:
+
+1. **What changed, and when.** The squares missed by a camera sample and its neighbours, relative to
+   the usual ones, go into Page's cumulative sum (Biometrika 1954), which tells a change from chance
+   and when it began. Rows that follow the photographs stay as they are, bit by bit.
+2. **What is solved again.** A row that changed counts only photographs since then. Eight black and
+   white ones tell 256 projector pixels apart, not all of them. But T knows how far light moves
+   where depth changes: along a line, within bounds. Only these pixels are searched; then neighbours
+   help, as in the coherent estimate.
+3. **What is not known yet.** A row is unknown until it predicts photographs that it has not used.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import uniform_filter
+from scipy.sparse import csr_array
+
+from lightmatrix.capture.capture import Capture, capture_of_samples, open_capture
+from lightmatrix.capture.exposures import frame_weights
+from lightmatrix.capture.frames import ArrayStack
+from lightmatrix.capture.samples import Samples
+from lightmatrix.errors import InputError
+from lightmatrix.estimators.coherent.estimator import CoherentEstimator
+from lightmatrix.estimators.coherent.neighbourhood import REACH, Neighbourhood, strongest_entries
+from lightmatrix.estimators.coherent.row_solver import RowSolver
+from lightmatrix.estimators.coherent.schedule import Round
+from lightmatrix.estimators.estimate import estimate
+from lightmatrix.patterns.colour import ColourPatterns
+from lightmatrix.patterns.pattern_set import ImagePatterns
+from lightmatrix.ranges import real_array
+from lightmatrix.solvers.active_set import Candidates, Cells, solve_weighted
+from lightmatrix.solvers.problem import Result
+from lightmatrix.transport.matrix import LightTransport
+from lightmatrix.transport.sparse_rows import SparseRows
+
+# A change multiplies the squares missed by this at least; less goes on as an error of T. The sums
+# of log-likelihood ratios from which a region has changed, and a row within it. Without a change
+# they stay below 2 in 64 photographs of 64 x 64 camera pixels (`python -m benchmarks.track`).
+_RATIO, _REGION, _ROW = 25.0, 10.0, 2.0
+# Photographs since a change with which a row is solved first; those that judge whether it is known;
+# and those up to which it is searched whether known or not. Chosen by hand.
+_FIRST, _JUDGED, _SEARCHED = 4, 3, 8
+# What neighbours say of rows: after a search three times, of others the last time.
+_ROUNDS = (Round(1, (2, 1), 3), Round(1, (2, 1), 4), Round(1, (1, 1), 5, last=True))
+
+
+@dataclass(frozen=True, eq=False)
+class Update:
+    """What a photograph said of the scene; made by `Tracker.update`.
+
+    Parameters
+    ----------
+    photograph : int
+        Its number, from 1 on.
+    changed, unknown : camera_shape bool
+        Camera samples that were found to have changed; those whose row is not known yet.
+    missed : float
+        The relative error of its prediction, over rows that are known and did not change.
+    """
+
+    photograph: int
+    changed: NDArray[np.bool_]
+    unknown: NDArray[np.bool_]
+    missed: float
+
+
+class Tracker:
+    """T after each further photograph of a scene in which things move.
+
+    Parameters
+    ----------
+    capture : Capture, str or Path
+        The first K photographs; further ones slide through a window of K.
+    transport : LightTransport, optional
+        T of these. None: it is estimated.
+
+    Attributes
+    ----------
+    photographs : int
+        Further photographs so far.
+    since : (M,) int64
+        The photograph with which each row changed last; 0 for rows that did not.
+
+    Raises
+    ------
+    InputError
+        If T does not fit the capture or has no light, or a projector shows colours.
+
+    Examples
+    --------
+    >>> import lightmatrix as lm
+    >>> capture = lm.simulate("metal", lm.BernoulliPatterns((64, 64), 33), exposure=0.15)
+    >>> tracker = lm.Tracker(capture.select(range(32)))
+    >>> step = tracker.update(capture.frame(32), capture.patterns.images(32)[0])
+    >>> step.photograph, step.changed.shape
+    (1, (64, 64))
+    """
+
+    def __init__(
+        self, capture: Capture | str | Path, transport: LightTransport | None = None
+    ) -> None:
+        capture = open_capture(capture)
+        if isinstance(capture.patterns, ColourPatterns):
+            raise InputError("patterns in colour", hint="track photographs of one primary")
+        if transport is None:
+            transport = estimate(capture, progress=False)
+        shapes = capture.camera_shape, capture.projector_shape
+        if transport.image_shapes != shapes:
+            raise InputError(
+                f"a matrix of shapes {transport.image_shapes}, for photographs of {shapes}",
+                hint="give the matrix of these photographs",
+            )
+        self.photographs, self.since = 0, np.zeros(capture.rows, np.int64)
+        self._capture, self._given = replace(capture, correction=None), transport
+        self._light = SparseRows(transport.sparse, transport.background)
+        self._camera: tuple[int, ...] = (*capture.camera_shape, 1)[:3]
+        self._parallax = _Parallax.of(transport)
+        # The window: the photograph n stands in column n mod K.
+        seen = self._capture.samples()
+        self._samples = Samples(
+            seen.values.copy(), seen.clipped.copy(), seen.clip_levels_of_all(), seen.counted
+        )
+        self._shown, self._exposures = capture.patterns.dense(), capture.exposures.copy()
+        misses = _squares(seen, self._predicted(self._light, self._shown)).T
+        misses *= self._weights[:, None]
+        # Photographs that T was estimated from are missed by less than others: squares were 1 to 3
+        # times as large on `l_objects` at 64 x 64.
+        self._usual = 4 * self._around(misses.mean(axis=0)) + 1e-12
+        # The variance of the camera's noise is at most this: most rows are right but for noise.
+        self._noise = float(np.quantile(self._usual, 0.25)) / 4
+        # Squares by which rows missed the last photographs, infinite until they are solved; and
+        # those of the photographs that they were solved with.
+        self._missed, self._misfit = misses[-_JUDGED:], np.zeros(capture.rows)
+        # Cumulative sums of rows and of the regions around them, and where the latter began.
+        self._own, self._region = np.zeros((2, capture.rows))
+        self._began = np.zeros(capture.rows, np.int64)
+        # Rows that were solved again, in order, as atoms; and the light of all rows times the
+        # contrast of the patterns, to which misses are relative.
+        self._rows, self._atoms = np.zeros(0, np.int64), self._light
+        self._length = np.ones(capture.rows)
+
+    def update(
+        self, photograph: NDArray[Any], pattern: NDArray[Any], *, exposure: float | None = None
+    ) -> Update:
+        """Take a further photograph into T.
+
+        Parameters
+        ----------
+        photograph : (rows, cols[, channels]) uint8, uint16 or float32
+            Raw levels, as those of the capture.
+        pattern : (rows, cols) float
+            What was projected, in [0, 1].
+        exposure : float, optional
+            In the unit of the capture's exposures. None: that of its first frame.
+
+        Raises
+        ------
+        InputError
+            If the photograph or the pattern has another size or type than the capture's.
+        """
+        first = self._capture.select([0])
+        frames, wanted = ArrayStack(np.asarray(photograph)[None]), first.frames
+        if (frames.shape, frames.dtype) != (wanted.shape, wanted.dtype):
+            raise InputError(
+                f"a photograph of {frames.shape} {frames.dtype}",
+                hint=f"give raw levels as in the capture, {wanted.shape} {wanted.dtype}",
+            )
+        patterns = ImagePatterns(real_array("a pattern", pattern)[None])
+        if first.bin_projector != (1, 1):
+            patterns = patterns.coarse(first.bin_projector)
+        if patterns.shape != first.projector_shape:
+            hint = f"the projector has {first.projector_shape}"
+            raise InputError(f"a pattern of {patterns.shape} pixels", hint=hint)
+        decoder = first.decoder if exposure is None else replace(first.decoder, exposure=exposure)
+        return self._add(replace(first, patterns=patterns, frames=frames, decoder=decoder))
+
+    def follow(self, capture: Capture) -> Iterator[Update]:
+        """Take the photographs of another capture by this camera into T, one by one."""
+        return (self._add(capture.select([k])) for k in range(capture.count))
+
+    @property
+    def transport(self) -> LightTransport:
+        """T now.
+
+        The diagnostics have the photograph with which each row changed (`since`, 0 for rows that
+        did not) and `unknown`, which is 1 for changed rows whose estimate does not yet predict
+        photographs. Their estimated error is 1; that of other changed rows is what they missed
+        the last photographs by.
+        """
+        changed, unknown = self.since > 0, self._unknown
+        diagnostics = {name: values.copy() for name, values in self._given.diagnostics.items()}
+        for values in diagnostics.values():
+            values[changed] = np.nan if values.dtype.kind == "f" else 0
+        # At least a tenth of what they missed counts as error, as elsewhere.
+        wrong = np.maximum(self._lately - self._noise, 0.1 * self._lately)
+        error = np.where(unknown, 1, np.sqrt(wrong) / self._length)
+        before = diagnostics.get("estimated_error", np.full(len(changed), np.nan))
+        diagnostics |= {
+            "estimated_error": np.where(changed, error, before).astype(np.float32),
+            "since": self.since.copy(),
+            "unknown": unknown.astype(np.float32),
+        }
+        return replace(
+            self._given,
+            sparse=self._light.coefficients,
+            background=self._light.background,
+            diagnostics=diagnostics,
+            provenance={**self._given.provenance, "tracked_photographs": self.photographs},
+        )
+
+    def _add(self, one: Capture) -> Update:
+        self.photographs += 1
+        shown, seen, known = one.patterns.dense(), one.samples(), ~self._unknown
+        column = self.photographs % len(self._shown)
+        self._shown[column], self._exposures[column] = shown[0], one.exposures[0]
+        for name, values in vars(self._samples).items():
+            new = seen.counted if name == "weights" else getattr(seen, name)
+            values[:, column] = new if new.ndim == 1 else new[:, 0]
+        missed = _squares(seen, self._predicted(self._light, shown))[:, 0] * self._weights[column]
+        changed = self._changes(missed) & known
+        self.since[changed] = self._began[changed]
+        self._own[changed] = 0
+        self._missed = np.concatenate([self._missed[1:], missed[None]])
+        self._missed[:, changed] = np.inf
+        # Rows that were not solved since they changed have predicted nothing.
+        self._missed[-1, self._learning & (self._seen_by <= _FIRST)] = np.inf
+        # If no T explains the photographs since a change, there was another one meanwhile.
+        misfit = np.maximum(self._misfit, self._around(self._misfit))
+        lost = ~known & (self._seen_by > 2 * _SEARCHED) & (misfit > _RATIO * self._usual)
+        self.since[lost] = self.photographs + 1 - _SEARCHED
+        self._solve()
+        right = known & ~changed & seen.counted[:, 0]
+        light = seen.values[right, 0]
+        error = float(np.sqrt(missed[right].sum() / max(float(light @ light), 1e-30)))
+        shape = self._capture.camera_shape
+        maps = changed.reshape(shape), self._unknown.reshape(shape)
+        return Update(self.photographs, *maps, error)
+
+    @property
+    def _weights(self) -> NDArray[np.float32]:
+        """Weights of the window's photographs by their exposures, (K,)."""
+        weights = frame_weights(self._exposures)
+        return np.ones(len(self._exposures), np.float32) if weights is None else weights
+
+    def _predicted(self, light: SparseRows, shown: NDArray[np.float32]) -> NDArray[np.float32]:
+        """What rows of T show under patterns (k, N), (m, k)."""
+        diffuse = light.background @ (self._given.pooling @ shown.T)
+        return np.asarray(light.coefficients @ shown.T + diffuse, np.float32)
+
+    def _around(self, values: NDArray[Any]) -> NDArray[np.float64]:
+        """Means over squares of three camera pixels a side, (M,)."""
+        image = values.reshape(self._camera).astype(np.float64)
+        return np.asarray(uniform_filter(image, (3, 3, 1), mode="nearest").ravel())
+
+    def _changes(self, missed: NDArray[np.float32]) -> NDArray[np.bool_]:
+        """The rows that have changed by now, (M,)."""
+        self._began[self._region == 0] = self.photographs
+        # Rows that are learned anew miss by more at first.
+        usual = np.where(self._learning, np.maximum(self._usual, self._lately), self._usual)
+        # What is not known yet says nothing of the rows beside it.
+        around = self._around(np.where(self._unknown, 0, missed))
+        for sums, misses in ((self._own, missed), (self._region, around)):
+            sums += ((1 - 1 / _RATIO) * misses / usual - np.log(_RATIO)) / 2
+            # From the largest sum it falls to zero within a dozen photographs.
+            np.clip(sums, 0, 2 * _REGION, out=sums)
+        return (self._region > _REGION) & (self._own > _ROW)
+
+    @property
+    def _seen_by(self) -> NDArray[np.int64]:
+        """How many photographs show each row as it is since it changed, (M,)."""
+        return self.photographs + 1 - self.since
+
+    @property
+    def _learning(self) -> NDArray[np.bool_]:
+        """Rows that changed within the window, (M,)."""
+        return (self.since > 0) & (self._seen_by <= len(self._shown))
+
+    @property
+    def _lately(self) -> NDArray[np.float64]:
+        """Mean squares by which rows, or the regions around them, missed the last photographs."""
+        misses = self._missed.mean(axis=0)
+        return np.maximum(misses, self._around(np.where(np.isfinite(misses), misses, 0)))
+
+    @property
+    def _unknown(self) -> NDArray[np.bool_]:
+        # From an error of 0.2 on an estimate is called doubtful. Three standard deviations of the
+        # camera's noise are no error.
+        return (self.since > 0) & ~(self._lately <= (0.2 * self._length) ** 2 + 9 * self._noise)
+
+    def _solve(self) -> None:
+        """Solve the rows that changed with the photographs since then."""
+        rows = np.flatnonzero(self._learning & (self._seen_by >= _FIRST))
+        if not len(rows):
+            return
+        seen_by = self._seen_by[rows]
+        # Columns of the window, the latest last.
+        most = int(seen_by.max())
+        columns = np.arange(self.photographs + 1 - most, self.photographs + 1) % len(self._shown)
+        shown, samples = self._shown[columns], self._samples.rows(rows).frames(columns)
+        weights = samples.weights_of_all() * self._weights[columns]
+        weights *= np.arange(most) >= most - seen_by[:, None]
+        samples = replace(samples, weights=weights)
+        # The part of the camera around them, where other rows stand as they are in T.
+        row, col, _ = np.unravel_index(rows, self._camera)
+        top, left = (max(0, int(each.min()) - 2 * REACH) for each in (row, col))
+        part = np.arange(len(self.since)).reshape(self._camera)[
+            top : row.max() + 2 * REACH + 1, left : col.max() + 2 * REACH + 1
+        ]
+        camera, part = part.shape, part.ravel()
+        patterns = ImagePatterns(shown.reshape(most, *self._given.projector_shape))
+        solver = CoherentEstimator(background_grid=self._given.background_grid).row_solver(
+            capture_of_samples(patterns, samples, camera[:2], float(self._exposures.max()))
+        )
+        atoms, light = solver.atoms, self._light.rows(part)
+        matrix = light.coefficients
+        usable = np.repeat(~self._learning[part], np.diff(matrix.indptr))
+        data = (matrix.data * usable / atoms.gains[0]).astype(np.float32)
+        shape = (len(part), atoms.pixels)
+        matrix = csr_array((data, matrix.indices, matrix.indptr), shape=shape)
+        matrix.eliminate_zeros()
+        beside = SparseRows(matrix, light.background.sum(axis=1, keepdims=True))
+        # Rows that are not known are searched; of others the last estimate is the start.
+        search = (seen_by <= _SEARCHED) | self._unknown[rows]
+        fresh, again = np.flatnonzero(search), np.flatnonzero(~search)
+        found = self._parallax.search(
+            solver, samples.rows(fresh), rows[fresh] // self._camera[2], seen_by[fresh]
+        )
+        before = self._atoms.rows(np.searchsorted(self._rows, rows[again]))
+        order = np.argsort(np.concatenate([fresh, again]))
+        now = (SparseRows.joined([found, before]) if len(again) else found).rows(order)
+        places, jacobian = np.searchsorted(part, rows), None
+        for this_round in _ROUNDS:
+            due = np.arange(len(rows)) if this_round.last else fresh
+            if len(due):
+                around = beside.replaced(places, now)
+                neighbours = Neighbourhood(around, camera, atoms, known_jacobian=jacobian)
+                jacobian = neighbours.jacobian
+                solved, _ = solver.near(samples.rows(due), places[due], this_round, neighbours)
+                now = now.replaced(due, _lit(solved))
+        shares = solver.backgrounds.spread(csr_array(neighbours.centres[places]))
+        background = (solved.background[:, None] * shares + solved.cells).astype(np.float32)
+        new = SparseRows(atoms.expand(now.coefficients), background)
+        squares = _squares(samples, self._predicted(new, shown))
+        self._misfit[rows] = np.average(squares, axis=1, weights=weights + 1e-9)
+        self._length[rows] = atoms.single_contrast * solver.backgrounds.lengths(new)
+        self._light = self._light.replaced(rows, new)
+        self._rows, self._atoms = rows, now
+
+
+def _squares(samples: Samples, predicted: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Squares of what predictions miss, (m, k); clipped samples are lower bounds."""
+    off = samples.values - predicted
+    off[(samples.clipped & (off < 0)) | ~samples.counted] = 0
+    return np.asarray(np.square(off))
+
+
+def _lit(solved: Result) -> SparseRows:
+    """Solved rows with one background each, as their neighbours see them."""
+    rows = solved.rows.single()
+    return SparseRows(rows.coefficients, rows.background[:, :1])
+
+
+@dataclass(frozen=True, eq=False)
+class _Parallax:
+    """Where the light of a camera pixel may lie in the projector, by what T knows of the scene.
+
+    For a smooth surface it is a polynomial of the camera pixel, `centres` (P, 2). Depth moves it
+    from there along a line: `offsets` (J, 2) are the steps that occur, and three pixels more.
+    """
+
+    centres: NDArray[np.int64]
+    offsets: NDArray[np.int64]
+
+    @classmethod
+    def of(cls, transport: LightTransport) -> _Parallax:
+        rows, cols, depth = (*transport.camera_shape, 1)[:3]
+        light = np.asarray(transport.sparse.sum(axis=1), np.float64).reshape(-1, depth)
+        best = np.arange(rows * cols) * depth + light.argmax(axis=1)
+        strongest = strongest_entries(transport.sparse)[best]
+        place = np.stack(np.divmod(strongest, transport.projector_shape[1]), axis=1)
+        lit = light.max(axis=1) > 0.02 * np.quantile(light, 0.99)
+        if not lit.any():
+            raise InputError("a matrix without light", hint="take photographs of a lit scene")
+        r, c = (each / max(rows, cols) for each in np.divmod(np.arange(rows * cols), cols))
+        terms = np.stack([np.ones_like(r), r, c, r * r, r * c, c * c], axis=1)
+        used = lit
+        # Rows that are wrong lie far from all others, and must not count.
+        for _ in range(4):
+            fit, *_ = np.linalg.lstsq(terms[used], place[used], rcond=None)
+            off = place - terms @ fit
+            far = np.linalg.norm(off, axis=1)
+            used = lit & (far <= max(2.0, 4 * float(np.median(far[lit]))))
+        _, axes = np.linalg.eigh(off[used].T @ off[used])
+        low, high = np.quantile(off[used] @ axes, (0.01, 0.99), axis=0)
+        reach = int(np.ceil(np.hypot(*np.maximum(-low, high)))) + 4
+        steps = np.indices((2 * reach + 1, 2 * reach + 1)).reshape(2, -1).T - reach
+        inside = ((steps @ axes >= low - 3) & (steps @ axes <= high + 3)).all(axis=1)
+        return cls(np.rint(terms @ fit).astype(np.int64), steps[inside])
+
+    def search(
+        self,
+        solver: RowSolver,
+        samples: Samples,
+        pixels: NDArray[np.int64],
+        seen_by: NDArray[np.int64],
+    ) -> SparseRows:
+        """Rows of camera pixels by themselves, on the atoms where their light may be.
+
+        Rows that are not known after many photographs search the whole projector now and then.
+        """
+        (height, width), planes = solver.capture.projector_shape, solver.atoms.planes
+        plane = np.repeat(np.arange(planes) * (height * width), len(self.offsets))
+        # Indices of 64 MiB at a time.
+        step, parts = max(1, (1 << 23) // len(plane)), []
+        for start in range(0, max(1, len(pixels)), step):
+            place = self.centres[pixels[start : start + step], None] + self.offsets
+            inside = np.tile(((place >= 0) & (place < (height, width))).all(axis=2), planes)
+            index = np.tile(place @ (width, 1), planes) + plane
+            ends = np.append(0, np.cumsum(inside.sum(axis=1)))
+            atoms = Candidates(ends, index[inside].astype(np.int32), np.ones(ends[-1], np.float32))
+            problem = solver.first_problem(samples.rows(slice(start, start + step)))
+            none = Cells.none(solver.capture.patterns)
+            parts.append(_lit(solve_weighted(problem, atoms, none, solver.solver)))
+        found = SparseRows.joined(parts)
+        wide = np.flatnonzero((seen_by > 2 * _SEARCHED) & (seen_by % _SEARCHED == 0))
+        if len(wide):
+            found = found.replaced(wide, _lit(solver.everywhere(samples.rows(wide), brief=True)))
+        return found
