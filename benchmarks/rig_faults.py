@@ -56,8 +56,8 @@ SHAPE, NOISE = (64, 64), 0.003
 SCENES = ("l_objects", "gripper", "metal", "corner", "vase")
 COUNTS = (16, 32, 64)
 # The strengths of each fault; the pattern kind that shows it, where random ones do not; and the
-# name that the rig model has for it. Nothing undoes what is named None.
-FAULTS: dict[str, tuple[tuple[float, ...], str, str | None]] = {
+# name that the rig model has for it.
+FAULTS: dict[str, tuple[tuple[float, ...], str, str]] = {
     "gain": ((0.02, 0.05, 0.1), "random", "gain"),
     "ambient": ((0.02, 0.05, 0.1), "random", "ambient"),
     "shake": ((0.05, 0.1, 0.3), "random", "shift"),
@@ -74,7 +74,7 @@ FAULTS: dict[str, tuple[tuple[float, ...], str, str | None]] = {
     "dynamic-contrast": ((0.1, 0.3, 0.6), "varied", "dynamic-contrast"),
     "exposure": ((0.02, 0.05, 0.2), "random", "exposure"),
     "black": ((0.2, 0.5, 1.0), "random", "black"),
-    "tone-mapping": ((0.1, 0.2, 0.3), "random", None),
+    "tone-mapping": ((0.1, 0.2, 0.3), "random", "tone-mapping"),
 }
 FOUR = (("shake", 0.05), ("gain", 0.03), ("previous", 0.05), ("rows", 0.04))
 SIX = (*FOUR, ("crosstalk", 0.1), ("camera-curve", 1.1))
@@ -125,7 +125,7 @@ class Case:
     @property
     def expected(self) -> set[str]:
         """The names that the rig model has for the faults."""
-        return {str(FAULTS[name][2]) for name, _ in self.faults if FAULTS[name][2]}
+        return {FAULTS[name][2] for name, _ in self.faults}
 
     @property
     def intact(self) -> Case:
@@ -434,7 +434,7 @@ def _misleads(case: Case, results: dict[Case, Row]) -> bool:
 
 def aims(results: dict[Case, Row]) -> list[Row]:
     """What the correction must reach, and what it reaches in these results."""
-    single = [c for c in results if c.group == "faults" and c.expected]
+    single = [c for c in results if c.group == "faults"]
     costly = [
         c for c in single
         if (results[c]["without"]["error"] or 1.0) > COSTLY

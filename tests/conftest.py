@@ -8,10 +8,15 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from hypothesis import HealthCheck, settings
 
 from lightmatrix.simulation import library
 from lightmatrix.simulation.library import read_bundled
 from lightmatrix.simulation.truth import Truth, binned
+
+# A busy machine may need long for an example, and for drawing it.
+settings.register_profile("busy", deadline=None, suppress_health_check=[HealthCheck.too_slow])
+settings.load_profile("busy")
 
 
 @pytest.fixture(scope="session", autouse=True)
@@ -52,10 +57,7 @@ def small_scenes() -> Iterator[None]:
 
 # One process at a time can serve a camera on the loopback network, or look for cameras there and
 # find none.
-_TOGETHER = {
-    "tests/rig/test_aravis.py": "gige",
-    "tests/rig/test_devices.py": "gige",
-}
+_TOGETHER = {"tests/rig/test_aravis.py": "gige", "tests/rig/test_devices.py": "gige"}
 
 
 @pytest.hookimpl(optionalhook=True)

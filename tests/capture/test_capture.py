@@ -256,7 +256,7 @@ def test_large_captures_are_kept_in_a_temporary_file(monkeypatch: pytest.MonkeyP
     expected = Capture.from_arrays(SETS[0], frames, sensor)
     monkeypatch.setattr(disk, "SCRATCH_MEMORY_BYTES", 0)
     mapped = Capture.from_arrays(SETS[0], frames, sensor)
-    assert isinstance(mapped.reader.raw, np.memmap)
+    assert isinstance(mapped.raw, np.memmap)
     assert mapped.digest == expected.digest
     assert mapped.bin(camera=2).digest == expected.bin(camera=2).digest
 

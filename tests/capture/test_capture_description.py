@@ -38,18 +38,19 @@ def describe(place: Path, **change: Any) -> None:
 
 # Values of another kind or out of range, by key.
 WRONG: dict[str, list[Any]] = {
-    "exposure": [True, None, "1", [], [1, "2"], [1, 0], -1, 10**400],
-    "clip": [None, "255", {"level": 255}, 0],
-    "black_level": ["2", -1],
-    "full_scale": [1e300, 0, "255"],
-    "response": [2.2, ""],
-    "mask": [1, "a\0b"],
-    "provenance": ["text", [1]],
-    "camera_shape": [None, "5x7", [0, 7], [5.0, 7.0]],
-    "projector_shape": [48],
-    "black": [[], {}, "black.png", {"file": None}, {"file": 3}]
-    + [{"file": "black.png", "exposure": each} for each in (None, 0, -1, "1")]
-    + [{"file": "black.png", "exposrue": 1}],
+    "exposure": [True, None, "1", [], {"a": 1}, [1, "2"], [1, 0], [[1] * 9], -1, 10**400],
+    "clip": [None, "255", True, [], {"level": 255}, 0, 1e300],
+    "black_level": ["2", -1, True, [], {}, -1e300],
+    "full_scale": [1e300, 0, -1, "255", True, []],
+    "response": [2.2, "", True, {}, "gamma:0"],
+    "mask": [1, "a\0b", True, {}],
+    "provenance": ["text", [1], True],
+    "camera_shape": [None, "5x7", 64, [0, 7], [5.0, 7.0], [[5], [7]]],
+    "projector_shape": [48, {}, "6x8"],
+    "black": [[], {}, True, 7, "black.png", {"file": None}, {"file": 3}, {"file": {}}]
+    + [{"file": "black.png", "exposure": each} for each in (None, 0, -1, "1", [], [0.8] * 9)]
+    + [{"file": "black.png", key: 1} for key in ("exposrue", "exposures", "File", "level")],
+    "version": [0, "1", None, [1], 1e300],
 }
 
 
@@ -73,6 +74,11 @@ def test_values_of_another_kind_or_out_of_range(tmp_path: Path, key: str) -> Non
         ('{"exposure": NaN}', "NaN is not a number in JSON"),
         ("", "cannot be read"),
         ('"text"', "is not a lightmatrix-capture file"),
+        ("[1]", "is not a lightmatrix-capture file"),
+        ("null", "is not a lightmatrix-capture file"),
+        ("  \n", "cannot be read"),
+        ("{exposure: 0.5}", "cannot be read"),
+        ('{"format": "lightmatrix-capture"', "cannot be read"),
         ('{"format": "lightmatrix-capture", "version": true}', "format version True"),
     ],
 )
@@ -246,7 +252,9 @@ def test_curves_are_regular_files_of_a_sane_size(tmp_path: Path) -> None:
     np.save(tmp_path / "box.npy", np.zeros((2, 2, 2)))
     np.save(tmp_path / "dark.npy", np.array([[0.0, -1], [255, 1]]))
     np.save(tmp_path / "huge.npy", np.array([[0, 0], [255, 1e308]]))
-    for name in ("wrong", "negative", "box", "dark", "huge"):
+    np.save(tmp_path / "falling.npy", np.array([[0, 1], [128, 0.5], [255, 0]]))
+    np.save(tmp_path / "nan.npy", np.array([[0, 0], [128, np.nan], [255, 1]]))
+    for name in ("wrong", "negative", "box", "dark", "huge", "falling", "nan"):
         with pytest.raises(InputError):
             Response.parse(f"curve:{tmp_path / name}.npy")
 
@@ -376,9 +384,7 @@ def test_a_scaled_black_frame_requires_a_black_level(tmp_path: Path) -> None:
     # 16 + (20 - 16) * 2 is subtracted.
     samples = Capture.open(place).samples()
     expected = Capture.from_arrays(
-        SETS[0],
-        photographs(SETS[0], Sensor()),
-        Decoder(255, 255, 16, black_frame=np.full(35, 24)),
+        SETS[0], photographs(SETS[0], Sensor()), Decoder(255, 255, 16, black_frame=np.full(35, 24))
     ).samples()
     np.testing.assert_allclose(samples.values, expected.values, atol=1e-6)
 

@@ -146,10 +146,7 @@ def test_swapped_stripes_are_refused() -> None:
     order = np.arange(42)
     order[[4, 24]] = 24, 4
     good = Capture.from_folders(
-        BOARD / "graycode_pattern",
-        BOARD / "capture_0",
-        bin_projector=BIN,
-        bin_camera=BIN,
+        BOARD / "graycode_pattern", BOARD / "capture_0", bin_projector=BIN, bin_camera=BIN
     )
     mixed = Capture(
         good.patterns, stack.select(list(order)), good.decoder, bin_camera=good.bin_camera

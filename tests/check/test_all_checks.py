@@ -16,10 +16,8 @@ from scipy.ndimage import gaussian_filter
 
 import lightmatrix as lm
 from benchmarks import frame_checks
-from lightmatrix.check.all_checks import (
-    check_distinguishable,
-    check_interchanged,
-)
+from lightmatrix.capture.folder import write_capture
+from lightmatrix.check.all_checks import check_distinguishable, check_interchanged
 from lightmatrix.check.finding import KINDS
 from lightmatrix.check.survey import Survey
 from lightmatrix.cli import main
@@ -216,12 +214,11 @@ def test_motion_is_named_from_the_same_frame_on_in_a_crop() -> None:
 
 
 def test_only_the_crop_must_see_light_of_the_projector() -> None:
-    patterns = lm.BernoulliPatterns((64, 64), 32)
-    frames = np.full((32, 256, 256), 3, np.uint8)
-    frames[:, 100:164, 100:164] = stack(lm.simulate("metal", patterns, noise=0.003, exposure=0.4))
-    capture = lm.Capture.from_arrays(patterns, frames, lm.Sensor())
+    frames = np.full((32, 96, 128), 3, np.uint8)
+    frames[:, 50 : 50 + CAMERA[0], 50 : 50 + CAMERA[1]] = photographs(PATTERNS)
+    capture = lm.Capture.from_arrays(PATTERNS, frames, lm.Sensor())
     assert "unseen" in [each.kind for each in lm.check(capture)]
-    assert lm.check(capture.crop((100, 100), (64, 64))) == []
+    assert lm.check(capture.crop((50, 50), CAMERA)) == []
 
 
 # All pixels differ.
@@ -280,8 +277,8 @@ def test_exchanged_folders(frames: int) -> None:
 
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
-    capture = lm.simulate("metal", lm.BernoulliPatterns((64, 64), 32), exposure=0.3)
-    capture.save(tmp_path / "capture")
+    frames = photographs(PATTERNS, noise=0.001)
+    write_capture(tmp_path / "capture", PATTERNS, frames, sensor=lm.Sensor(0.9, read_noise=0.001))
     return tmp_path / "capture"
 
 
@@ -352,17 +349,3 @@ def test_no_capture_is_an_error(capsys: pytest.CaptureFixture[str]) -> None:
         assert "error:" in capsys.readouterr().err
     with pytest.raises(lm.InputError):
         lm.check()
-
-
-def test_estimate_says_what_check_finds(
-    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    for image in (folder / "images").iterdir():
-        levels = lm.read_image(image) / 255
-        bent = np.rint(255 * levels ** (1 / 2.2)).astype(np.uint8)
-        lm.write_image(image, bent, overwrite=True)
-    words = ["estimate", str(folder), "-o", str(tmp_path / "x.zarr"), "--no-coherent", "--json"]
-    assert main([*words, "--iterations", "2"]) == 0
-    shown = capsys.readouterr()
-    assert "camera-curve: " in shown.err
-    assert [each["kind"] for each in json.loads(shown.out)["findings"]] == ["camera-curve"]

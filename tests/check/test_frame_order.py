@@ -249,3 +249,8 @@ def test_stripes_too_fine_to_be_seen_have_no_order() -> None:
     frames[8], frames[13] = frames[13], frames[8]
     swapped = lm.Capture.from_arrays(capture.patterns, np.stack(frames), capture.decoder)
     assert [each.frames for each in check_capture(swapped) if each.kind == "order"] == [(8, 13)]
+
+
+def test_scrambled_fibres_have_no_neighbours_but_follow_stripes_and_their_inverses() -> None:
+    capture = draw("permutation", "stripes", "intact", 16, 5089).capture
+    assert not {"order", "unrelated"} & {each.kind for each in check_capture(capture)}

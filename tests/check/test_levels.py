@@ -63,12 +63,7 @@ def test_two_thirds_of_the_samples_may_clip() -> None:
 
 @pytest.mark.parametrize(
     ("clip", "scale", "dtype", "end"),
-    [
-        (235, 1, "u1", 255),
-        (128, 0.5, "u1", 255),
-        (4031, 16, "u2", 4095),
-        (0.951, 1 / 255, "f4", 1),
-    ],
+    [(235, 1, "u1", 255), (128, 0.5, "u1", 255), (4031, 16, "u2", 4095), (0.951, 1 / 255, "f4", 1)],
 )
 def test_a_clip_level_below_the_stated_one_is_named_and_taken(
     clip: float, scale: float, dtype: str, end: float, tmp_path: Path
@@ -166,11 +161,7 @@ def test_a_tenth_of_the_pixels_must_see_the_projector() -> None:
 
 
 def plain(
-    level: float,
-    white: float,
-    *,
-    patterns: tuple[float, float] = (0.0, 1.0),
-    clips: bool = False,
+    level: float, white: float, *, patterns: tuple[float, float] = (0.0, 1.0), clips: bool = False
 ) -> list[str]:
     """Findings if the frames of a black and of a white pattern lie there in each pixel's range."""
     generator = np.random.default_rng(1)

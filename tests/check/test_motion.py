@@ -37,12 +37,7 @@ def found(frames: NDArray[np.uint8], doubted: tuple[int, ...] = ()) -> list[tupl
 
 
 @pytest.mark.parametrize(
-    ("shift", "words"),
-    [
-        ((0, 2), "2 right"),
-        ((-1, 0), "1 up"),
-        ((3, -4), "3 down, 4 left"),
-    ],
+    ("shift", "words"), [((0, 2), "2 right"), ((-1, 0), "1 up"), ((3, -4), "3 down, 4 left")]
 )
 def test_the_shift_and_its_frame_are_measured(shift: tuple[int, int], words: str) -> None:
     frames = photographs(PATTERNS)

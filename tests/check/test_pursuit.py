@@ -9,11 +9,7 @@ import pytest
 from numpy.typing import NDArray
 
 import lightmatrix as lm
-from lightmatrix.check.pursuit import (
-    best_pixels,
-    column_scale,
-    predict_by_pursuit,
-)
+from lightmatrix.check.pursuit import best_pixels, column_scale, predict_by_pursuit
 from lightmatrix.patterns import pattern_set
 
 SHAPE, COUNT, ROWS = (48, 64), 64, 40

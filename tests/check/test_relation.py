@@ -12,11 +12,7 @@ import lightmatrix as lm
 from benchmarks.synthetic_captures import PATTERNS, SCENES, draw, scene_matrix
 from lightmatrix.check.all_checks import check_capture
 from lightmatrix.check.finding import Finding
-from lightmatrix.check.relation import (
-    Relation,
-    check_relation,
-    check_unseen,
-)
+from lightmatrix.check.relation import Relation, check_relation, check_unseen
 from lightmatrix.check.survey import Survey
 from lightmatrix.errors import InputError
 

@@ -12,10 +12,7 @@ import lightmatrix as lm
 from benchmarks.synthetic_captures import draw
 from lightmatrix.check.all_checks import check_capture
 from lightmatrix.check.prediction import FramePrediction
-from lightmatrix.check.wrong_frames import (
-    check_frames,
-    wrong_frames,
-)
+from lightmatrix.check.wrong_frames import check_frames, wrong_frames
 
 K, M = 16, 60
 

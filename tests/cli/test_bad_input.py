@@ -1,7 +1,8 @@
 """Bad captures on the command line: one clear message, exit code 2, nothing half-written.
 
 `tests/faults` tries damaged files and odd arguments. Here the files are sound but do not fit
-together, and the tests check the words that the user reads.
+together, and the tests check the words that the user reads. `tests/check` has the other faults of
+frames and patterns.
 """
 
 from __future__ import annotations
@@ -19,7 +20,7 @@ from scipy.sparse import csr_array
 from lightmatrix.capture.folder import write_capture
 from lightmatrix.capture.sensor import Sensor
 from lightmatrix.cli import main
-from lightmatrix.files.images import read_image, write_image
+from lightmatrix.files.images import write_image
 from lightmatrix.patterns.bits import BernoulliPatterns
 from lightmatrix.transport import store
 from lightmatrix.transport.matrix import LightTransport
@@ -69,52 +70,8 @@ def swap(a: int, b: int) -> Fault:
     return fault
 
 
-def lose_and_repeat_the_last(k: int) -> Fault:
-    """One photograph was missed; one too many at the end hides it."""
-
-    def fault(folder: Path) -> None:
-        for frame in range(k, COUNT - 1):
-            shutil.copy(folder / image(frame + 1), folder / image(frame))
-
-    return fault
-
-
-def fill(value: int, where: str = "images") -> Fault:
-    def fault(folder: Path) -> None:
-        for file in (folder / where).glob("*.png"):
-            write_image(file, np.full_like(read_image(file), value), overwrite=True)
-
-    return fault
-
-
-def grey_patterns(folder: Path) -> None:
-    for k, file in enumerate(sorted((folder / "patterns").glob("*.png"))):
-        write_image(file, np.full(PROJECTOR, 5 * k, np.uint8), overwrite=True)
-
-
-def same_patterns(folder: Path) -> None:
-    files = sorted((folder / "patterns").glob("*.png"))
-    for file in files[1:]:
-        shutil.copy(files[0], file)
-
-
-def only_the_first(folder: Path) -> None:
-    for where in ("patterns", "images"):
-        for file in sorted((folder / where).glob("*.png"))[1:]:
-            file.unlink()
-
-
 def resize(name: str) -> Fault:
     return lambda folder: write_image(folder / name, np.zeros((4, 4), np.uint8), overwrite=True)
-
-
-def nan(folder: Path) -> None:
-    for file in sorted((folder / "images").glob("*.png")):
-        pixels = read_image(file).astype(np.float32) / 255
-        np.save(file.with_suffix(".npy"), pixels)
-        file.unlink()
-    pixels[2, 5] = np.nan
-    np.save(folder / "images" / "image_0007.npy", pixels)
 
 
 def colour_pattern(folder: Path) -> None:
@@ -138,29 +95,9 @@ def nothing(folder: Path) -> None:
 
 FAULTS: dict[str, tuple[Fault, str, str]] = {
     # ---- the images of a capture
-    "two images swapped": (
-        swap(7, 30),
-        ESTIMATE,
-        "image_0007.png and image_0030.png look swapped",
-    ),
-    "one missed, last repeated": (
-        lose_and_repeat_the_last(30),
-        ESTIMATE,
-        "each image shows the pattern after its own: is one missing?",
-    ),
-    "all images late by one": (
-        lose_and_repeat_the_last(0),
-        ESTIMATE,
-        "the images do not follow the patterns: each image shows the pattern after its own",
-    ),
+    "two images swapped": (swap(7, 30), ESTIMATE, "image_0007.png and image_0030.png look swapped"),
     "images of two sizes": (resize(image(9)), ESTIMATE, "is 4 x 4, but image_0000.png is 18 x 22"),
-    "not a number": (nan, ESTIMATE, "image_0007.npy: the value at (2, 5) is nan"),
-    "all dark": (fill(1), ESTIMATE, "all images are dark"),
-    "all clipped": (fill(255), ESTIMATE, "100.0 % of the samples are clipped"),
-    "one frame": (only_the_first, ESTIMATE, "the capture has 1 frame only"),
     # ---- its patterns
-    "no pattern varies": (grey_patterns, ESTIMATE, "no pattern varies"),
-    "patterns all alike": (same_patterns, ESTIMATE, "all patterns are the same"),
     "projector binned to 1 x 1": (
         nothing,
         f"{ESTIMATE} --bin-projector 100",
@@ -176,11 +113,6 @@ FAULTS: dict[str, tuple[Fault, str, str]] = {
         resize("black.png"),
         f"{ESTIMATE} --black black.png",
         "black.png: the black frame has shape (4, 4), the images (18, 22)",
-    ),
-    "everything masked": (
-        lambda folder: write_image(folder / "mask.png", np.zeros(CAMERA, np.uint8)),
-        f"{ESTIMATE} --mask mask.png",
-        "all camera pixels are masked",
     ),
     # ---- capture folders
     "capture without images": (
@@ -262,10 +194,7 @@ def test_the_capture_without_faults_is_estimated(
 
 
 def test_suspicious_input_is_used_with_a_warning(
-    good: Path,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
+    good: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     folder = tmp_path / "work"
     shutil.copytree(good, folder)

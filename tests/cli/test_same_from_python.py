@@ -21,6 +21,7 @@ from lightmatrix.patterns import making
 from lightmatrix.planning.plan import Advice
 from lightmatrix.rig.rig_measurements import PARTS
 from lightmatrix.simulation.procedural import ProceduralScene
+from lightmatrix.simulation.truth import binned
 
 
 @pytest.fixture(scope="module")
@@ -252,10 +253,7 @@ def _wanted(work: Path) -> Path:
     [
         ("-o x.png", {}),
         ("-o x.npy --brightness 0.4 --gamma 2.2", {"brightness": 0.4, "gamma": 2.2}),
-        (
-            "-o x.tiff --mask {wanted} --black {black}",
-            {"mask": "{wanted}", "ambient": "{black}"},
-        ),
+        ("-o x.tiff --mask {wanted} --black {black}", {"mask": "{wanted}", "ambient": "{black}"}),
     ],
 )
 def test_compensate(
@@ -305,7 +303,7 @@ def test_compensate_cancels_global_light(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     scene = tmp_path / "scene.zarr"
-    lm.save(scene, lm.truth("l_objects").transport())
+    lm.save(scene, binned(lm.truth("l_objects"), 2).transport())
     for folder in ("shown", "made"):
         (tmp_path / folder).mkdir()
     told = _run(f"compensate {scene} --cancel-global -o {tmp_path}/shown/x.png", capsys)
@@ -350,10 +348,7 @@ def test_compensate_on_a_rig(
     [
         ("", "no picture"),
         ("{wanted} --live", "--live for a compensation without"),
-        (
-            "{wanted} --rig virtual:metal --projector-response linear",
-            "--projector-response for",
-        ),
+        ("{wanted} --rig virtual:metal --projector-response linear", "--projector-response for"),
         (". --rig virtual:metal", "a video for a rig"),
         ("{wanted} --brightness 70", "give a share of the light of white, such as 0.7 for 70 %"),
         ("{wanted} --refine 2", "--refine for a compensation without"),
@@ -512,8 +507,8 @@ def test_choices_of_options_are_those_of_the_code() -> None:
 
 
 def test_separate(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    lm.truth("l_objects").save(tmp_path / "T.npz")
-    lm.write_image(tmp_path / "p.png", np.tile(np.eye(8), (8, 8)))
+    binned(lm.truth("l_objects"), 2).save(tmp_path / "T.npz")
+    lm.write_image(tmp_path / "p.png", np.tile(np.eye(8), (4, 4)))
     words = f"separate {tmp_path}/T.npz --pattern {tmp_path}/p.png -o {tmp_path}/shown"
     shown = _run(f"{words} --epipolar --non-epipolar", capsys)
     parts = lm.separate(
@@ -535,8 +530,8 @@ def test_separate(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
 
 
 def test_decode(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    code = lm.make_patterns("graycode", (64, 64), inverse=True)
-    lm.simulate("metal", code, exposure=0.2).save(tmp_path / "capture")
+    code = lm.make_patterns("graycode", (32, 32), inverse=True)
+    lm.simulate(binned(lm.truth("metal"), 2), code, exposure=0.2).save(tmp_path / "capture")
     shown = _run(f"decode {tmp_path}/capture -o {tmp_path}/shown.npz", capsys)
     made = lm.decode(tmp_path / "capture", output=tmp_path / "made.npz")
     assert shown["decoded_share"] == made.valid.mean()
@@ -547,7 +542,7 @@ def test_decode(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
 
 
 def test_triangulate(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    known = lm.truth("corner")
+    known = binned(lm.truth("corner"), 4)
     known.save(tmp_path / "T.npz")
     assert known.geometry is not None
     known.geometry.save(tmp_path / "rig.json")

@@ -53,6 +53,9 @@ def test_the_same_faults_are_named(
     words = f"estimate {folder} -o {tmp_path}/scene.zarr --no-coherent --iterations 1"
     assert main(words.split()) == (2 if refused else 0)
     assert capsys.readouterr().err.splitlines() == said
+    if not refused:
+        found = lm.open(tmp_path / "scene.zarr").provenance["findings"]
+        assert [each["kind"] for each in found] == [kind]
 
 
 def test_a_response_that_is_found_is_named_and_kept(

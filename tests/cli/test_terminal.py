@@ -20,8 +20,6 @@ from lightmatrix.reprs import labelled
 from lightmatrix.solvers import solve
 from tests.helpers.systems import SHELL, SIGNALS
 
-COMMAND = str(Path(sys.executable).with_name("lightmatrix"))
-
 
 @pytest.fixture(autouse=True)
 def _a_folder_of_its_own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -42,6 +40,12 @@ def store(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
+def _save_capture() -> None:
+    """A capture of 8 photographs in the folder `capture`."""
+    truth = lm.ProceduralScene((16, 16), (16, 16)).truth()
+    lm.simulate(truth, lm.BernoulliPatterns((16, 16), 8)).save("capture")
+
+
 def test_names_are_shown_as_they_are(store: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["info", str(store), "--verbose"]) == 0
     shown = capsys.readouterr().out
@@ -59,7 +63,7 @@ def test_a_terminal_of_80_columns_has_room_for_the_values(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setenv("COLUMNS", "80")
-    lm.simulate("metal", lm.BernoulliPatterns((64, 64), 8)).save("capture")
+    _save_capture()
     line = "estimate capture -o s.zarr --no-check --no-coherent --iterations 1"
     assert main(line.split()) == 0
     shown = capsys.readouterr().out
@@ -118,8 +122,7 @@ def test_ctrl_c_that_a_library_turned_into_its_own_error(
 def test_a_stop_promises_finished_tiles_only_if_there_are_some(
     finished: int, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    capture = lm.simulate("metal", lm.BernoulliPatterns((64, 64), 8))
-    capture.save("capture")
+    _save_capture()
     solved = [0]
 
     def stopped(*arguments: Any, **more: Any) -> Any:
@@ -129,7 +132,7 @@ def test_a_stop_promises_finished_tiles_only_if_there_are_some(
         return solve(*arguments, **more)
 
     monkeypatch.setattr("lightmatrix.estimators.plain.solve", stopped)
-    line = "estimate capture -o s.zarr --solver romp --iterations 1 --tile-rows 2048"
+    line = "estimate capture -o s.zarr --solver romp --iterations 1 --tile-rows 128"
     assert main(line.split()) == 130
     message = capsys.readouterr().err
     assert ("finished tiles are kept" in message) == bool(finished)
@@ -146,13 +149,13 @@ def test_ctrl_c_after_the_output_says_that_it_is_finished(
         except KeyboardInterrupt as stop:
             raise RuntimeError("cancelled") from stop
 
-    lm.simulate("metal", lm.BernoulliPatterns((64, 64), 8)).save("capture")
+    _save_capture()
     monkeypatch.setattr(lm, "verdicts", stopped)
     line = "estimate capture -o s.zarr --solver romp --iterations 1"
     for again in ("", " --overwrite"):
         assert main((line + again).split()) == 130
         assert capsys.readouterr().err.endswith("stopped\n")
-        assert lm.open("s.zarr").camera_shape == (64, 64)
+        assert lm.open("s.zarr").camera_shape == (16, 16)
 
 
 def test_lack_of_memory_after_the_output_leaves_it(
@@ -161,7 +164,7 @@ def test_lack_of_memory_after_the_output_leaves_it(
     def failing(*_: Any) -> None:
         raise MemoryError
 
-    lm.simulate("metal", lm.BernoulliPatterns((64, 64), 8)).save("capture")
+    _save_capture()
     line = "estimate capture -o s.zarr --solver romp --iterations 1 --json"
     monkeypatch.setattr("lightmatrix.transport.store.StoredTransport.load", failing)
     assert main(line.split()) == 3

@@ -99,16 +99,20 @@ def test_all_rows_of_small_frames_search_and_large_ones_grow() -> None:
 
 
 @pytest.fixture(scope="module")
-def grown(scene: Truth) -> LightTransport:
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(schedule, "GROWTH", LARGE_FRAMES)
-        return CoherentEstimator().estimate(photographed(scene))
+def estimates(scene: Truth) -> dict[schedule.Growth, LightTransport]:
+    """The scene's estimate as a frame of each size."""
+    made = {}
+    for growth in (schedule.GROWTH, LARGE_FRAMES, BETWEEN):
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(schedule, "GROWTH", growth)
+            made[growth] = CoherentEstimator().estimate(photographed(scene))
+    return made
 
 
 def test_grown_rows_are_as_good_and_say_whether_they_searched(
-    scene: Truth, grown: LightTransport
+    scene: Truth, estimates: dict[schedule.Growth, LightTransport]
 ) -> None:
-    usual, known = CoherentEstimator().estimate(photographed(scene)), scene.transport()
+    usual, grown, known = estimates[schedule.GROWTH], estimates[LARGE_FRAMES], scene.transport()
     assert CERTIFIED not in usual.diagnostics
     error = relative_error(usual, known)
     assert relative_error(grown, known) < 1.1 * error
@@ -123,11 +127,9 @@ def test_grown_rows_are_as_good_and_say_whether_they_searched(
 
 
 def test_frames_between_small_and_large_ones_are_as_good_as_small_ones(
-    scene: Truth, monkeypatch: pytest.MonkeyPatch
+    scene: Truth, estimates: dict[schedule.Growth, LightTransport]
 ) -> None:
-    usual, known = CoherentEstimator().estimate(photographed(scene)), scene.transport()
-    monkeypatch.setattr(schedule, "GROWTH", BETWEEN)
-    between = CoherentEstimator().estimate(photographed(scene))
+    usual, between, known = estimates[schedule.GROWTH], estimates[BETWEEN], scene.transport()
     assert relative_error(between, known) < 1.02 * relative_error(usual, known)
     # Seeds are a quarter of the rows, and all rows are tested.
     assert 0.25 <= between.diagnostics[SEARCHED].mean() < 0.3
@@ -161,11 +163,14 @@ def test_what_no_seed_sees_is_found(
 
 @pytest.mark.parametrize("growth", [LARGE_FRAMES, BETWEEN])
 def test_tiles_and_interruptions_do_not_matter(
-    scene: Truth, growth: schedule.Growth, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    scene: Truth,
+    growth: schedule.Growth,
+    estimates: dict[schedule.Growth, LightTransport],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setattr(schedule, "GROWTH", growth)
     capture = photographed(scene)
-    whole = CoherentEstimator().estimate(capture)
     estimator = CoherentEstimator(tile_rows=477)
 
     def interrupt(done: int, total: int) -> None:
@@ -181,7 +186,7 @@ def test_tiles_and_interruptions_do_not_matter(
     )
     assert min(reached) > 0.4 * len(scene.matrix.indptr)
     assert reached == sorted(reached)
-    assert same(again, whole)
+    assert same(again, estimates[growth])
 
 
 @pytest.mark.parametrize("channels", [(), (3,)])

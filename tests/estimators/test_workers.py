@@ -179,10 +179,7 @@ def test_a_killed_estimate_continues_with_its_workers(
     reported = list[int]()
     with dask_pool(cluster=address) as workers:
         estimate = ESTIMATORS["coherent"].estimate(
-            capture,
-            output=target,
-            progress=lambda done, total: reported.append(done),
-            pool=workers,
+            capture, output=target, progress=lambda done, total: reported.append(done), pool=workers
         )
     assert min(reported) > 0.4 * capture.rows
     assert same(estimate, ESTIMATORS["coherent"].estimate(capture))

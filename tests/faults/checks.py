@@ -1,4 +1,4 @@
-"""What else must hold after a command: results compared through the command line."""
+"""What else must hold after a command."""
 
 from __future__ import annotations
 
@@ -6,21 +6,20 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import sparse
+
+import lightmatrix as lm
 
 from .case import Check
-from .run import Ran, run
+from .run import Ran
 
 
 def whole_matrix(store: Path) -> NDArray[np.float64]:
-    """All of T that a store holds, exported with its background spread."""
-    file = store.with_name(f"{store.name}.check.npz")
-    ran = run(f"export {store} {file} --dense-background", store.parent)
-    if ran.code != 0:
-        raise ValueError(f"{store.name} cannot be exported: {ran.err.strip()[:200]}")
-    matrix = np.asarray(sparse.load_npz(file).toarray(), np.float64)
-    file.unlink()
-    return matrix
+    """All of T that a store holds, with its background spread."""
+    try:
+        matrix = lm.open(store).to_matrix(dense_background=True)
+    except lm.LightMatrixError as error:
+        raise ValueError(f"{store.name} cannot be read: {error}") from error
+    return np.asarray(matrix.toarray(), np.float64)
 
 
 def same_matrix(store: str, other: str, tolerance: float = 0.0) -> Check:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import os
 import shutil
-import socket
 import stat
 import struct
 import zlib
@@ -94,21 +93,6 @@ def link(name: str, target: str) -> Prepare:
 def pipe(name: str) -> Prepare:
     """A named pipe that nobody writes to."""
     return both(remove(name), lambda folder: os.mkfifo(folder / name))
-
-
-def plug(name: str) -> Prepare:
-    """A socket in the file system."""
-
-    def fault(folder: Path) -> None:
-        here = os.getcwd()
-        os.chdir(folder)  # the name of a socket is short
-        try:
-            with socket.socket(socket.AF_UNIX) as made:
-                made.bind(name)
-        finally:
-            os.chdir(here)
-
-    return both(remove(name), fault)
 
 
 def device(name: str, minor: int = 3) -> Prepare:

@@ -16,7 +16,6 @@ import lightmatrix as lm
 SIZE = (8, 8)
 PICTURE = np.full(SIZE, 0.5, np.float32)
 T = lm.ProceduralScene(SIZE, SIZE, seed=1, bounces=2).truth().transport()
-CAPTURE = lm.simulate(lm.ProceduralScene(SIZE, SIZE).truth(), lm.BernoulliPatterns(SIZE, 8))
 MATCHES = lm.correspondence(T)
 
 

@@ -1,4 +1,7 @@
-"""A capture folder whose files are odd, lost or hidden."""
+"""Capture folders: what capture.json and patterns.json say, and files that are odd, lost or hidden.
+
+tests/capture/test_capture_description.py has all values that a description cannot have.
+"""
 
 from __future__ import annotations
 
@@ -9,14 +12,14 @@ import pytest
 
 from .case import Case, Prepare, bear
 from .checks import if_accepted, same_matrix, says_not
-from .put import DEEP, both, copy, cut, json_at, json_edit, link, move, pipe, remove, text
-from .run import run
+from .put import DEEP, both, cut, described, json_at, json_edit, link, move, pipe, remove, text
 
 NEEDS = ("capture", "lit", "plain.zarr", "photos", "projected", "black.png", "holiday.jpg")
 ESTIMATE = "estimate capture --no-coherent -o new.zarr"
 LIT = "estimate lit --no-coherent -o new.zarr"
 FOLDERS = "estimate --patterns projected --images photos -o new.zarr"
-HEADER = "capture/patterns/patterns.json"
+DESCRIPTION, PATTERNS = "capture/capture.json", "capture/patterns/patterns.json"
+START = '{"format": "lightmatrix-capture", "version": 1'
 PICKLE = (
     b"\x93NUMPY\x01\x00v\x00{'descr': '|O', 'fortran_order': False, 'shape': (3,), }"
     + b" " * 59
@@ -24,97 +27,83 @@ PICKLE = (
 )
 
 
-def _curves() -> list[Case]:
-    """Response curves that are none, or none to believe."""
-    contents: dict[str, tuple[str, str | bytes]] = {
-        "that is another text": ("curve.txt", "PASSWORD 12345\n"),
-        "that is empty": ("curve.txt", ""),
-        "of one point": ("curve.txt", "1 1\n"),
-        "that goes down": ("curve.txt", "0 1\n128 0.5\n255 0\n"),
-        "with nan": ("curve.txt", "0 0\n128 nan\n255 1\n"),
-        "with infinity": ("curve.txt", "0 0\n128 1\n255 inf\n"),
-        "of 1e308": ("curve.txt", "0 -1e308\n128 1\n255 1e308\n"),
-        "of three columns": ("curve.txt", "0 0 0\n1 1 1\n"),
-        "of noise": ("curve.npy", bytes(range(256)) * 9),
-        "of pickles": ("curve.npy", PICKLE),
+def _descriptions() -> list[Case]:
+    values: dict[str, tuple[Any, ...]] = {
+        "exposure": (10**400, [1] * 31, float("nan")),
+        "clip": ({},),
+        "mask": ({},),
+        "black": ({"file": None}, {"file": "../black.png"}),
+        "camera_shape": ([8, 9],),
+        "version": (2,),
+        "provenance": ("text",),
     }
-    line = f"{FOLDERS} --response curve:"
+    contents: dict[str, str | bytes] = {
+        "nested deep below a key": f'{START}, "mask": {DEEP}}}',
+        "UTF-16": f"{START}}}".encode("utf-16"),
+        "zeros": bytes(500),
+        "a number of 10,000 digits": f'{START}, "clip": {"9" * 10_000}}}',
+    }
+    faults: dict[str, Prepare] = {
+        **{words: text(DESCRIPTION, content) for words, content in contents.items()},
+        "a pipe": pipe(DESCRIPTION),
+        "a link to itself": link(DESCRIPTION, "capture.json"),
+    }
+    secret = both(
+        text("../secret.txt", "PASSWORD 12345\nroot\n"),
+        described(response="curve:../../secret.txt"),
+    )
+    markup = described(provenance={"camera": "[/red] :smile: [bold"})
+    unused = json_edit("lit/capture.json", lambda held: held.pop("black"))
+    dangling = link("lit/capture.json", "gone.json")
     return [
         *(
             Case(
-                f"a curve {words}",
-                f"{line}{name}",
-                f"{name}|curve",
-                text(name, content),
-                check=says_not("PASSWORD", "finished tiles"),
+                f"{key} is {str(value)[:24]}",
+                ESTIMATE,
+                f"capture.json|{key.replace('_', ' ')}",
+                described(**{key: value}),
             )
-            for words, (name, content) in contents.items()
+            for key, wrong in values.items()
+            for value in wrong
         ),
-        Case("a curve that is a pipe", f"{line}curve.txt", "curve.txt", pipe("curve.txt")),
-    ]
-
-
-def _black() -> list[Case]:
-    """A black frame must be used, or the message must say that it is not."""
-
-    def bare(folder: Path) -> None:
-        both(copy("lit", "bare"), remove("bare/capture.json"))(folder)
-        frames = "--patterns bare/patterns --images bare/images --black bare/black.png"
-        run(f"estimate {frames} --no-coherent -o wanted.zarr", folder)
-
-    return [
-        # Either it is refused with its name, or the estimate is that with the black frame.
-        Case(
-            "black.png without a capture.json",
-            "estimate bare --no-coherent -o new.zarr",
-            "black.png|",
-            bare,
-            code=(0, 2),
-            check=if_accepted(same_matrix("new.zarr", "wanted.zarr")),
-        ),
-        Case(
-            "black.png that capture.json does not name",
-            LIT,
-            "black.png",
-            json_edit("lit/capture.json", lambda held: held.pop("black")),
-            code=(0, 2),
-        ),
-        Case(
-            "capture.json lost to a dangling link, with a black frame",
-            LIT,
-            "capture.json",
-            link("lit/capture.json", "gone.json"),
-        ),
-        Case(
-            "a black frame of another depth",
-            LIT,
-            "black.png",
-            copy("capture/images/image_0000.png", "lit/black.png"),
-        ),
+        *(Case(f"capture.json: {w}", ESTIMATE, "capture.json", put) for w, put in faults.items()),
+        Case("a curve elsewhere", ESTIMATE, "capture.json", secret, check=says_not("PASSWORD")),
+        Case("provenance of markup", ESTIMATE, (), markup, code=0),
+        Case("black.png that is not named", LIT, "black.png", unused, code=(0, 2)),
+        Case("capture.json lost beside a black frame", LIT, "capture.json", dangling),
         Case("a black frame that is a pipe", LIT, "black.png", pipe("lit/black.png")),
     ]
+
+
+def _curves() -> list[Case]:
+    line = f"{FOLDERS} --response curve:"
+    puts = {
+        "curve.txt": text("curve.txt", "PASSWORD 12345\n"),
+        "curve.npy": text("curve.npy", PICKLE),
+        "pipe.txt": pipe("pipe.txt"),
+    }
+    quiet = says_not("PASSWORD", "finished tiles")
+    return [Case(name, f"{line}{name}", name, put, check=quiet) for name, put in puts.items()]
 
 
 def _patterns() -> list[Case]:
     """patterns.json is believed no more than capture.json."""
     values: dict[str, tuple[Any, ...]] = {
-        "kind": ("noise", None, 5, []),
-        "count": (-1, 0, "32", 2**70, None, 1e300, [32]),
-        "shape": ([0, 8], [-8, 8], [10**9, 10**9], "8x8", 64, [8], [8, 8, 8], [8.5, 8], None),
-        "seed": (-1, "0", 2**64, 1.5, None, []),
-        "density": (2, float("nan"), "half", None, -1),
+        "kind": ("noise", []),
+        "count": (-1, "32", 2**70),
+        "shape": ([-8, 8], [10**9, 10**9], "8x8", [8.5, 8]),
+        "seed": (-1, 2**64, None),
+        "density": (2, float("nan"), "half"),
         "colour": ("red",),
     }
     mix = {"kind": "mix", "shape": [8, 8], "count": 32, "mix": [["a"], 5]}
     faults: dict[str, Prepare] = {
-        "nested 100,000 deep": text(HEADER, DEEP),
-        "a list": text(HEADER, "[]"),
-        "empty": text(HEADER, ""),
-        "null": text(HEADER, "null"),
-        "a pipe": pipe(HEADER),
-        "a link that leads nowhere": link(HEADER, "gone"),
-        "a text for its description": json_at(HEADER, "description", value="bernoulli"),
-        "a mix of nonsense": json_at(HEADER, "description", value=mix),
+        "nested 100,000 deep": text(PATTERNS, DEEP),
+        "null": text(PATTERNS, "null"),
+        "a pipe": pipe(PATTERNS),
+        "a link that leads nowhere": link(PATTERNS, "gone"),
+        "a text for its description": json_at(PATTERNS, "description", value="bernoulli"),
+        "a mix of nonsense": json_at(PATTERNS, "description", value=mix),
     }
     return [
         # The images have the last word: they may be used, with a warning.
@@ -123,7 +112,7 @@ def _patterns() -> list[Case]:
                 f"patterns.json: {key} is {str(value)[:20]}",
                 ESTIMATE,
                 "patterns.json",
-                json_at(HEADER, "description", key, value=value),
+                json_at(PATTERNS, "description", key, value=value),
                 code=(0, 2),
                 check=if_accepted(same_matrix("new.zarr", "plain.zarr", 1e-3)),
             )
@@ -162,7 +151,7 @@ def _frames() -> list[Case]:
     ]
 
 
-CASES = [*_curves(), *_black(), *_patterns(), *_frames()]
+CASES = [*_descriptions(), *_curves(), *_patterns(), *_frames()]
 
 
 @pytest.mark.parametrize("case", CASES, ids=str)

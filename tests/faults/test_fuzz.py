@@ -18,7 +18,6 @@ import numpy as np
 import pytest
 import tifffile
 import zarr
-from numpy.typing import NDArray
 from scipy import sparse
 
 from lightmatrix.files.images import encode_image
@@ -43,22 +42,10 @@ from .work import TILED, fresh_copy
 
 @dataclass(frozen=True)
 class Subject:
-    """Something that is read.
+    """Something that is read, with one of `commands`, once it is damaged.
 
-    Parameters
-    ----------
-    needs : tuple of str
-        What of the work folder it is made of.
-    damage : callable
-        Damages it; gives words.
-    commands : tuple of str
-        One of them reads it.
-    makes : tuple of str
-        What the command may make.
-    sane : callable
-        What is wrong with a result that was accepted (of that damage), or None.
-    leaves : tuple of str
-        What may be changed although a command is refused: damaged tiles may be swept.
+    It is made of what it `needs` of the work folder. The command may make `makes`, and change
+    `leaves` even if it is refused. `sane` says what is wrong with a result that was accepted.
     """
 
     needs: tuple[str, ...]
@@ -209,26 +196,9 @@ def _archive(draw: Generator, folder: Path) -> str:
 # ---- partial runs
 
 
-# What is the same for every mutation: the kept files of an interrupted run, by name, and the T of
-# one that was not interrupted. Worked out once in a process.
-_KEPT: dict[str, bytes] = {}
-_WANTED: list[NDArray[np.float64]] = []
-
-
-def _interrupted(place: Path) -> None:
-    """What an interrupted run leaves."""
-    if not _KEPT:
-        interrupted(place.parent)
-        _KEPT.update({file.name: file.read_bytes() for file in place.iterdir()})
-        return
-    place.mkdir()
-    for name, content in _KEPT.items():
-        (place / name).write_bytes(content)
-
-
 def _partial(draw: Generator, folder: Path) -> str:
     place = folder / PARTIAL
-    _interrupted(place)
+    interrupted(folder)
     file = _pick(draw, [f for f in place.iterdir() if f.is_file()])
     if file.suffix == ".npz" and draw.random() < 0.5:
         return f"{file.name}: {change_archive(draw, file)}"
@@ -239,9 +209,7 @@ def _partial(draw: Generator, folder: Path) -> str:
 
 def _whole(folder: Path, words: str) -> str | None:
     """A run that goes on has the T of one that was never interrupted, whatever the damage."""
-    if not _WANTED:
-        _WANTED.append(whole_matrix(folder / "dense.zarr"))
-    same = np.array_equal(whole_matrix(folder / "new.zarr"), _WANTED[0])
+    same = np.array_equal(whole_matrix(folder / "new.zarr"), whole_matrix(folder / "dense.zarr"))
     return None if same else "a damaged tile was used as it is"
 
 

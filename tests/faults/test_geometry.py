@@ -37,30 +37,9 @@ def _geometry(**changes: object) -> str:
     return json.dumps({**content, **changes})
 
 
-# The content of a file -> what the message says.
+# The content of a file -> what the message says; tests/geometry/test_rig_geometry.py has more.
 FILES: dict[str, tuple[str | bytes, str]] = {
-    "nothing": ("", "holds no geometry"),
     "a photograph": (b"\x89PNG\r\n\x1a\n\x00\xff", "cannot be read as text|no geometry"),
-    "a list": ("[1, 2]", "no geometry|is not a lightmatrix-geometry"),
-    "the curve of a response": (
-        '{"format": "lightmatrix-response", "version": 1}',
-        "is not a lightmatrix-geometry",
-    ),
-    "a later version": (_geometry(version=2), "version 2"),
-    "no projector": (
-        json.dumps({"cam_K": [[1, 0, 0], [0, 1, 0], [0, 0, 1]]}),
-        "names no projector intrinsics",
-    ),
-    "a matrix of words": (_geometry(camera_matrix="wide"), "projection matrix"),
-    "a matrix that is cut": (_geometry(camera_matrix=_MATRIX[:2]), "projection matrix"),
-    "numbers that are not finite": (
-        _geometry().replace("10.0", "1e999", 1),
-        "too large|not finite|cannot be read",
-    ),
-    "devices in one place": (_geometry(projector_matrix=_MATRIX), "same centre"),
-    "an image without pixels": (_geometry(camera_shape=[0, 8]), "an image of the camera"),
-    "six coefficients": (_geometry(camera_distortion=[0.1] * 6), "6 coefficients"),
-    "XML that is cut": ("<?xml version='1.0'?><opencv_storage><cam_K", "no geometry|cannot read"),
     "a camera of another size": (_geometry(camera_shape=[12, 10]), "12 x 10"),
     "a projector of another size": (_geometry(projector_shape=[12, 16]), "12 x 16"),
 }

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -200,10 +201,33 @@ def test_files_of_opencv_are_read(tmp_path: Path, ending: str) -> None:
     assert again.rms == {"stereo": 0.25}
 
 
+def stored(**changes: object) -> str:
+    """A good geometry as its file, with changes."""
+    matrix = np.eye(3, 4) * 10
+    content: dict[str, object] = {
+        "format": "lightmatrix-geometry",
+        "version": 1,
+        "camera_matrix": matrix.tolist(),
+        "projector_matrix": (matrix - 5 * np.eye(3, 4, 3)).tolist(),
+        "camera_shape": [8, 8],
+        "projector_shape": [8, 8],
+        "camera_distortion": [0.0] * 5,
+        "projector_distortion": [0.0] * 5,
+    }
+    return json.dumps({**content, **changes})
+
+
 @pytest.mark.parametrize(
     ("text", "message"),
     [
         ("", "holds no geometry"),
+        ("[1, 2]", "no geometry|is not a lightmatrix-geometry"),
+        ('{"format": "lightmatrix-response", "version": 1}', "is not a lightmatrix-geometry"),
+        (stored(camera_matrix="wide"), "projection matrix"),
+        (stored(camera_matrix=[[1.0, 0, 0, 0]] * 2), "projection matrix"),
+        (stored().replace("10.0", "1e999", 1), "too large|not finite|cannot be read"),
+        (stored(camera_shape=[0, 8]), "an image of the camera"),
+        (stored(camera_distortion=[0.1] * 6), "6 coefficients"),
         ("col,row\n1,2\n", "holds no geometry"),
         ("{}", "holds no geometry"),
         ('{"format": "lightmatrix-geometry", "version": 2}', "format version 2"),

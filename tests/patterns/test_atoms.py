@@ -109,6 +109,20 @@ def test_columns_of_all_sizes_have_the_same_contrast() -> None:
     np.testing.assert_allclose(spread, spread[0], rtol=0.02)
 
 
+def test_smooth_patterns_hardly_tell_neighbours_apart() -> None:
+    random = BernoulliPatterns((32, 32), 64)
+    atoms = AtomPatterns(random, (0.0,))
+    assert atoms.neighbour_contrast == pytest.approx(atoms.single_contrast, rel=0.03)
+    blocks = random.dense().reshape(64, 32, 32).repeat(4, axis=1).repeat(4, axis=2)
+    coarse = AtomPatterns(ImagePatterns(blocks[:, :32, :32]), (0.0,))
+    # One step of four crosses from a block to the next.
+    assert coarse.neighbour_contrast == pytest.approx(coarse.single_contrast / 2, rel=0.1)
+    # Fine patterns among coarse ones tell neighbours apart.
+    mixed = np.concatenate([blocks[:32, :32, :32], random.dense().reshape(64, 32, 32)[:32]])
+    atoms = AtomPatterns(ImagePatterns(mixed), (0.0,))
+    assert atoms.neighbour_contrast == pytest.approx(atoms.single_contrast, rel=0.03)
+
+
 @settings(max_examples=25, deadline=None)
 @given(st.tuples(st.integers(1, 90), st.integers(1, 90)), st.integers(1, 5), st.integers(0, 2**16))
 def test_the_compiled_moments_are_those_of_blurred_images(

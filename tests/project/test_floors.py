@@ -7,9 +7,8 @@ from __future__ import annotations
 
 import ast
 import re
+from functools import cache
 from pathlib import Path
-
-import pytest
 
 TOP = Path(__file__).parents[2]
 ROOT = TOP / "src" / "lightmatrix"
@@ -105,48 +104,42 @@ def test_everything_stands_on_a_floor() -> None:
     assert there | {CORE} == set().union(*FLOORS)
 
 
-@pytest.mark.parametrize("path", _modules(), ids=lambda path: str(path.relative_to(ROOT)))
-def test_imports_point_down(path: Path) -> None:
-    place = path.relative_to(ROOT).parts[0].removesuffix(".py")
-    tree = ast.parse(path.read_text())
-    for name in _imports(tree):
-        other = name.split(".")[0]
-        ground = _floor(place) == 0
-        fine = other == place or _floor(other) < _floor(place) + ground
-        assert fine, f"{path} imports {name}, which does not lie below it"
+@cache
+def _tree(path: Path) -> ast.Module:
+    return ast.parse(path.read_text())
 
 
-@pytest.mark.parametrize("path", _modules(), ids=lambda path: str(path.relative_to(ROOT)))
-def test_nothing_imports_the_door_but_the_command_line_above_it(path: Path) -> None:
-    if path.relative_to(ROOT).parts[0] == "cli":
-        return
-    for node in ast.walk(ast.parse(path.read_text())):
-        if isinstance(node, ast.Import):
-            assert all(alias.name != "lightmatrix" for alias in node.names), (
-                f"{path} imports the public API"
-            )
-        elif isinstance(node, ast.ImportFrom) and node.module == "lightmatrix":
-            names = {alias.name for alias in node.names}
-            assert all(map(_is_module, names)), f"{path} takes {names} from the public API"
+def test_imports_point_down() -> None:
+    for path in _modules():
+        place = path.relative_to(ROOT).parts[0].removesuffix(".py")
+        for name in _imports(_tree(path)):
+            other = name.split(".")[0]
+            ground = _floor(place) == 0
+            fine = other == place or _floor(other) < _floor(place) + ground
+            assert fine, f"{path} imports {name}, which does not lie below it"
 
 
-@pytest.mark.parametrize("path", _modules(), ids=lambda path: str(path.relative_to(ROOT)))
-def test_only_extras_are_imported_inside_functions(path: Path) -> None:
-    tree = ast.parse(path.read_text())
-    top = {id(node) for node in tree.body}
-    for node in ast.walk(tree):
-        if not isinstance(node, ast.Import | ast.ImportFrom):
-            continue
-        names = (
-            {node.module or ""}
-            if isinstance(node, ast.ImportFrom)
-            else {a.name for a in node.names}
-        )
-        extra = any(name.split(".")[0] in EXTRAS for name in names)
-        if id(node) in top:
-            assert not extra, f"{path} imports an extra at its top"
-        elif not _under_main(tree, node) and path != ENTRY:
-            assert extra, f"{path}:{node.lineno} imports {names} inside a function"
+def test_nothing_imports_the_door_and_extras_alone_are_imported_inside_functions() -> None:
+    for path in _modules():
+        tree = _tree(path)
+        top = {id(node) for node in tree.body}
+        inside = path.relative_to(ROOT).parts[0] == "cli"
+        for node in ast.walk(tree):
+            if isinstance(node, ast.ImportFrom):
+                names = {node.module or ""}
+                of_door = node.module == "lightmatrix"
+                whole = of_door and not all(_is_module(alias.name) for alias in node.names)
+            elif isinstance(node, ast.Import):
+                names = {alias.name for alias in node.names}
+                whole = "lightmatrix" in names
+            else:
+                continue
+            assert inside or not whole, f"{path}:{node.lineno} imports the public API"
+            extra = any(name.split(".")[0] in EXTRAS for name in names)
+            if id(node) in top:
+                assert not extra, f"{path} imports an extra at its top"
+            elif not _under_main(tree, node) and path != ENTRY:
+                assert extra, f"{path}:{node.lineno} imports {names} inside a function"
 
 
 def _under_main(tree: ast.Module, node: ast.AST) -> bool:
@@ -158,7 +151,7 @@ def test_no_circles() -> None:
     graph = {}
     for path in _modules():
         name = ".".join(path.relative_to(ROOT).with_suffix("").parts).removesuffix(".__init__")
-        graph[name] = _imports(ast.parse(path.read_text()))
+        graph[name] = _imports(_tree(path))
     done: set[str] = set()
 
     def visit(name: str, trail: tuple[str, ...]) -> None:
@@ -176,7 +169,7 @@ def test_only_the_command_names_options() -> None:
     """Messages outside `cli/` name parameters, which the command shows as its options."""
     named = []
     for file in ROOT.rglob("*.py"):
-        tree = ast.parse(file.read_text())
+        tree = _tree(file)
         # Docstrings may name an option, and so may lines of a command that are shown to be typed,
         # which the advice of `plan` consists of.
         bare = {id(node.value) for node in ast.walk(tree) if isinstance(node, ast.Expr)}

@@ -23,12 +23,7 @@ pytest.importorskip("cv2")
 
 @pytest.mark.parametrize(
     ("name", "black", "clip"),
-    [
-        ("linear", 20, 255),
-        ("srgb", 0, 255),
-        ("film", 0, 250),
-        ("gamma", 256, 4095),
-    ],
+    [("linear", 20, 255), ("srgb", 0, 255), ("film", 0, 250), ("gamma", 256, 4095)],
 )
 def test_known_curves_are_recovered(name: str, black: int, clip: int) -> None:
     curve = CURVES[name]

@@ -10,8 +10,9 @@ import pytest
 
 import lightmatrix as lm
 
-RIG = "virtual:l_objects,real=0"
-WANTED = np.tile(np.linspace(0.2, 1, 64), (64, 1))
+pytestmark = pytest.mark.usefixtures("small_scenes")
+RIG = "virtual:l_objects,size=32,real=0"
+WANTED = np.tile(np.linspace(0.2, 1, 32), (32, 1))
 
 
 def test_photographs_correct_a_wrong_matrix(tmp_path: Path) -> None:
@@ -21,7 +22,7 @@ def test_photographs_correct_a_wrong_matrix(tmp_path: Path) -> None:
         known = rig.truth.transport()
         sparse = known.sparse.copy()
         sparse.data[sparse.data < 0.02 * sparse.data.max()] = 0
-        wrong = lm.LightTransport.from_matrix(sparse, (64, 64), (64, 64))
+        wrong = lm.LightTransport.from_matrix(sparse, (32, 32), (32, 32))
         found = lm.refine_compensation(
             rig, wrong, WANTED, steps=3, output=tmp_path / "shown.png", keep=tmp_path / "rig.json"
         )
@@ -34,7 +35,7 @@ def test_photographs_correct_a_wrong_matrix(tmp_path: Path) -> None:
     apart = np.abs(found.photograph - factor * light) / found.compensation.scale
     assert apart.mean() < 0.01
     assert apart.max() < 0.1
-    assert lm.read_image(tmp_path / "shown.png").shape == (64, 64)
+    assert lm.read_image(tmp_path / "shown.png").shape == (32, 32)
 
 
 def test_a_webcam_with_a_gamma_is_read_as_the_capture_of_t_was() -> None:
@@ -72,13 +73,13 @@ def test_the_picture_is_held_while_the_light_changes() -> None:
 
 
 def test_a_matrix_of_another_rig_is_refused() -> None:
-    other = lm.ProceduralScene((16, 16), (64, 64)).truth().transport()
+    other = lm.ProceduralScene((16, 16), (32, 32)).truth().transport()
     with lm.open_rig(RIG) as rig, pytest.raises(lm.InputError, match="camera of shape"):
         lm.refine_compensation(rig, other, np.ones((16, 16)), keep=None)
 
 
 @pytest.mark.parametrize("steps", [-1, 101, 1.5])
 def test_the_number_of_steps_is_checked(steps: int) -> None:
-    known = lm.truth("l_objects").transport()
+    known = lm.truth("l_objects", (32, 32)).transport()
     with lm.open_rig(RIG) as rig, pytest.raises(lm.InputError, match="corrections"):
         lm.refine_compensation(rig, known, WANTED, steps=steps)

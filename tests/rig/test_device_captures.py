@@ -25,12 +25,7 @@ from lightmatrix.rig.devices.dslr import DSLRCamera
 from lightmatrix.rig.devices.folders import SHOWN
 from lightmatrix.rig.devices.gentl import GenTLCamera
 from lightmatrix.rig.rig import Rig
-from lightmatrix.rig.rig_measurements import (
-    ExposureAdvice,
-    Flicker,
-    RigMeasurements,
-    SettleTime,
-)
+from lightmatrix.rig.rig_measurements import ExposureAdvice, Flicker, RigMeasurements, SettleTime
 
 PROJECTOR, CAMERA, COUNT = (12, 16), (108, 144), 12
 _BLACK, _NOISE = 8.0, 1.2

@@ -164,12 +164,7 @@ def test_measurements_are_kept_and_used(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(
     ("key", "value"),
-    [
-        ("settle", {"seconds": 1}),
-        ("settle", 3),
-        ("exposure", {}),
-        ("projector", 5),
-    ],
+    [("settle", {"seconds": 1}), ("settle", 3), ("exposure", {}), ("projector", 5)],
 )
 def test_a_damaged_file(key: str, value: object, tmp_path: Path) -> None:
     file = tmp_path / "rig.json"

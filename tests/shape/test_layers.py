@@ -10,6 +10,7 @@ from scipy.sparse import csr_array
 
 import lightmatrix as lm
 from lightmatrix.errors import InputError, OutputError
+from lightmatrix.simulation.truth import binned
 
 SHAPE = (16, 24)
 
@@ -54,7 +55,7 @@ def test_both_surfaces_near_to_far_and_what_a_mirror_shows() -> None:
     assert (found.probability[np.isfinite(found.depth)] >= 0.5).all()
     assert found.summary()["mirrored_pixels"] == found.mirrored.any(axis=-1).sum()
     # What `triangulate` keeps is one of the layers.
-    known = lm.truth("corner")
+    known = binned(lm.truth("corner"), 4)
     assert known.geometry is not None
     shape = lm.triangulate(known.transport(), known.geometry)
     layers = lm.layers(known.transport(), known.geometry)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 from typing import cast
 
@@ -16,6 +17,7 @@ import lightmatrix as lm
 from lightmatrix.errors import InputError, OutputError
 from lightmatrix.shape.shape import Shape, ShapeTest, surface_faces
 from lightmatrix.shape.spots import find_line_spots, uncut_places
+from lightmatrix.simulation.truth import binned
 
 
 class Known(lm.Truth):
@@ -24,8 +26,16 @@ class Known(lm.Truth):
     geometry: lm.RigGeometry
 
 
-def truth(scene: str) -> Known:
-    return cast(Known, lm.truth(scene))
+@cache
+def triangulated(scene: str) -> tuple[Known, Shape]:
+    """A bundled scene and its shape, which takes seconds; no test changes them."""
+    known = cast(Known, lm.truth(scene))
+    return known, lm.triangulate(known.transport(), known.geometry)
+
+
+def small(scene: str, factor: int = 4) -> Known:
+    """A scene at fewer pixels, where its accuracy does not matter."""
+    return cast(Known, binned(lm.truth(scene), factor))
 
 
 def errors(shape: Shape, known: lm.Truth) -> NDArray[np.float64]:
@@ -45,8 +55,7 @@ def rig(rows: int = 12, cols: int = 16) -> lm.RigGeometry:
 
 @pytest.mark.parametrize("scene", ["corner", "l_objects"])
 def test_depths_of_known_scenes(scene: str) -> None:
-    known = truth(scene)
-    shape = lm.triangulate(known.transport(), known.geometry)
+    known, shape = triangulated(scene)
     error = errors(shape, known)
     right = error <= 0.01 * 4
     assert shape.kept.mean() > 0.98
@@ -58,16 +67,14 @@ def test_depths_of_known_scenes(scene: str) -> None:
 
 
 def test_normals_of_walls() -> None:
-    known = truth("corner")
+    known, shape = triangulated("corner")
     assert known.normals is not None
-    shape = lm.triangulate(known.transport(), known.geometry)
     cosine = (shape.normals * known.normals).sum(axis=-1)
     assert np.nanmedian(cosine) > np.cos(np.radians(3))
 
 
 def test_a_higher_probability_keeps_fewer_points_and_fewer_wrong_ones() -> None:
-    known = truth("metal")
-    usual = lm.triangulate(known.transport(), known.geometry)
+    known, usual = triangulated("metal")
     sure = lm.triangulate(known.transport(), known.geometry, least_probability=0.99)
     assert (usual.kept | ~sure.kept).all()
     assert (usual.probability[usual.kept] >= 0.5).all()
@@ -84,7 +91,7 @@ def test_a_higher_probability_keeps_fewer_points_and_fewer_wrong_ones() -> None:
 
 
 def test_codes_feed_the_same_triangulation(tmp_path: Path) -> None:
-    known = truth("corner")
+    known = triangulated("corner")[0]
     code = lm.make_patterns("graycode", (64, 64), inverse=True)
     capture = lm.simulate(known, code, exposure=0.5)
     matches = lm.decode(capture, output=tmp_path / "c.npz")
@@ -159,7 +166,7 @@ def test_spots_that_the_border_cuts_off_move_out_along_the_line() -> None:
 
 
 def test_files(tmp_path: Path) -> None:
-    known = truth("l_objects")
+    known = small("l_objects", 2)
     known.geometry.save(tmp_path / "rig.json")
     known.save(tmp_path / "T.npz")
     files = {"output": tmp_path / "cloud.ply", "depth": tmp_path / "depth.tif"}
@@ -180,7 +187,7 @@ def test_files(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("view", ["depth", "normals"])
 def test_views_of_a_shape(view: str, tmp_path: Path) -> None:
-    known = truth("metal")
+    known = small("metal", 2)
     matrix, geometry = known.transport(), known.geometry
     shape = lm.triangulate(matrix, geometry)
     expected = getattr(shape, view)
@@ -195,7 +202,7 @@ def test_views_of_a_shape(view: str, tmp_path: Path) -> None:
 
 
 def test_colours_of_normals_do_not_depend_on_the_frame_of_the_world() -> None:
-    known = truth("corner")
+    known = small("corner")
     geometry = known.geometry
     turn = np.array([[0, 0, 1.0], [1, 0, 0], [0, 1, 0]])
     whole = np.eye(4)
@@ -212,23 +219,23 @@ def test_colours_of_normals_do_not_depend_on_the_frame_of_the_world() -> None:
 
 
 def test_binned_captures_scale_the_geometry_and_others_are_refused() -> None:
-    known = truth("corner")
+    known = small("corner")
     matrix = known.transport()
     fine = known.geometry
     camera = np.diag([2.0, 2, 1]) @ fine.camera_matrix + np.outer(
         [0.5, 0.5, 0], fine.camera_matrix[2]
     )
-    large = replace(fine, camera_matrix=camera, camera_shape=(128, 127))
+    large = replace(fine, camera_matrix=camera, camera_shape=(32, 31))
     scaled, exact = lm.triangulate(matrix, large), lm.triangulate(matrix, fine)
     np.testing.assert_allclose(scaled.depth, exact.depth, rtol=1e-4)
-    other = replace(fine, projector_shape=(64, 100))
-    with pytest.raises(InputError, match="projector images of 64 x 100 pixels, but these") as bad:
+    other = replace(fine, projector_shape=(16, 25))
+    with pytest.raises(InputError, match="projector images of 16 x 25 pixels, but these") as bad:
         lm.triangulate(matrix, other)
     assert "calibrate at their size" in (bad.value.hint or "")
 
 
 def test_rows_that_state_a_large_error_are_less_probable() -> None:
-    known = truth("corner")
+    known = small("corner")
     plain = known.transport()
     stated = np.full(plain.shape[0], 0.1, np.float32)
     stated[70] = 1.2
@@ -242,7 +249,7 @@ def test_rows_that_state_a_large_error_are_less_probable() -> None:
 
 
 def test_files_take_their_places_together(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    known = truth("corner")
+    known = small("corner")
     scene = (known.transport(), known.geometry)
     cloud, depth, picture = (tmp_path / f"a.{ending}" for ending in ("ply", "tif", "png"))
 

@@ -56,10 +56,7 @@ def test_new_libraries_are_tried_first_and_old_ones_never(
     children = Children({str(tmp_path / "libLLVM-17.so.1")})
     monkeypatch.setattr(subprocess, "run", children.run)
     assert llvm.usable_llvm() == str(tmp_path / "libLLVM-17.so.1")
-    assert children.tried == [
-        str(tmp_path / "libLLVM.so.19.1"),
-        str(tmp_path / "libLLVM-17.so.1"),
-    ]
+    assert children.tried == [str(tmp_path / "libLLVM.so.19.1"), str(tmp_path / "libLLVM-17.so.1")]
 
 
 def test_the_users_own_choice_is_the_only_one_tried(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -5,18 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
 from lightmatrix.simulation.scenes import names, scene
-from lightmatrix.simulation.shapes import (
-    Mesh,
-    ball,
-    box,
-    bracket,
-    l_block,
-    nut,
-    ring,
-    rod,
-)
+from lightmatrix.simulation.shapes import Mesh, ball, box, bracket, l_block, nut, ring, rod
 
 
 def volume(mesh: Mesh) -> float:
@@ -138,8 +130,12 @@ def winding(points: NDArray[np.float64], mesh: Mesh) -> NDArray[np.float64]:
     return total / (4 * np.pi)
 
 
+# A mesh and the tree of many points on its surface, by the identity of the mesh.
+_TREES: dict[int, tuple[Mesh, cKDTree]] = {}
+
+
 def to_faces(points: NDArray[np.float64], mesh: Mesh) -> NDArray[np.float64]:
     """Distance of each point to the nearest of many points on the surface."""
-    from scipy.spatial import cKDTree
-
-    return np.asarray(cKDTree(surface_points(mesh, 20_000)).query(points)[0])
+    if id(mesh) not in _TREES:
+        _TREES[id(mesh)] = mesh, cKDTree(surface_points(mesh, 20_000))
+    return np.asarray(_TREES[id(mesh)][1].query(points)[0])

@@ -9,16 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from lightmatrix.solvers import (
-    ADMM,
-    ROMP,
-    Fidelity,
-    Problem,
-    Result,
-    SaturationADMM,
-    Status,
-    solve,
-)
+from lightmatrix.solvers import ADMM, ROMP, Fidelity, Problem, Result, SaturationADMM, Status, solve
 from lightmatrix.solvers.problem import objective
 from tests.helpers.problems import clipping_problem, with_samples
 

@@ -45,10 +45,7 @@ def dense(fine: LightTransport) -> np.ndarray:
 
 
 def test_commands(
-    fine: LightTransport,
-    dense: np.ndarray,
-    tmp_path: Path,
-    capsys: pytest.CaptureFixture[str],
+    fine: LightTransport, dense: np.ndarray, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     store.save(tmp_path / "s.zarr", fine)
     assert main(["info", str(tmp_path / "s.zarr"), "--json"]) == 0

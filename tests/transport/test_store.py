@@ -23,14 +23,7 @@ from lightmatrix.transport import store
 from lightmatrix.transport.checkpoint import Checkpoint, unfinished_spans
 from lightmatrix.transport.npz import export, import_npz
 from tests.helpers.limits import largest_file
-from tests.helpers.stores import (
-    FINGERPRINT,
-    assert_same,
-    finish,
-    run,
-    transport,
-    write_tile,
-)
+from tests.helpers.stores import FINGERPRINT, assert_same, finish, run, transport, write_tile
 from tests.helpers.systems import LIMITS, SIGNALS
 
 

@@ -196,7 +196,7 @@ def test_more_than_fits_into_memory_is_said_before(
     export(tmp_path / "T.npz", transport())
     monkeypatch.setattr(memory, "available_bytes", lambda: 100)
     for read in (store.open, import_npz):
-        with pytest.raises(InputError, match="of memory are free"):
+        with pytest.raises(InputError, match="of memory, 100 bytes are free"):
             read(tmp_path / ("T.npz" if read is import_npz else "scene.zarr"))
 
 

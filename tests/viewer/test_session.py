@@ -17,6 +17,7 @@ from scipy.sparse import csr_array
 
 import lightmatrix as lm
 from lightmatrix.pictures import maps
+from lightmatrix.simulation.truth import binned
 from lightmatrix.transport import store as stores
 from lightmatrix.viewer import lights, packed, session
 from lightmatrix.viewer.layers import LAYERS, LayerSource
@@ -316,20 +317,20 @@ def test_a_store_that_changes_is_told(
 
 
 def test_direct_and_global_light_and_compensation() -> None:
-    known = lm.truth("l_objects").transport()
+    known = binned(lm.truth("l_objects"), 2).transport()
     scene = Scene(known)
     parts = lm.separate(known)
     for name, part in (("direct", parts.direct), ("global", parts.global_)):
         _, values = unpack_floats(scene.layers.get(name))
-        np.testing.assert_array_equal(values, part.relight(np.ones((64, 64))).ravel())
+        np.testing.assert_array_equal(values, part.relight(np.ones((32, 32))).ravel())
     header, values = unpack_floats(scene.layers.get("parallax"))
     assert header["low"] < np.nanmedian(values) < header["high"]
-    picture = np.full((64, 64), 200, np.uint8)
-    picture[:, 20:40] = 60
+    picture = np.full((32, 32), 200, np.uint8)
+    picture[:, 10:20] = 60
     message = struct.pack("<2I", Kind.COMPENSATE, 5) + picture.tobytes()
     (answer,) = scene.session().answer(message)
     length = int.from_bytes(answer[8:12], "little")
-    levels = np.frombuffer(answer[12 + length :], np.uint8).reshape(64, 64)
+    levels = np.frombuffer(answer[12 + length :], np.uint8).reshape(32, 32)
     found = lm.compensate(known, picture / np.float32(255), gamma=2.2)
     np.testing.assert_array_equal(levels, np.rint(255 * found.pattern))
     # Refused while the matrix is too large for it.
@@ -377,7 +378,7 @@ def test_patterns_of_the_capture(transport: lm.LightTransport) -> None:
 
 
 def test_depth_where_the_geometry_is_known(tmp_path: Path) -> None:
-    truth = lm.truth("metal")
+    truth = binned(lm.truth("metal"), 2)
     known = truth.transport()
     assert truth.geometry is not None
     assert "depth" not in Scene(known).layers.available

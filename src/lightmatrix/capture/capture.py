@@ -7,7 +7,7 @@ Frames stay as they were stored. They are decoded into linear samples tile by ti
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -41,7 +41,7 @@ Crop = tuple[tuple[int, int], tuple[int, int]]
 
 
 @dataclass(frozen=True, eq=False)
-class Capture:
+class Capture(Reader):
     """A pattern set and the frames taken under it; see `open`, `from_folders` and `from_arrays`.
 
     Parameters
@@ -242,21 +242,6 @@ class Capture:
         return self.patterns.shape
 
     @property
-    def camera_shape(self) -> tuple[int, ...]:
-        """Camera rows, columns and, for a colour camera, channels, binned."""
-        return self.reader.camera_shape
-
-    @property
-    def rows(self) -> int:
-        """Number of camera samples M, binned."""
-        return self.reader.rows
-
-    @property
-    def exposures(self) -> NDArray[np.float64]:
-        """Exposure of each frame, (K,)."""
-        return self.reader.exposures
-
-    @property
     def reference_level(self) -> float:
         """Clip level of the longest exposure, as a sample at exposure 1: the unit of a row of T."""
         return float(1 / self.exposures.max())
@@ -370,28 +355,6 @@ class Capture:
     def frame(self, index: int) -> NDArray[Any]:
         """Raw levels of one frame as stored, not binned."""
         return self.frames.read(index)
-
-    def samples(self, start: int = 0, stop: int | None = None) -> Samples:
-        """Linear samples of the camera rows start..stop, decoded from the raw frames.
-
-        They are for exposure 1, in units of the clip level, as `Problem` takes them.
-        """
-        return self.reader.samples(start, self.rows if stop is None else stop)
-
-    @computed_once
-    def reader(self) -> Reader:
-        """The reader, which decodes the frames and keeps the levels that it has read."""
-        parts = self.frames, self.decoder, self.mask, self.bin_camera, self.correction
-        return Reader(*parts, self.known)
-
-    @property
-    def valid(self) -> NDArray[np.bool_]:
-        """Camera samples that are not masked and do not clip without light, (M,)."""
-        return self.reader.valid
-
-    def tiles(self, rows: int = 4096) -> Iterable[tuple[int, Samples]]:
-        """Iterate over (first row, samples) of the whole camera."""
-        return self.reader.tiles(rows)
 
     @computed_once
     def clipped_share(self) -> float:

@@ -223,23 +223,21 @@ def cut(frames: Frames, corner: tuple[int, int], shape: tuple[int, int]) -> CutF
 _STRIP = 1 << 20
 
 
-@dataclass(frozen=True, eq=False)
 class Reader:
-    """Linear samples of K frames within a mask, averaged over blocks of (rows, cols)."""
+    """Linear samples of K frames, averaged over blocks; `Capture` extends it by the patterns."""
 
     frames: Frames
     decoder: Decoder
     mask: NDArray[np.bool_] | None
-    block: tuple[int, int]
-    correction: Correction | None = None
-    # The samples, where they are not those of the frames.
-    known: Samples | None = None
+    bin_camera: tuple[int, int]
+    correction: Correction | None
+    known: Samples | None
 
     @property
     def camera_shape(self) -> tuple[int, ...]:
         """Camera rows, columns and, for a colour camera, channels, binned."""
         rows, cols, *channels = self.frames.shape
-        return (-(-rows // self.block[0]), -(-cols // self.block[1]), *channels)
+        return (-(-rows // self.bin_camera[0]), -(-cols // self.bin_camera[1]), *channels)
 
     @property
     def rows(self) -> int:
@@ -256,9 +254,13 @@ class Reader:
         for start in range(0, self.rows, rows):
             yield start, self.samples(start, start + rows)
 
-    def samples(self, start: int, stop: int) -> Samples:
-        """Samples of the camera rows start..stop; masked ones are 0 and have weight 0."""
-        samples = self._uncorrected(start, stop)
+    def samples(self, start: int = 0, stop: int | None = None) -> Samples:
+        """Linear samples of the camera rows start..stop, decoded from the raw frames.
+
+        They are for exposure 1, in units of the clip level, as `Problem` takes them. Masked ones
+        are 0 and have weight 0.
+        """
+        samples = self._uncorrected(start, self.rows if stop is None else stop)
         if self.correction is None:
             return samples
         return self.correction.applied(samples, start, self.camera_shape)
@@ -267,7 +269,7 @@ class Reader:
         stop = min(stop, self.rows)
         if self.known is not None:
             return self.known.rows(slice(start, stop))
-        if self.block == (1, 1):
+        if self.bin_camera == (1, 1):
             decoded = self.decoder.decode(self.levels(start, stop), first_row=start)
         else:
             decoded = self._binned.rows(slice(start, stop))
@@ -286,12 +288,12 @@ class Reader:
 
     @computed_once
     def valid(self) -> NDArray[np.bool_]:
-        """Which camera samples count: not masked, and not clipped without light; (M,)."""
-        if self.block == (1, 1):
+        """Camera samples that are not masked and do not clip without light, (M,)."""
+        if self.bin_camera == (1, 1):
             return self._valid_pixels
         valid = self._valid_pixels.reshape(*self.frames.shape[:2], -1)
         for axis in (0, 1):
-            starts = np.arange(0, valid.shape[axis], self.block[axis])
+            starts = np.arange(0, valid.shape[axis], self.bin_camera[axis])
             valid = np.logical_or.reduceat(valid, starts, axis=axis)
         return valid.ravel()
 
@@ -299,7 +301,7 @@ class Reader:
         """Rows of a frame that are binned at a time, and the slice of their samples."""
         height, *others = self.frames.shape
         width = int(np.prod(others))
-        step = self.block[0] * max(1, _STRIP // (self.block[0] * width))
+        step = self.bin_camera[0] * max(1, _STRIP // (self.bin_camera[0] * width))
         for start in range(0, height, step):
             stop = min(start + step, height)
             yield slice(start, stop), slice(start * width, stop * width)
@@ -344,7 +346,7 @@ class Reader:
             decoded = self.decoder.decode(raw, first_row=first, first_frame=k)
             shape = (len(raw) // math.prod(self.frames.shape[1:]), *self.frames.shape[1:])
             valid = self._valid_pixels[first : first + len(raw)]
-            binned = bin_samples(decoded, valid, shape, self.block)
+            binned = bin_samples(decoded, valid, shape, self.bin_camera)
             values[where, k], clipped[where, k] = binned.values[:, 0], binned.clipped[:, 0]
             if binned.clip_level.ndim == 1:
                 frame_levels[k] = binned.clip_level[0]
@@ -360,7 +362,7 @@ class Reader:
 
     def _columns(self) -> Iterator[tuple[slice, int, int, NDArray[Any]]]:
         """Strips in the faster order: binned rows, first sample, frame, and raw levels (n, 1)."""
-        frames, down = self.frames, self.block[0]
+        frames, down = self.frames, self.bin_camera[0]
         wide, narrow = (math.prod(shape[1:]) for shape in (frames.shape, self.camera_shape))
         if not isinstance(frames, PixelFrames):
             for k, frame in enumerate(in_order(frames)):

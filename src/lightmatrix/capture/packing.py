@@ -106,7 +106,7 @@ def pack_capture(
         line = math.prod(frames.shape[1:])
         for top in range(0, height, rows):
             end = min(top + rows, height)
-            levels = capture.reader.levels(top * line, end * line)
+            levels = capture.levels(top * line, end * line)
             packed[:, top:end] = levels.T.reshape(count, end - top, *frames.shape[1:])
             if progress is not None:
                 progress(end, height)

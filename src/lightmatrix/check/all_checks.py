@@ -160,12 +160,13 @@ def _check_surveyed(survey: Survey, capture: Capture) -> list[Finding]:
     if few or (displaced and not two_swapped):
         return of_light() + displaced
 
-    def of_order() -> list[Finding]:
-        return check_order(survey, names.__getitem__) if lattice is None else []
-
     # The longest first; each of them keeps about one core busy.
     disorder, findings, unrelated = side_by_side(
-        [of_order, of_light, lambda: check_relation(survey)]
+        [
+            lambda: [] if lattice else check_order(survey, names.__getitem__),
+            of_light,
+            lambda: check_relation(survey),
+        ]
     )
     pairs = find_pairs(survey.patterns)
     if len(pairs):
@@ -184,10 +185,9 @@ def _check_surveyed(survey: Survey, capture: Capture) -> list[Finding]:
 
 
 def _survey(capture: Capture) -> Survey:
-    patterns = capture.patterns
     # Stripes are decoded in seconds, and checking them shall take no longer.
-    share = 0.25 if is_separable(patterns) else 1
-    return Survey.take(patterns, capture.frames, capture.decoder, capture.mask, share)
+    share = 0.25 if is_separable(capture.patterns) else 1
+    return Survey.take(capture.patterns, capture.frames, capture.decoder, capture.mask, share)
 
 
 def check_distinguishable(patterns: PatternSet) -> list[Finding]:

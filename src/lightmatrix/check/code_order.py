@@ -187,7 +187,11 @@ class CodeLattice:
         shuffled = np.random.default_rng(0).permutation(self.samples.shape[1] // 3)
         near = []
         for code in self.codes.codes:
-            line = self.lines(code, frames)[0][0]
+            lines, left = self.lines(code, frames)
+            if any(inverse >= 0 for _, inverse in code.bits) and np.median(left) < 0.1:
+                # Scrambled fibres have no neighbours, but each pattern and its inverse add up.
+                return False
+            line = lines[0]
             a, b = line[self.pairs[:, : self.neighbours]]
             quarter = np.quantile(np.abs(line[: len(shuffled)] - line[shuffled]), 0.25)
             near.append(float((np.abs(a - b) <= max(quarter, 1)).mean()))

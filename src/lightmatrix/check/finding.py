@@ -15,7 +15,7 @@ KINDS = {
     "stripes": "patterns of stripes, which suffice where each camera pixel sees one place",
     "light": "too much or too little light",
     "clip": "photographs that clip below the stated clip level",
-    "black": "a black frame that is not the darkest",
+    "black": "a black frame that is too bright, or not the darkest",
     "white": "a white frame that is not the brightest",
     "order": "photographs that show the pattern of another one",
     "unrelated": "photographs that do not follow the patterns at all",
@@ -38,6 +38,7 @@ KINDS = {
     "sharpening": "a projector that sharpens its picture",
     "camera-sharpening": "a camera that sharpens its photographs",
     "dynamic-contrast": "a projector whose light follows its picture",
+    "tone-mapping": "a camera that brightens what is dark around",
 }
 
 # Kinds that say what a healthy capture cannot reveal; `check` exits with 0 if it has no other.
@@ -94,12 +95,7 @@ class Finding:
 
     def as_dict(self) -> dict[str, Any]:
         """The finding, JSON-ready."""
-        return {
-            "kind": self.kind,
-            "frames": list(self.frames),
-            "message": self.message,
-            "advice": self.advice,
-        }
+        return {**vars(self), "frames": list(self.frames)}
 
 
 def join_names(names: Sequence[str]) -> str:

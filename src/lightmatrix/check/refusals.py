@@ -11,7 +11,6 @@ from lightmatrix.capture.folder import check_depth
 from lightmatrix.check.all_checks import check_capture
 from lightmatrix.check.finding import Finding
 from lightmatrix.errors import InputError, warn
-from lightmatrix.patterns.pattern_set import PatternSet
 
 
 def refuse_unusable(capture: Capture) -> None:
@@ -21,7 +20,22 @@ def refuse_unusable(capture: Capture) -> None:
     clipped samples, all pixels masked, levels with their two bytes swapped or far below 0, or
     16-bit files of fewer bits, or float files far above 1, without a stated clip level.
     """
-    _refuse_useless_patterns(capture.patterns)
+    patterns = capture.patterns
+    if patterns.count == 1:
+        raise InputError(
+            "the capture has 1 frame only", hint="take at least 2 patterns, better 64 or more"
+        )
+    if patterns.pixels == 1:
+        hint = "use larger patterns, or bin them less"
+        raise InputError("the projector has 1 x 1 pixels", hint=hint)
+    # Some patterns may be constant (white, binned stripes). Binning equal pixels may change their
+    # last bit.
+    first, same = patterns.rows(0, 1), 1e-6
+    if not any((np.ptp(part, axis=1) >= same).any() for _, part in patterns.chunks()):
+        hint = "use other patterns, or bin the projector less"
+        raise InputError("no pattern varies: each shows one grey value all over", hint=hint)
+    if not any((np.abs(part - first) >= same).any() for _, part in patterns.chunks()):
+        raise InputError("all patterns are the same", hint="use patterns that differ")
     check_depth(capture.frames, capture.decoder)
     valid, decoder = int(capture.valid.sum()), capture.decoder
     if valid == 0:
@@ -64,29 +78,3 @@ def warn_of(findings: Iterable[Finding]) -> None:
     """Warn of each finding by itself."""
     for finding in findings:
         warn(f"{finding.kind}: {finding.message}\n  {finding.advice}")
-
-
-def _refuse_useless_patterns(patterns: PatternSet) -> None:
-    """Refuse patterns that tell nothing apart; some may be constant (white, binned stripes)."""
-    if patterns.count == 1:
-        raise InputError(
-            "the capture has 1 frame only", hint="take at least 2 patterns, better 64 or more"
-        )
-    if patterns.pixels == 1:
-        raise InputError(
-            "the projector has 1 x 1 pixels", hint="use larger patterns, or bin them less"
-        )
-    # Binning equal pixels may change their last bit.
-    first, same = patterns.rows(0, 1)[0], 1e-6
-    alike, flat = True, True
-    for k in range(patterns.count):
-        pattern = patterns.rows(k, k + 1)[0]
-        flat = flat and bool(np.ptp(pattern) < same)
-        alike = alike and bool((np.abs(pattern - first) < same).all())
-        if not (flat or alike):
-            break
-    if flat:
-        hint = "use other patterns, or bin the projector less"
-        raise InputError("no pattern varies: each shows one grey value all over", hint=hint)
-    if alike:
-        raise InputError("all patterns are the same", hint="use patterns that differ")

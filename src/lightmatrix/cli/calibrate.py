@@ -4,47 +4,41 @@ from __future__ import annotations
 
 import re
 from pathlib import Path
-from typing import Annotated
 
 from typer import Argument, Option
 
 import lightmatrix as lm
-from lightmatrix.cli.options import Json, Overwrite, output_option, size
+from lightmatrix.cli.options import Json, Overwrite, described, size
 from lightmatrix.cli.source import numbers
 from lightmatrix.cli.terminal import progress, say, show_json
 from lightmatrix.errors import InputError
 
 
+@described(
+    poses=Argument(
+        metavar="POSE...",
+        help="A capture of each pose: patterns/ and images/. With --focal, one T or file of "
+        "`decode`, of a scene that is not flat.",
+    ),
+    board=Option(metavar="9x7", help="Inner corners of the board: squares less one."),
+    square=Option(metavar="24mm", help="Side of a square, with or without a unit."),
+    focal="Without a board: the camera's focal length in pixels.",
+    principal=Option(
+        metavar="COL,ROW",
+        help="Without a board: where the camera's axis passes its image.",
+        show_default="the middle",
+    ),
+    baseline=Option(metavar="200mm", help="Without a board: from the camera to the projector."),
+    output="The geometry to write: .json.",
+)
 def calibrate(
-    poses: Annotated[
-        list[Path],
-        Argument(
-            metavar="POSE...",
-            help="A capture of each pose: patterns/ and images/. With --focal, one T or file of "
-            "`decode`, of a scene that is not flat.",
-        ),
-    ],
-    board: Annotated[
-        str | None, Option(metavar="9x7", help="Inner corners of the board: squares less one.")
-    ] = None,
-    square: Annotated[
-        str | None, Option(metavar="24mm", help="Side of a square, with or without a unit.")
-    ] = None,
-    focal: Annotated[
-        float | None, Option(help="Without a board: the camera's focal length in pixels.")
-    ] = None,
-    principal: Annotated[
-        str | None,
-        Option(
-            metavar="COL,ROW",
-            help="Without a board: where the camera's axis passes its image.",
-            show_default="the middle",
-        ),
-    ] = None,
-    baseline: Annotated[
-        str, Option(metavar="200mm", help="Without a board: from the camera to the projector.")
-    ] = "1",
-    output: Annotated[Path, output_option("The geometry to write: .json.")] = Path("geometry.json"),
+    poses: list[Path],
+    board: str | None = None,
+    square: str | None = None,
+    focal: float | None = None,
+    principal: str | None = None,
+    baseline: str = "1",
+    output: Path = Path("geometry.json"),
     overwrite: Overwrite = False,
     as_json: Json = False,
 ) -> None:

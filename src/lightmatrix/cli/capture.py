@@ -17,7 +17,7 @@ from lightmatrix.files.writing import check_output
 
 
 @described(
-    output=options.output_option("Capture folder to write."),
+    output="Capture folder to write.",
     count=Option(
         "-k",
         "--count",

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Any, Literal
 
 from typer import Argument, Option
 
@@ -14,77 +14,51 @@ from lightmatrix.defaults import RIG_FILE, VIDEOS
 from lightmatrix.errors import InputError
 
 
+@options.described(
+    output="Image of the pattern; of a video, a folder of them.",
+    wanted=Argument(
+        metavar="WANTED",
+        help="The picture that the camera is to see: an image, a folder of frames, or a video.",
+    ),
+    brightness=Option(
+        metavar="0.7",
+        help="Light of wanted white, as a share of that of a white pattern.",
+        show_default="as bright as possible",
+    ),
+    fit="A picture of another size covers the camera, is seen whole, or is stretched.",
+    black="Photograph of a black pattern: the room's light.",
+    mask="Image of camera pixels, 0 where the picture does not matter.",
+    projector_mask="Image of projector pixels, 0 for those that stay black.",
+    gamma=Option(
+        help="Display gamma of the picture.", show_default="2.2; 1 for files of floats: EXR"
+    ),
+    projector_response=Option(
+        metavar="FILE|gamma:2.2|linear",
+        help="Light of the projector's grey values, by which the pattern is encoded.",
+        show_default="that of the rig's file or of T's capture, or gamma:2.2",
+    ),
+    beside=Option(
+        metavar="OTHER.zarr", help="T of a further projector on the same scene; repeatable."
+    ),
+    cancel_global="Show direct light only, as under the pattern WANTED, or under white.",
+    refine=Option(help="Photographs on a rig that correct the pattern.", show_default="none"),
+    live="Go on photographing and correcting until Enter, while the light may change.",
+)
 def compensate(
     scene: options.Store,
-    output: Annotated[
-        Path, options.output_option("Image of the pattern; of a video, a folder of them.")
-    ],
-    wanted: Annotated[
-        Path | None,
-        Argument(
-            metavar="WANTED",
-            help="The picture that the camera is to see: an image, a folder of frames, or a video.",
-        ),
-    ] = None,
-    brightness: Annotated[
-        float | None,
-        Option(
-            metavar="0.7",
-            help="Light of wanted white, as a share of that of a white pattern.",
-            show_default="as bright as possible",
-        ),
-    ] = None,
-    fit: Annotated[
-        Literal["cover", "contain", "stretch"],
-        Option(help="A picture of another size covers the camera, is seen whole, or is stretched."),
-    ] = "cover",
-    black: Annotated[
-        Path | None, Option(help="Photograph of a black pattern: the room's light.")
-    ] = None,
-    mask: Annotated[
-        Path | None, Option(help="Image of camera pixels, 0 where the picture does not matter.")
-    ] = None,
-    projector_mask: Annotated[
-        Path | None, Option(help="Image of projector pixels, 0 for those that stay black.")
-    ] = None,
-    gamma: Annotated[
-        float | None,
-        Option(
-            help="Display gamma of the picture.", show_default="2.2; 1 for files of floats: EXR"
-        ),
-    ] = None,
-    projector_response: Annotated[
-        str | None,
-        Option(
-            metavar="FILE|gamma:2.2|linear",
-            help="Light of the projector's grey values, by which the pattern is encoded.",
-            show_default="that of the rig's file or of T's capture, or gamma:2.2",
-        ),
-    ] = None,
-    beside: Annotated[
-        list[Path] | None,
-        Option(
-            metavar="OTHER.zarr", help="T of a further projector on the same scene; repeatable."
-        ),
-    ] = None,
-    cancel_global: Annotated[
-        bool,
-        Option(
-            "--cancel-global",
-            help="Show direct light only, as under the pattern WANTED, or under white.",
-        ),
-    ] = False,
-    refine: Annotated[
-        int | None,
-        Option(help="Photographs on a rig that correct the pattern.", show_default="none"),
-    ] = None,
-    live: Annotated[
-        bool,
-        Option(
-            "--live",
-            help="Go on photographing and correcting until Enter, while the light may change.",
-        ),
-    ] = False,
+    output: Path,
+    wanted: Path | None = None,
+    brightness: float | None = None,
+    fit: Literal["cover", "contain", "stretch"] = "cover",
+    black: Path | None = None,
+    mask: Path | None = None,
+    projector_mask: Path | None = None,
+    gamma: float | None = None,
+    projector_response: str | None = None,
+    beside: list[Path] | None = None,
+    cancel_global: bool = False,
+    refine: int | None = None,
+    live: bool = False,
     rig: options.RigName = None,
     projector: options.ProjectorName = None,
     camera: options.CameraName = None,
@@ -102,14 +76,9 @@ def compensate(
     video = wanted is not None and (wanted.is_dir() or wanted.suffix.lower() in VIDEOS)
     of_rig: dict[str, object] = {"--refine": refine, "--live": live, "--settle": settle}
     if cancel_global:
-        others: dict[str, object] = {
-            "--beside": beside,
-            "--black": black,
-            "--mask": mask,
-            "--brightness": brightness,
-        }
-        others |= {"--projector-mask": projector_mask, "--gamma": gamma, "a video": video}
-        options.refuse(of_rig | others | {"a rig": with_rig}, "--cancel-global")
+        of_rig |= {"--beside": beside, "--black": black, "--mask": mask, "--gamma": gamma}
+        of_rig |= {"--brightness": brightness, "--projector-mask": projector_mask}
+        options.refuse(of_rig | {"a video": video, "a rig": with_rig}, "--cancel-global")
     elif wanted is None:
         raise InputError("no picture", hint="give the wanted picture, or a folder of frames")
     elif with_rig:
@@ -125,13 +94,8 @@ def compensate(
     written: dict[str, Any] = {"output": output, "overwrite": overwrite}
     if not with_rig:
         written["projector_response"] = response
-    common: dict[str, Any] = written | {
-        "mask": mask,
-        "projector_mask": projector_mask,
-        "brightness": brightness,
-        "gamma": gamma,
-        "fit": fit,
-    }
+    common: dict[str, Any] = {"mask": mask, "projector_mask": projector_mask, **written}
+    common |= {"brightness": brightness, "gamma": gamma, "fit": fit}
     found: Any
     if cancel_global:
         found = lm.cancel_global(scene, wanted, **written)
@@ -156,7 +120,15 @@ def compensate(
     if as_json:
         show_json(summary)
         return
-    _show(summary, cancelled=cancel_global, live=live)
+    if cancel_global:
+        say(f"{output}: the camera sees direct light, within 5 % of the light of white")
+    else:
+        white = f"{100 * summary['brightness']:.0f} %"
+        say(f"{output}: wanted white is {white} of what a white pattern gives")
+    if "frames" in summary:
+        say(f"{summary['frames']} frames; {100 * summary['reached']:.1f} % of the pixels reached")
+    else:
+        _show(summary, live=live)
     gamma_shown = summary["projector_gamma"]
     if gamma_shown is None:
         say("it holds light, for a projector without a gamma")
@@ -183,15 +155,7 @@ class _Live:
         return not enter_was_pressed() and (self._most is None or self._count <= self._most)
 
 
-def _show(summary: dict[str, Any], *, cancelled: bool, live: bool) -> None:
-    if cancelled:
-        say(f"{summary['output']}: the camera sees direct light, within 5 % of the light of white")
-    else:
-        white = f"{100 * summary['brightness']:.0f} %"
-        say(f"{summary['output']}: wanted white is {white} of what a white pattern gives")
-    if "frames" in summary:
-        say(f"{summary['frames']} frames; {100 * summary['reached']:.1f} % of the pixels reached")
-        return
+def _show(summary: dict[str, Any], *, live: bool) -> None:
     plain = summary["uncompensated_psnr"]
     if plain is not None:
         say(
@@ -199,11 +163,9 @@ def _show(summary: dict[str, Any], *, cancelled: bool, live: bool) -> None:
             f"{plain:.1f} dB if it were shown as it is"
         )
     reasons = {"too_dark": "too dark", "too_bright": "too bright", "shadow": "in shadow"}
-    rest = [
-        f"{100 * summary[key]:.1f} % {text}"
-        for key, text in {**reasons, "masked": "masked"}.items()
-        if summary.get(key)
-    ]
+    reasons |= {"masked": "masked"}
+    shares = {text: summary.get(key) for key, text in reasons.items()}
+    rest = [f"{100 * share:.1f} % {text}" for text, share in shares.items() if share]
     share = f"{100 * summary['reached']:.1f} % of the camera pixels are reached"
     say("; ".join([share, ", ".join(rest)] if rest else [share]))
     if not live:

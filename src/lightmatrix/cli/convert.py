@@ -3,22 +3,26 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Literal
 
-from typer import Argument, Option
+from typer import Argument
 
 import lightmatrix as lm
-from lightmatrix.cli.options import FIND_HELP, Json, Overwrite, output_option
-from lightmatrix.cli.terminal import progress, say, show_json
+from lightmatrix.cli.options import FIND_HELP, Json, Overwrite, described
+from lightmatrix.cli.terminal import answer, progress
 
 
+@described(
+    folder=Argument(metavar="FOLDER", help="The folder of the other program."),
+    output="The capture folder to make.",
+    channel="The channel of colour images that is kept.",
+    response=FIND_HELP,
+)
 def convert(
-    folder: Annotated[Path, Argument(metavar="FOLDER", help="The folder of the other program.")],
-    output: Annotated[Path, output_option("The capture folder to make.")] = Path("capture"),
-    channel: Annotated[
-        Literal["red", "green", "blue"], Option(help="The channel of colour images that is kept.")
-    ] = "green",
-    response: Annotated[str, Option(help=FIND_HELP)] = "linear",
+    folder: Path,
+    output: Path = Path("capture"),
+    channel: Literal["red", "green", "blue"] = "green",
+    response: str = "linear",
     overwrite: Overwrite = False,
     as_json: Json = False,
 ) -> None:
@@ -31,7 +35,5 @@ def convert(
         layout = lm.convert(
             folder, output, channel=channel, response=response, overwrite=overwrite, progress=step
         )
-    if as_json:
-        show_json({"output": output, "layout": layout})
-    else:
-        say(f"{output}: a capture from the layout {layout}; now `lightmatrix check {output}`")
+    text = f"{output}: a capture from the layout {layout}; now `lightmatrix check {output}`"
+    answer(as_json, {"output": output, "layout": layout}, text)

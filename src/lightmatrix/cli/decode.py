@@ -3,29 +3,27 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
 
 from typer import Option
 
 import lightmatrix as lm
-from lightmatrix.cli.options import Json, Overwrite, output_option, size
+from lightmatrix.cli.options import Json, Overwrite, described, size
 from lightmatrix.cli.source import Source, with_source
-from lightmatrix.cli.terminal import progress, say, show_json
+from lightmatrix.cli.terminal import answer, progress
 
 
 @with_source(crop=False)
+@described(
+    output="The correspondence to write: .npz.",
+    bin_projector=Option(metavar="N", help="Projector pixels to a block, such as 2 or 1x2."),
+    check="Refuse photographs that contradict the code.",
+)
 def decode(
-    output: Annotated[Path, output_option("The correspondence to write: .npz.")] = Path(
-        "correspondence.npz"
-    ),
+    output: Path = Path("correspondence.npz"),
     *,
     source: Source,
-    bin_projector: Annotated[
-        str, Option(metavar="N", help="Projector pixels to a block, such as 2 or 1x2.")
-    ] = "1",
-    check: Annotated[
-        bool, Option("--check/--no-check", help="Refuse photographs that contradict the code.")
-    ] = True,
+    bin_projector: str = "1",
+    check: bool = True,
     overwrite: Overwrite = False,
     as_json: Json = False,
 ) -> None:
@@ -40,11 +38,10 @@ def decode(
         matches = lm.decode(capture, output=output, overwrite=overwrite, check=check, progress=step)
     share, known = float(matches.valid.mean()), matches.confidence[matches.valid]
     contradicted = float((known < 0.5).mean())
-    if as_json:
-        facts = {"camera_shape": matches.valid.shape, "decoded_share": share}
-        show_json({"output": output, **facts, "contradicted_share": contradicted})
-        return
-    say(
+    facts = {"camera_shape": matches.valid.shape, "decoded_share": share}
+    answer(
+        as_json,
+        {"output": output, **facts, "contradicted_share": contradicted},
         f"{output}: {100 * share:.1f} % of the camera's pixels see the projector; the photographs "
-        f"contradict the code or the neighbours in {100 * contradicted:.1f} % of them"
+        f"contradict the code or the neighbours in {100 * contradicted:.1f} % of them",
     )

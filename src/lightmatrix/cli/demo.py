@@ -3,17 +3,15 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
 
 import lightmatrix as lm
-from lightmatrix.cli.options import Json, Overwrite, output_option
+from lightmatrix.cli.options import Json, Overwrite, described
 from lightmatrix.cli.terminal import progress, say, show_columns, show_json
 
 
+@described(output="Folder of the report.")
 def demo(
-    output: Annotated[Path, output_option("Folder of the report.")] = Path("report"),
-    overwrite: Overwrite = False,
-    as_json: Json = False,
+    output: Path = Path("report"), overwrite: Overwrite = False, as_json: Json = False
 ) -> None:
     """Simulate and estimate a scene, and write a report."""
     with progress("demo", "steps") as report:
@@ -27,17 +25,13 @@ def demo(
         f"{100 * result['clipped_samples']:.0f} % of the samples clip, "
         f"{100 * result['clipping_responses']:.0f} % of the single responses"
     )
+    errors = ("relative_error", "relighting_error")
     show_columns(
         title,
         ("method", "RMSE", "relative error", "relighting error"),
         [
-            (
-                method["method"],
-                f"{method['rmse']:.4f}",
-                f"{method['relative_error']:.3f}",
-                f"{method['relighting_error']:.3f}",
-            )
-            for method in result["methods"]
+            (each["method"], f"{each['rmse']:.4f}", *(f"{each[error]:.3f}" for error in errors))
+            for each in result["methods"]
         ],
     )
     judged = lm.Verdicts.from_dict(result["report"]["verdicts"])

@@ -7,15 +7,23 @@ import time
 from contextlib import suppress
 from dataclasses import asdict, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Literal
 
 from typer import Option
 
 import lightmatrix as lm
 from lightmatrix.check.finding import Finding
-from lightmatrix.cli.options import Json, Overwrite, Verbose, described, output_option, refuse, size
+from lightmatrix.cli.options import Json, Overwrite, Verbose, described, refuse, size
 from lightmatrix.cli.source import Source, refuse_unknown_projector, with_source
-from lightmatrix.cli.terminal import as_options, progress, say, show_json, show_table
+from lightmatrix.cli.terminal import (
+    answer,
+    as_options,
+    judged_json,
+    progress,
+    say,
+    show_json,
+    show_table,
+)
 from lightmatrix.defaults import ADMM_ITERATIONS, COHERENT_UP_TO, PASSES
 from lightmatrix.errors import InputError
 from lightmatrix.files.colours import COLOURS
@@ -24,7 +32,7 @@ from lightmatrix.files.writing import check_output
 from lightmatrix.reprs import amount, labelled
 
 if TYPE_CHECKING:
-    from lightmatrix import ColourTransport, LightTransport, Verdicts
+    from lightmatrix import ColourTransport, LightTransport
     from lightmatrix.estimators.resource_estimate import ResourceEstimate
 
 # What is written where no other name is given.
@@ -40,9 +48,7 @@ _reporting = functools.partial(Option, rich_help_panel="Check and report")
 
 @with_source()
 @described(
-    output=output_option(
-        "The store to write, ending in .zarr. For patterns in colour: a folder of three."
-    ),
+    output="The store to write, ending in .zarr. For patterns in colour: a folder of three.",
     solver=_solving(
         help="active-set (one-sided, rejection, linear; certifies a duality gap), "
         "saturation-admm (clipped, one-sided, rejection, linear), admm (linear), "
@@ -104,7 +110,8 @@ _reporting = functools.partial(Option, rich_help_panel="Check and report")
         metavar="auto|none|NAME,...",
         help="Which faults of the rig to look for in the photographs and to take out of T: all, "
         "none, or some of gain, exposure, ambient, shift, rows, previous, camera-curve, "
-        "projector-curve, crosstalk, sharpening, camera-sharpening, dynamic-contrast.",
+        "projector-curve, crosstalk, sharpening, camera-sharpening, dynamic-contrast, "
+        "tone-mapping, black.",
     ),
     report=Option(
         metavar="DIR",
@@ -219,7 +226,7 @@ def estimate(
             )
     judged = lm.Verdicts.from_dict(outcome["verdicts"]) if outcome else lm.verdicts(transport)
     if as_json:
-        result = {"output": str(output), "seconds": seconds} | _as_json(judged)
+        result = {"output": str(output), "seconds": seconds} | judged_json(judged)
         if found := transport.provenance.get("found_response"):
             result["response"] = {key: found[key] for key in found if key != "light"}
         result |= transport.summary() | {"findings": findings}
@@ -240,15 +247,10 @@ def _check_report(
     output: Path, report: Path | None, viewer: bool, geometry: Path | None, *, overwrite: bool
 ) -> None:
     """Refuse a viewer and a geometry without the report, and a report that cannot be written."""
-    if viewer and report is None:
-        hint = "add --report, or run `lightmatrix view --export` on the estimate"
-        raise InputError("--viewer without --report", hint=hint)
-    if geometry is not None and report is None:
-        raise InputError(
-            "--geometry without --report",
-            hint="add --report, which shows depth and normals; or run `lightmatrix triangulate` "
-            "on the estimate",
-        )
+    for name, given in (("--viewer", viewer), ("--geometry", geometry)):
+        if given and report is None:
+            hint = "add --report; or run `lightmatrix view` or `triangulate` on the estimate"
+            raise InputError(f"{name} without --report", hint=hint)
     if report is not None and output.absolute() in (report.absolute(), *report.absolute().parents):
         raise InputError(
             f"{report}: is where the estimate goes", hint="choose another folder for the report"
@@ -267,23 +269,15 @@ def _truth(folder: Path | None, transport: LightTransport) -> LightTransport | N
     return known if shapes == (transport.camera_shape, transport.projector_shape) else None
 
 
-def _as_json(judged: Verdicts) -> dict[str, Any]:
-    overall = judged.transport
-    return {"verdict": overall.level, "sentence": overall.sentence, "verdicts": judged.as_dict()}
-
-
 def _show_colour(output: Path, colour: ColourTransport, seconds: float, as_json: bool) -> None:
     """Print the verdicts on an estimate in colour, and where its three stores are."""
     judged = lm.verdicts(colour.red)
-    if as_json:
-        stores = {name: str(output / f"{name}.zarr") for name in COLOURS}
-        result = {"output": str(output), "stores": stores, "seconds": round(seconds, 2)}
-        findings = {"findings": colour.red.provenance["findings"]}
-        show_json(result | _as_json(judged) | findings)
-        return
-    for line in judged.lines():
-        say(line)
-    say(f"{', '.join(f'{name}.zarr' for name in COLOURS)} in {output}")
+    stores = {name: str(output / f"{name}.zarr") for name in COLOURS}
+    result = {"output": str(output), "stores": stores, "seconds": round(seconds, 2)}
+    findings = {"findings": colour.red.provenance["findings"]}
+    names = ", ".join(f"{name}.zarr" for name in COLOURS)
+    result |= judged_json(judged) | findings
+    answer(as_json, result, *judged.lines(), f"{names} in {output}")
 
 
 def _show_resources(resources: ResourceEstimate, as_json: bool) -> None:

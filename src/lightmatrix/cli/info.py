@@ -4,27 +4,22 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Any
 
 from typer import Argument
 
 import lightmatrix as lm
-from lightmatrix.cli.options import Json, Verbose
-from lightmatrix.cli.terminal import say, show_json, show_table
+from lightmatrix.cli.options import Json, Verbose, described
+from lightmatrix.cli.terminal import judged_json, say, show_json, show_table
 from lightmatrix.reprs import labelled
 
 
-def info(
-    scene: Annotated[
-        Path,
-        Argument(
-            metavar="SCENE.zarr|CAPTURE",
-            help="A store made by `estimate`, a T.npz, or a capture, packed or not.",
-        ),
-    ],
-    verbose: Verbose = False,
-    as_json: Json = False,
-) -> None:
+@described(
+    scene=Argument(
+        metavar="SCENE.zarr|CAPTURE",
+        help="A store made by `estimate`, a T.npz, or a capture, packed or not.",
+    )
+)
+def info(scene: Path, verbose: Verbose = False, as_json: Json = False) -> None:
     """Show what a store holds: verdicts, shapes, clipping, gaps.
 
     For a capture: its frames, patterns, levels and exposures.
@@ -39,14 +34,8 @@ def info(
     transport = lm.open(scene)
     judged = lm.verdicts(transport)
     if as_json:
-        overall = judged.transport
-        content: dict[str, Any] = {"verdict": overall.level, "sentence": overall.sentence}
-        content |= {
-            "verdicts": judged.as_dict(),
-            **transport.summary(),
-            "provenance": transport.provenance,
-        }
-        show_json(content)
+        facts = {**transport.summary(), "provenance": transport.provenance}
+        show_json(judged_json(judged) | facts)
         return
     for line in judged.lines():
         say(line)

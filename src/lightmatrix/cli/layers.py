@@ -3,22 +3,31 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
 
-from typer import Argument, Option
+from typer import Argument
 
 import lightmatrix as lm
-from lightmatrix.cli.options import Json, LeastProbability, Overwrite, Tolerance, output_option
-from lightmatrix.cli.terminal import say, show_json
+from lightmatrix.cli.options import (
+    Geometry,
+    Json,
+    LeastProbability,
+    Overwrite,
+    Tolerance,
+    described,
+)
+from lightmatrix.cli.terminal import answer
 
 
+@described(
+    scene=Argument(metavar="SCENE", help="A store of `estimate`, or a T.npz."),
+    output="Point cloud (.ply) or image of layers (.exr).",
+    picture="Maps of the layers to write: .png.",
+)
 def layers(
-    scene: Annotated[Path, Argument(metavar="SCENE", help="A store of `estimate`, or a T.npz.")],
-    geometry: Annotated[
-        Path, Option(help="Where camera and projector stand: a file of `calibrate`.")
-    ],
-    output: Annotated[Path, output_option("Point cloud (.ply) or image of layers (.exr).")],
-    picture: Annotated[Path | None, Option(help="Maps of the layers to write: .png.")] = None,
+    scene: Path,
+    geometry: Geometry,
+    output: Path,
+    picture: Path | None = None,
     tolerance: Tolerance = 0.01,
     least_probability: LeastProbability = 0.5,
     overwrite: Overwrite = False,
@@ -37,8 +46,9 @@ def layers(
         picture=picture,
         overwrite=overwrite,
     )
-    if as_json:
-        show_json({"output": output, "picture": picture, **found.summary()})
-        return
     one, two, three, mirrored = found.summary().values()
-    say(f"{output}: {one} pixels see one surface, {two} two, {three} three; {mirrored} by mirrors")
+    answer(
+        as_json,
+        {"output": output, "picture": picture, **found.summary()},
+        f"{output}: {one} pixels see one surface, {two} two, {three} three; {mirrored} by mirrors",
+    )

@@ -3,33 +3,27 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
 
 from typer import Option
 
 import lightmatrix as lm
-from lightmatrix.cli.options import Json, Overwrite, Store, output_option
-from lightmatrix.cli.terminal import say, show_json
+from lightmatrix.cli.options import Json, Overwrite, Store, described
+from lightmatrix.cli.terminal import answer
 
 
+@described(
+    output="Map: .mpcdi, .exr (an STMap), .png (a pair of 16 bits), .npz (OpenCV's remap), or a "
+    "folder for LightLeaks.",
+    reverse="Map camera pixels to the projector instead.",
+    geometry=Option(
+        metavar="GEOMETRY.json", help="A file of `calibrate`, for points in LightLeaks' folder."
+    ),
+)
 def map(
     scene: Store,
-    output: Annotated[
-        Path,
-        output_option(
-            "Map: .mpcdi, .exr (an STMap), .png (a pair of 16 bits), .npz (OpenCV's remap), or a "
-            "folder for LightLeaks."
-        ),
-    ],
-    reverse: Annotated[
-        bool, Option("--reverse", help="Map camera pixels to the projector instead.")
-    ] = False,
-    geometry: Annotated[
-        Path | None,
-        Option(
-            metavar="GEOMETRY.json", help="A file of `calibrate`, for points in LightLeaks' folder."
-        ),
-    ] = None,
+    output: Path,
+    reverse: bool = False,
+    geometry: Path | None = None,
     overwrite: Overwrite = False,
     as_json: Json = False,
 ) -> None:
@@ -43,8 +37,6 @@ def map(
     )
     shown = found.reverse if reverse and found.reverse is not None else found
     known = float(shown.known.mean())
-    if as_json:
-        show_json({"output": output, "known": known})
-        return
     pixels = "camera" if reverse else "projector"
-    say(f"{output}: {100 * known:.1f} % of the {pixels} pixels have a place")
+    text = f"{output}: {100 * known:.1f} % of the {pixels} pixels have a place"
+    answer(as_json, {"output": output, "known": known}, text)

@@ -16,23 +16,22 @@ from lightmatrix.errors import InputError
 _Command = TypeVar("_Command", bound=Callable[..., Any])
 
 
-def output_option(help: str) -> Any:
-    """The option that names what a command writes, which `help` describes."""
-    return Option("-o", "--output", help=help)
-
-
 def described(**options: Any) -> Callable[[_Command], _Command]:
     """Give parameters of a command their help: a text, or the `Option` that holds it.
 
     Typer takes `bits: Annotated[int, Option(help="Bit depth.")] = 8`. This makes it of the
-    parameter `bits: int = 8` and `described(bits="Bit depth.")`, so that signatures stay short.
+    parameter `bits: int = 8` and `described(bits="Bit depth.")`, so that signatures stay short. An
+    `output` is -o as well, and what is off by default has no --no-NAME.
     """
 
     def decorate(command: _Command) -> _Command:
         signature = inspect.signature(command, eval_str=True)
         parameters = dict(signature.parameters)
         for name, each in options.items():
-            option = Option(help=each) if isinstance(each, str) else each
+            names = ["-o"] if name == "output" else []
+            if names or parameters[name].default is False:
+                names.append(f"--{name.replace('_', '-')}")
+            option = Option(*names, help=each) if isinstance(each, str) else each
             kind: Any = Annotated[parameters[name].annotation, option]
             parameters[name] = parameters[name].replace(annotation=kind)
         signature = signature.replace(parameters=[*parameters.values()])
@@ -45,6 +44,7 @@ def described(**options: Any) -> Callable[[_Command], _Command]:
 
 Overwrite = Annotated[bool, Option("--overwrite", help="Replace an output that exists.")]
 Json = Annotated[bool, Option("--json", help="Print one JSON object instead of text.")]
+Geometry = Annotated[Path, Option(help="Where camera and projector stand: a file of `calibrate`.")]
 Tolerance = Annotated[
     float, Option(help="Error of a depth that counts as right, as a share of the distance.")
 ]

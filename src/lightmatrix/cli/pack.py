@@ -3,17 +3,18 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
 
 import lightmatrix as lm
-from lightmatrix.cli.options import Json, Overwrite, output_option
+from lightmatrix.cli.options import Json, Overwrite, described
 from lightmatrix.cli.source import Source, with_source
-from lightmatrix.cli.terminal import progress, say, show_json
+from lightmatrix.cli.terminal import answer, progress
+from lightmatrix.reprs import amount
 
 
 @with_source(crop=False)
+@described(output="Capture folder to write.")
 def pack(
-    output: Annotated[Path, output_option("Capture folder to write.")] = Path("packed"),
+    output: Path = Path("packed"),
     *,
     source: Source,
     overwrite: Overwrite = False,
@@ -30,7 +31,5 @@ def pack(
         lm.pack(packable, output, overwrite=overwrite, progress=step)
     size = sum(file.stat().st_size for file in output.rglob("*") if file.is_file())
     frames = lm.Capture.open(output).frames
-    if as_json:
-        show_json({"output": output, "frames": frames.count, "bytes": size})
-    else:
-        say(f"{frames.count} frames in {output}, {size / 2**20:.1f} MiB")
+    result = {"output": output, "frames": frames.count, "bytes": size}
+    answer(as_json, result, f"{frames.count} frames in {output}, {amount(size)}")

@@ -38,12 +38,8 @@ from lightmatrix.defaults import FEWEST_BLACK_AND_WHITE, USUAL_NOISE
     ),
     shortest="Shortest exposure of the camera, in the same unit.",
     black="Photograph under a black pattern, or the black level.",
-    output=Option(
-        "-o",
-        "--output",
-        help="Capture folder to write: patterns/, and capture.json with the exposure of each "
-        "frame. It lacks your photographs, images/.",
-    ),
+    output="Capture folder to write: patterns/, and capture.json with the exposure of each frame. "
+    "It lacks your photographs, images/.",
 )
 def plan(
     source: str,

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
 
 from typer import Argument, Option
 
@@ -14,32 +13,30 @@ from lightmatrix.defaults import RIG_FILE
 from lightmatrix.errors import InputError
 
 
+@options.described(
+    source=Argument(metavar="SHOWN", help="An image, a folder of images, or a video."),
+    photograph=Option(
+        "-o", "--photograph", help="Image of what the camera sees of the first picture."
+    ),
+    seconds=Option(help="How long.", show_default="until a key is pressed"),
+    fps=Option(help="Pictures a second.", show_default="25, or as the video says"),
+    cell="Projector pixels along a side of each pixel.",
+    projector_response=Option(
+        metavar="FILE|gamma:2.2",
+        help="The pictures hold light, which this encodes.",
+        show_default="they hold grey values",
+    ),
+)
 def project(
-    source: Annotated[
-        Path, Argument(metavar="SHOWN", help="An image, a folder of images, or a video.")
-    ],
+    source: Path,
     projector: options.ProjectorName = None,
     camera: options.CameraName = None,
     rig: options.RigName = None,
-    photograph: Annotated[
-        Path | None,
-        Option("-o", "--photograph", help="Image of what the camera sees of the first picture."),
-    ] = None,
-    seconds: Annotated[
-        float | None, Option(help="How long.", show_default="until a key is pressed")
-    ] = None,
-    fps: Annotated[
-        float | None, Option(help="Pictures a second.", show_default="25, or as the video says")
-    ] = None,
-    cell: Annotated[int, Option(help="Projector pixels along a side of each pixel.")] = 1,
-    projector_response: Annotated[
-        str | None,
-        Option(
-            metavar="FILE|gamma:2.2",
-            help="The pictures hold light, which this encodes.",
-            show_default="they hold grey values",
-        ),
-    ] = None,
+    photograph: Path | None = None,
+    seconds: float | None = None,
+    fps: float | None = None,
+    cell: int = 1,
+    projector_response: str | None = None,
     rig_file: options.RigFile = Path(RIG_FILE),
     overwrite: options.Overwrite = False,
 ) -> None:

@@ -4,26 +4,28 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
-from typing import Annotated
 
 from typer import Argument, Option
 
 import lightmatrix as lm
-from lightmatrix.cli.options import Json, Overwrite, Store, output_option
-from lightmatrix.cli.terminal import say, show_json
+from lightmatrix.cli.options import Json, Overwrite, Store, described
+from lightmatrix.cli.terminal import answer
 
 
+@described(
+    pattern=Argument(metavar="PATTERN", help="An image of the projector's size."),
+    output="Image: .png, .tiff, .exr or .npy.",
+    exposure="Brightness factor; 1 is the unit of T.",
+    gamma=Option(help="Display gamma of a PNG; 1 keeps it linear.", show_default="2.2"),
+    resize="Resize the pattern to the projector.",
+)
 def relight(
     scene: Store,
-    pattern: Annotated[Path, Argument(metavar="PATTERN", help="An image of the projector's size.")],
-    output: Annotated[Path, output_option("Image: .png, .tiff, .exr or .npy.")],
-    exposure: Annotated[float, Option(help="Brightness factor; 1 is the unit of T.")] = 1.0,
-    gamma: Annotated[
-        float | None, Option(help="Display gamma of a PNG; 1 keeps it linear.", show_default="2.2")
-    ] = None,
-    resize: Annotated[
-        bool, Option("--resize", help="Resize the pattern to the projector.")
-    ] = False,
+    pattern: Path,
+    output: Path,
+    exposure: float = 1.0,
+    gamma: float | None = None,
+    resize: bool = False,
     overwrite: Overwrite = False,
     as_json: Json = False,
 ) -> None:
@@ -42,9 +44,6 @@ def relight(
         overwrite=overwrite,
     )
     clipped, peak = float((image > 1).mean()), float(image.max())
-    if as_json:
-        show_json({"output": output, "mean": float(image.mean()), "clipped_share": clipped})
-        return
     note = f"; {100 * clipped:.1f} % of it is above full scale" if clipped else ""
     if clipped and output.suffix.lower() == ".png":
         # Rounded down to two digits.
@@ -52,4 +51,5 @@ def relight(
         unit = 10.0 ** (math.floor(math.log10(keeps)) - 1)
         most = float(f"{math.floor(keeps / unit) * unit:.2g}")
         note += f" and cut off; --exposure {most:g} keeps it all"
-    say(f"{output}{note}")
+    result = {"output": output, "mean": float(image.mean()), "clipped_share": clipped}
+    answer(as_json, result, f"{output}{note}")

@@ -3,35 +3,36 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
 
 from typer import Argument, Option
 
 import lightmatrix as lm
-from lightmatrix.cli.options import Json, Overwrite, Seed, output_option, size
-from lightmatrix.cli.terminal import progress, say, show_json
+from lightmatrix.cli.options import Json, Overwrite, Seed, described, size
+from lightmatrix.cli.terminal import answer, progress
 from lightmatrix.defaults import USUAL_SAMPLES
 from lightmatrix.files.kinds import TRUTH
 from lightmatrix.files.writing import check_output
 
 
+@described(
+    name=Argument(metavar="SCENE", help="A scene; `lightmatrix scenes` lists them."),
+    output="The T.npz file to write.",
+    shape=Option("--size", help="Rows x columns of camera and projector."),
+    projector=Option(
+        "--projector-size", help="Rows x columns of the projector.", show_default="as --size"
+    ),
+    samples=Option("--spp", help="Light paths per camera pixel."),
+    keep="Share of each row's energy to keep.",
+    colour="Render three camera samples per pixel.",
+)
 def render(
-    name: Annotated[
-        str, Argument(metavar="SCENE", help="A scene; `lightmatrix scenes` lists them.")
-    ],
-    output: Annotated[Path, output_option("The T.npz file to write.")],
-    shape: Annotated[
-        str, Option("--size", help="Rows x columns of camera and projector.")
-    ] = "128x128",
-    projector: Annotated[
-        str | None,
-        Option(
-            "--projector-size", help="Rows x columns of the projector.", show_default="as --size"
-        ),
-    ] = None,
-    samples: Annotated[int, Option("--spp", help="Light paths per camera pixel.")] = USUAL_SAMPLES,
-    keep: Annotated[float, Option(help="Share of each row's energy to keep.")] = 0.999,
-    colour: Annotated[bool, Option(help="Render three camera samples per pixel.")] = False,
+    name: str,
+    output: Path,
+    shape: str = "128x128",
+    projector: str | None = None,
+    samples: int = USUAL_SAMPLES,
+    keep: float = 0.999,
+    colour: bool = False,
     seed: Seed = 0,
     overwrite: Overwrite = False,
     as_json: Json = False,
@@ -55,13 +56,12 @@ def render(
     truth.save(output, overwrite=overwrite)
     entries = truth.matrix.nnz / truth.matrix.shape[0]
     share = float(truth.direct_data.sum() / max(truth.matrix.sum(), 1e-30))
-    if as_json:
-        result = {"output": output, "entries_per_row": entries, "direct_share": share}
-        show_json({**truth.metadata, **result})
-        return
-    say(
+    result = {"output": output, "entries_per_row": entries, "direct_share": share}
+    answer(
+        as_json,
+        {**truth.metadata, **result},
         f"{output}: {truth.matrix.shape[0]} x {truth.matrix.shape[1]}, "
         f"{entries:.0f} entries a row, {100 * share:.0f} % direct, "
         f"noise {100 * truth.metadata['noise_entries']:.1f} % of the entries' norm, "
-        f"{100 * truth.metadata['noise_white']:.2f} % of the white image's"
+        f"{100 * truth.metadata['noise_white']:.2f} % of the white image's",
     )

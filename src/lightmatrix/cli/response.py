@@ -7,7 +7,7 @@ from pathlib import Path
 from typer import Argument, Option
 
 import lightmatrix as lm
-from lightmatrix.cli.options import Json, Overwrite, ResponseCurve, described, output_option, refuse
+from lightmatrix.cli.options import Json, Overwrite, ResponseCurve, described, refuse
 from lightmatrix.cli.source import level_or_file, numbers
 from lightmatrix.cli.terminal import say, show_json
 
@@ -17,7 +17,7 @@ from lightmatrix.cli.terminal import say, show_json
         metavar="PHOTOS",
         help="One scene at several exposures: a folder, or a stack (TIFF, npy, npz).",
     ),
-    output=output_option("The curve to write: .json."),
+    output="The curve to write: .json.",
     picture="A picture of the curve to write: .png.",
     exposure=Option(
         help="Exposure of each photograph, in any unit: 1,2,4 or a text file of them.",
@@ -29,10 +29,7 @@ from lightmatrix.cli.terminal import say, show_json
     clip=Option(
         help="Raw level at which the camera clips.", show_default="255, 65535, or 1 for float"
     ),
-    projector=Option(
-        "--projector",
-        help="The projector's curve: each photograph of another grey value, at one exposure.",
-    ),
+    projector="The projector's curve: each photograph of another grey value, at one exposure.",
     levels=Option(
         help="The projector's grey values: 0,16,32,...,255 or a text file of them.",
         show_default="evenly from 0 to 255",

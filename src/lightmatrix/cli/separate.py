@@ -3,27 +3,26 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
 
 from typer import Option
 
 import lightmatrix as lm
-from lightmatrix.cli.options import Json, Overwrite, Store, output_option
-from lightmatrix.cli.terminal import say, show_json
+from lightmatrix.cli.options import Json, Overwrite, Store, described
+from lightmatrix.cli.terminal import answer
 
 
+@described(
+    output="Folder for both matrices, their images, and maps.",
+    pattern=Option(help="Pattern of the images.", show_default="white"),
+    epipolar="Also write the part of T along epipolar lines.",
+    non_epipolar="Also write the part of T off epipolar lines.",
+)
 def separate(
     scene: Store,
-    output: Annotated[Path, output_option("Folder for both matrices, their images, and maps.")],
-    pattern: Annotated[
-        Path | None, Option(help="Pattern of the images.", show_default="white")
-    ] = None,
-    epipolar: Annotated[
-        bool, Option("--epipolar", help="Also write the part of T along epipolar lines.")
-    ] = False,
-    non_epipolar: Annotated[
-        bool, Option("--non-epipolar", help="Also write the part of T off epipolar lines.")
-    ] = False,
+    output: Path,
+    pattern: Path | None = None,
+    epipolar: bool = False,
+    non_epipolar: bool = False,
     overwrite: Overwrite = False,
     as_json: Json = False,
 ) -> None:
@@ -46,9 +45,7 @@ def separate(
         for part in (parts.direct, parts.global_)
     )
     share = others / max(direct + others, 1e-30)
-    if as_json:
-        result = {"output": output, "global_share": share}
-        angle, spread = parts.geometry.direction, parts.geometry.spread
-        show_json({**result, "epipolar_direction": angle, "epipolar_spread": spread})
-        return
-    say(f"{output}: {100 * share:.1f} % of the light is global")
+    result = {"output": output, "global_share": share}
+    result |= {"epipolar_direction": parts.geometry.direction}
+    result |= {"epipolar_spread": parts.geometry.spread}
+    answer(as_json, result, f"{output}: {100 * share:.1f} % of the light is global")

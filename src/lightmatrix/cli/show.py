@@ -7,8 +7,8 @@ from pathlib import Path
 from typer import Argument, Option
 
 import lightmatrix as lm
-from lightmatrix.cli.options import Json, Overwrite, Store, described, output_option
-from lightmatrix.cli.terminal import say, show_json
+from lightmatrix.cli.options import Json, Overwrite, Store, described
+from lightmatrix.cli.terminal import answer
 from lightmatrix.errors import InputError
 
 
@@ -21,9 +21,7 @@ from lightmatrix.errors import InputError
         "changes, of `track`; depth or normals of the surface, with --geometry.",
     ),
     pixel=Argument(metavar="R,C", help="The pixel of a row or column."),
-    output=output_option(
-        "A picture (.png), or numbers (.npz; .tiff, .exr and .npy for one image)."
-    ),
+    output="A picture (.png), or numbers (.npz; .tiff, .exr and .npy for one image).",
     geometry=Option(
         metavar="GEOMETRY.json",
         help="Where camera and projector stand, for depth and normals: a file of `calibrate`.",
@@ -47,7 +45,4 @@ def show(
         raise InputError(f"a pixel of {pixel}", hint="write row,column, such as 20,30")
     index = map(int, numbers)
     lm.show(scene, view, *index, geometry=geometry, output=output, overwrite=overwrite)
-    if as_json:
-        show_json({"output": output, "view": view})
-        return
-    say(str(output))
+    answer(as_json, {"output": output, "view": view}, str(output))

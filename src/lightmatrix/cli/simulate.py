@@ -10,7 +10,7 @@ import typer
 
 import lightmatrix as lm
 from lightmatrix.cli.options import Json, Overwrite, Seed, described
-from lightmatrix.cli.terminal import progress, say, show_json
+from lightmatrix.cli.terminal import answer, progress
 from lightmatrix.defaults import EXPOSURES_EXAMPLE, USUAL_NOISE
 from lightmatrix.errors import InputError
 from lightmatrix.files.kinds import CAPTURE
@@ -21,10 +21,8 @@ from lightmatrix.files.writing import check_output
     scene=typer.Argument(
         metavar="SCENE|T.npz|procedural", help="A scene, a truth file, or a procedural scene."
     ),
-    output=typer.Option(
-        "-o", "--output", help="Capture folder to write; a packed capture if it ends in .zarr."
-    ),
-    patterns=typer.Option(help="Folder made by `lightmatrix patterns`."),
+    output="Capture folder to write; a packed capture if it ends in .zarr.",
+    patterns="Folder made by `lightmatrix patterns`.",
     exposure="Exposure e in sample = min(1, e T p); or several with their shares of the "
     f"frames, {EXPOSURES_EXAMPLE}.",
     bits="Bit depth: 8, 10, 12 or 16.",
@@ -100,17 +98,12 @@ def simulate(
         )
         capture.save(output, overwrite=overwrite)
     clipped = capture.raw_clipped_share
-    if as_json:
-        show_json(
-            {
-                "output": output,
-                "frames": capture.count,
-                "exposures": Counter(capture.exposures.tolist()),
-                "clipped_share": clipped,
-            }
-        )
-    else:
-        say(f"{capture.count} frames in {output}, {100 * clipped:.1f} % of the samples clipped")
+    result = {"output": output, "frames": capture.count, "clipped_share": clipped}
+    answer(
+        as_json,
+        result | {"exposures": Counter(capture.exposures.tolist())},
+        f"{capture.count} frames in {output}, {100 * clipped:.1f} % of the samples clipped",
+    )
 
 
 def _amounts(faults: list[str]) -> dict[str, float]:

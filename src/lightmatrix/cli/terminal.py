@@ -89,10 +89,25 @@ def show_columns(title: str, heads: tuple[str, ...], rows: list[tuple[str, ...]]
     _out.print(table)
 
 
+def judged_json(judged: Any) -> dict[str, Any]:
+    """The `Verdicts` on an estimate as commands print them."""
+    overall = judged.transport
+    return {"verdict": overall.level, "sentence": overall.sentence, "verdicts": judged.as_dict()}
+
+
 def show_json(result: Mapping[str, Any]) -> None:
     """Print one JSON object on standard output; numbers that are not finite become null."""
     sys.stdout.write(json.dumps(_jsonable(result), indent=2) + "\n")
     sys.stdout.flush()
+
+
+def answer(as_json: bool, result: Mapping[str, Any], *lines: str) -> None:
+    """Print what a command has done: one JSON object, or lines of text."""
+    if as_json:
+        show_json(result)
+        return
+    for line in lines:
+        say(line)
 
 
 @contextmanager

@@ -3,33 +3,37 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
 
-from typer import Argument, Option
+from typer import Argument
 
 import lightmatrix as lm
-from lightmatrix.cli.options import Json, LeastProbability, Overwrite, Tolerance, output_option
-from lightmatrix.cli.terminal import say, show_json
+from lightmatrix.cli.options import (
+    Geometry,
+    Json,
+    LeastProbability,
+    Overwrite,
+    Tolerance,
+    described,
+)
+from lightmatrix.cli.terminal import answer
 
 
+@described(
+    scene=Argument(metavar="SCENE", help="A store of `estimate`, a T.npz, or an npz of `decode`."),
+    output="Point cloud to write: .ply.",
+    depth="Depth map to write: .tif, .tiff or .npy.",
+    picture="Maps of depth and normals to write: .png.",
+    mesh="Write triangles between neighbouring points too.",
+)
 def triangulate(
-    scene: Annotated[
-        Path,
-        Argument(metavar="SCENE", help="A store of `estimate`, a T.npz, or an npz of `decode`."),
-    ],
-    geometry: Annotated[
-        Path, Option(help="Where camera and projector stand: a file of `calibrate`.")
-    ],
-    output: Annotated[Path, output_option("Point cloud to write: .ply.")],
-    depth: Annotated[Path | None, Option(help="Depth map to write: .tif, .tiff or .npy.")] = None,
-    picture: Annotated[
-        Path | None, Option(help="Maps of depth and normals to write: .png.")
-    ] = None,
+    scene: Path,
+    geometry: Geometry,
+    output: Path,
+    depth: Path | None = None,
+    picture: Path | None = None,
     tolerance: Tolerance = 0.01,
     least_probability: LeastProbability = 0.5,
-    mesh: Annotated[
-        bool, Option("--mesh", help="Write triangles between neighbouring points too.")
-    ] = False,
+    mesh: bool = False,
     overwrite: Overwrite = False,
     as_json: Json = False,
 ) -> None:
@@ -51,14 +55,12 @@ def triangulate(
         overwrite=overwrite,
     )
     summary = shape.summary()
-    if as_json:
-        show_json({"output": output, "depth": depth, "picture": picture, **summary})
-        return
     units = f" {shape.geometry.units}" if shape.geometry.units else ""
     share = summary["points"] / shape.kept.size
-    say(f"{output}: {summary['points']} points, {100 * share:.1f} % of the camera's pixels")
+    lines = [f"{output}: {summary['points']} points, {100 * share:.1f} % of the camera's pixels"]
     if summary["points"]:
-        say(
+        lines.append(
             f"median depth {summary['median_depth']:.4g}{units}, its uncertainty "
             f"{summary['median_uncertainty']:.2g}{units}"
         )
+    answer(as_json, {"output": output, "depth": depth, "picture": picture, **summary}, *lines)

@@ -12,7 +12,6 @@ from lightmatrix.errors import InputError
 from lightmatrix.estimators.choice import choose_estimator
 from lightmatrix.rig_model.model import RIG, RigModel
 from lightmatrix.rig_model.terms import TERMS, allowed_terms
-from lightmatrix.rig_model.torn import torn_rows
 from lightmatrix.transport.matrix import LightTransport, prediction_error
 
 # Up to eight estimates follow the first one: two suffice for six faults at once, pictures that move
@@ -76,16 +75,13 @@ def corrected(
     # Estimates row by row hold no photographs out.
     if prediction_error(first) is None:
         return model, first
-    torn = torn_rows(capture) if "torn" in allowed else None
     # What a large fault leaves as long as it is not known well looks like others. So others are
     # looked for at first, and again once those that were found are settled.
     others = True
     for number in range(_MOST_ESTIMATES):
-        if number == 0 and torn is not None:
-            better: RigModel | None = RigModel({"torn": torn})
-        else:
-            names = allowed if others else tuple(model.values)
-            better = model.refined(now, capture, best, names)
+        better = model.refined(now, capture, best, allowed if others else tuple(model.values))
+        # What was found by itself goes first, or not at all.
+        alone = number == 0 and better is not None and not better.errors
         # Moved pictures are known better by a better T, also where their numbers are right.
         if not (better or others) and now.correction and now.correction.added is not None:
             better = model
@@ -98,9 +94,11 @@ def corrected(
             left = _missed(transport) / max(_missed(best), 1e-12)
             if left <= (_CLEARLY if number and more else _BETTER):
                 model, best, now = better, transport, without
-        if left > _BETTER and others:
+            elif alone:
+                allowed = [name for name in allowed if name not in better.values]
+        if left > _BETTER and others and not alone:
             break
-        others = left > _CLEARLY or (number == 0 and torn is not None)
+        others = left > _CLEARLY or alone
     # What a large fault leaves as long as it is not known well looks like others, and photographs
     # are sharper than what a blurred T predicts, as if the camera sharpened them. So beside others,
     # or if it is the camera's sharpening, a term stays only if it helps by a tenth.

@@ -15,7 +15,7 @@ With workers, 3 hands the tiles to `DaskPool.solve` (`workers.py`), and each wor
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import replace
 from functools import partial
@@ -25,7 +25,7 @@ from typing import Any
 from lightmatrix.capture.camera_curve import AUTOMATIC, Response
 from lightmatrix.capture.capture import Capture, open_capture
 from lightmatrix.capture.found_response import FOUND_RESPONSE, with_projector, with_response
-from lightmatrix.check.finding import FINDINGS, Finding
+from lightmatrix.check.finding import FINDINGS
 from lightmatrix.check.refusals import refuse_unordered, refuse_unusable, warn_of
 from lightmatrix.errors import InputError, warn
 from lightmatrix.estimators.choice import choose_estimator
@@ -127,10 +127,10 @@ def estimate(
     correct : "auto", "none" or sequence of str
         Which faults of the rig are looked for in the photographs and taken out of T, see `fit_rig`:
         all, none, or some of "gain", "exposure", "ambient", "shift", "rows", "previous",
-        "camera-curve", "projector-curve", "crosstalk", "sharpening", "camera-sharpening" and
-        "dynamic-contrast". A correction stays only if photographs held out are predicted better
-        with it; estimates row by row hold none out, and are never corrected. The exposure of T is
-        then that of the first frame.
+        "camera-curve", "projector-curve", "crosstalk", "sharpening", "camera-sharpening",
+        "dynamic-contrast", "tone-mapping" and "black". A correction stays only if photographs held
+        out are predicted better with it; estimates row by row hold none out, and are never
+        corrected. The exposure of T is then that of the first frame.
     progress : bool or callable
         Whether to show a bar on a terminal and in notebooks; or what to call with (done, total)
         rows.
@@ -223,45 +223,38 @@ def estimate(
                 "coherent=True"
             )
         with _bar("estimating", progress is True) as bar:
-            report = progress if callable(progress) else bar
-            again = partial(estimator.estimate, progress=report, pool=pool)
-            return estimator.estimate(
+            run = partial(
+                estimator.estimate, progress=progress if callable(progress) else bar, pool=pool
+            )
+
+            def without_faults(first: LightTransport) -> LightTransport | None:
+                """T without what the rig did, which is told; None if nothing is known of it."""
+                model, transport = corrected(capture, first, run, allowed)
+                for sentence in model.sentences:
+                    warn(f"rig: {sentence}: corrected")
+                # What may not be corrected, or cannot be, is found all the same.
+                left = [name for name in TERMS if name not in allowed]
+                if prediction_error(first) is None:
+                    left = list(TERMS)
+                elif left and RigModel().refined(capture, capture, transport, left) is None:
+                    left = []
+                found = rig_findings(capture, findings, left) if check and left else []
+                if not (model.names or found):
+                    return None
+                warn_of(found)
+                # A finding of what is corrected spoils T no more.
+                known = transport.provenance[FINDINGS]
+                kept = [each for each in known if each["kind"] not in model.names]
+                kept += [each.as_dict() for each in found]
+                return replace(transport, provenance={**transport.provenance, FINDINGS: kept})
+
+            return run(
                 capture,
                 output=None if output is None else Path(output),
                 overwrite=overwrite,
                 remarks={FINDINGS: [each.as_dict() for each in findings], **remarks},
-                progress=report,
-                pool=pool,
-                review=partial(_without_faults, capture, again, allowed, findings, check),
+                review=without_faults,
             )
-
-
-def _without_faults(
-    capture: Capture,
-    again: Callable[[Capture], LightTransport],
-    allowed: Sequence[str],
-    findings: Sequence[Finding],
-    check: bool,
-    first: LightTransport,
-) -> LightTransport | None:
-    """T without what the rig did, which is told; None if nothing is known of it.
-
-    What is not `allowed` to be corrected, or cannot be, is found all the same if asked to `check`.
-    """
-    model, transport = corrected(capture, first, again, allowed)
-    for sentence in model.sentences:
-        warn(f"rig: {sentence}: corrected")
-    left = [name for name in TERMS if name not in allowed]
-    if prediction_error(first) is None:
-        left = list(TERMS)
-    elif left and RigModel().refined(capture, capture, transport, left) is None:
-        left = []
-    found = rig_findings(capture, findings, left) if check and left else []
-    if not (model.names or found):
-        return None
-    warn_of(found)
-    kept = [*transport.provenance[FINDINGS], *(each.as_dict() for each in found)]
-    return replace(transport, provenance={**transport.provenance, FINDINGS: kept})
 
 
 def _bar(title: str, shown: bool) -> AbstractContextManager[Any]:

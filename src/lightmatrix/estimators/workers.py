@@ -131,7 +131,7 @@ class DaskPool:
             name: self.client.submit(bytes, pickle.dumps(finished.read(name)), pure=False)
             for name in work.steps[step]
         }
-        shared = *self._packed[1:], step, before, min(self.threads.values(), default=1), versions()
+        shared = *self._packed[1:], step, before, versions()
         running, done, seen = dict[Any, Span](), 0, time.monotonic()
         try:
             for span in spans:
@@ -417,15 +417,15 @@ def solve_tile(
     packed: bytes,
     step: str,
     before: Mapping[str, bytes],
-    threads: int,
     wanted: Mapping[str, str],
 ) -> SparseRows:
     """Solve the rows `span` of a step of a packed estimate, given the pickled rows `before` it."""
+    from distributed import get_worker
+
     with _lock:
-        os.environ.setdefault(_CORE_THREADS, str(threads))
         if _open_job.digest != digest or _open_job.work is None:
             # Workers may join after the others were checked.
-            _compare("a worker", versions(), wanted)
+            _compare("a worker", describe_worker(get_worker()), wanted)
             vars(_open_job).update(vars(_OpenJob(digest, pickle.loads(packed))))
             assert _open_job.work is not None
         if _open_job.step != step or _open_job.solve_tile is None:

@@ -40,6 +40,7 @@ SINGLY_CLIPPED = 0.02
 _SPOILING = (
     *("clip", "order", "unrelated", "motion", "patterns", "shift", "rows", "previous", "crosstalk"),
     *("camera-curve", "projector-curve", "sharpening", "camera-sharpening", "dynamic-contrast"),
+    *("tone-mapping", "black"),
 )
 _WRONG_ALIKE = ("order", "unrelated", "motion")
 _UNTESTED = "It was not tested on unseen photographs, as a report does."

@@ -38,16 +38,6 @@ class HadamardPatterns(PatternSet):
         incoherent with the blocks and edges of a scene.
     seed : int
         Seed of the random choice and of the shuffle.
-
-    Examples
-    --------
-    >>> import lightmatrix as lm
-    >>> from lightmatrix.patterns.hadamard import HadamardPatterns
-    >>> HadamardPatterns((2, 2), count=4).dense()
-    array([[1., 1., 1., 1.],
-           [1., 0., 1., 0.],
-           [1., 1., 0., 0.],
-           [1., 0., 0., 1.]], dtype=float32)
     """
 
     shape: tuple[int, int]

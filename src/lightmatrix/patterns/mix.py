@@ -89,14 +89,6 @@ class MixedPatterns(BinaryPatterns):
     ------
     InputError
         On grids larger than the projector or given twice, and shares that do not sum to 1.
-
-    Examples
-    --------
-    >>> import lightmatrix as lm
-    >>> from lightmatrix.patterns.mix import MixedPatterns
-    >>> mix = (((16, 16), 0.75), ((4, 4), 0.25))
-    >>> MixedPatterns((16, 16), count=8, mix=mix).kinds
-    array([0, 0, 1, 0, 0, 0, 1, 0])
     """
 
     shape: tuple[int, int]

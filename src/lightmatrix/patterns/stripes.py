@@ -162,14 +162,6 @@ class GrayCodePatterns(StripePatterns):
     inverse : bool
         Whether each bit is followed by its inverse. The brighter of the two decides a bit, whatever
         the surface and the global light.
-
-    Examples
-    --------
-    >>> import lightmatrix as lm
-    >>> from lightmatrix.patterns.stripes import GrayCodePatterns
-    >>> patterns = GrayCodePatterns((4, 8), inverse=True)
-    >>> patterns.count, patterns.images()[4, 0].tolist()
-    (12, [0.0, 1.0, 1.0, 0.0, 0.0, 1.0, 1.0, 0.0])
     """
 
     shape: tuple[int, int]
@@ -220,13 +212,6 @@ class PhasePatterns(StripePatterns):
         projector out of focus by a pixel leaves a quarter less of 8 pixels' contrast.
     inverse : bool
         Whether each bit of the Gray code is followed by its inverse.
-
-    Examples
-    --------
-    >>> import lightmatrix as lm
-    >>> from lightmatrix.patterns.stripes import PhasePatterns
-    >>> PhasePatterns((16, 32), inverse=True).count
-    18
     """
 
     shape: tuple[int, int]
@@ -284,13 +269,6 @@ class MicroPhasePatterns(StripePatterns):
         Number of patterns: an equal number, at least 5, for the columns and for the rows.
     period : float
         Mean period in projector pixels, at least 3.
-
-    Examples
-    --------
-    >>> import lightmatrix as lm
-    >>> from lightmatrix.patterns.stripes import MicroPhasePatterns
-    >>> MicroPhasePatterns((48, 64), period=8).count
-    14
     """
 
     shape: tuple[int, int]

@@ -328,7 +328,7 @@ class References:
 
         `before` is the light shown before one or the other, in levels above black: a small share of
         known light stands out from noise far sooner than an unknown change does. The tolerances
-        are chosen so that `python -m tests.rig.rig_mixtures` keeps less light of late images than
+        are chosen so that `python -m benchmarks.rig_mixtures` keeps less light of late images than
         noise.
         """
         free = (one < self.white.clip_level) & (other < self.white.clip_level)

@@ -38,7 +38,8 @@ class RigModel:
         along the rows. previous: share of the picture before. camera-curve and projector-curve: the
         undeclared gamma less 1. crosstalk: share lost across and down. sharpening,
         camera-sharpening: strength of three rings around a pixel. dynamic-contrast: change of the
-        light from black to white.
+        light from black to white. tone-mapping: power of the light around. black: share of the
+        black frame that is too much.
     errors : mapping of str to array
         Their standard errors, of the same shapes.
 
@@ -103,6 +104,10 @@ class RigModel:
         # Threads of these small products would only wait for each other.
         with one_blas_thread():
             seen = Prediction.of(capture, sent, transport)
+            # What is found by itself would look like others.
+            alone = {} if self.values else {each.name: each.found(seen) for each in terms}
+            if any(each is not None for each in alone.values()):
+                return RigModel({n: each for n, each in alone.items() if each is not None})
             steps, errors, largest = choose_terms(seen, terms, self.values, self.largest)
         if not steps:
             return None

@@ -56,6 +56,9 @@ class Prediction:
     basis: Array
     usable: NDArray[np.bool_]
     free: NDArray[np.int64]
+    # The constant that least squares find in each row beside the rest of the basis, and the
+    # variance that noise of one gives it, (2, m).
+    constants: Array
     left: Array = field(init=False)
 
     def __post_init__(self) -> None:
@@ -81,14 +84,23 @@ class Prediction:
         pixels = _strongest_pixels(transport, inner[chosen], capture.count)
         lit = np.moveaxis(capture.patterns.at(pixels), 0, 1).astype(np.float64)
         whole = around[INNER].reshape(-1, capture.count)[chosen]
-        beside = np.stack([np.ones_like(whole), whole], axis=2)
-        columns = np.concatenate([lit, beside], axis=2) * counted[..., None]
-        basis, strength, _ = np.linalg.svd(columns, full_matrices=False)
+        columns = np.concatenate([lit, np.ones_like(lit[..., :1])], axis=2) * counted[..., None]
+        basis, strength, parts = np.linalg.svd(columns, full_matrices=False)
         # Weaker directions are rounding errors of columns that depend on each other.
         strong = strength > 1e-6 * np.maximum(strength[:, :1], 1e-12)
-        free = counted.sum(axis=1) - strong.sum(axis=1)
-        basis = np.ascontiguousarray((basis * strong[:, None, :]).transpose(0, 2, 1))
-        return cls(capture, sent, transport, places, chosen, samples, around, basis, counted, free)
+        basis = (basis * strong[:, None, :]).transpose(0, 2, 1)
+        along = parts[:, :, -1] * strong / np.maximum(strength, 1e-12)
+        constant = (along * np.einsum("mdk,mk->md", basis, samples.values * counted)).sum(axis=1)
+        constants = np.stack([constant, (along**2).sum(axis=1)])
+        rest = whole * counted
+        size = np.linalg.norm(rest, axis=1, keepdims=True)
+        rest -= np.einsum("mdk,md->mk", basis, np.einsum("mdk,mk->md", basis, rest))
+        length = np.linalg.norm(rest, axis=1, keepdims=True)
+        rest = np.where(length > 1e-6 * size, rest / np.maximum(length, 1e-300), 0)
+        basis = np.concatenate([basis, rest[:, None]], axis=1)
+        free = counted.sum(axis=1) - strong.sum(axis=1) - rest.any(axis=1)
+        parts_of = places, chosen, samples, around, basis, counted, free, constants
+        return cls(capture, sent, transport, *parts_of)
 
     @property
     def count(self) -> int:

@@ -59,9 +59,13 @@ class Term(ABC):
     # The sum of the numbers of a term that all frames share lies in this range.
     between: ClassVar[tuple[float, float]] = (-np.inf, np.inf)
 
-    @abstractmethod
+    def found(self, seen: Prediction) -> Array | None:
+        """The numbers where they are found without the regression; None if nothing is wrong."""
+        return None
+
     def regressors(self, seen: Prediction) -> Array | None:
         """What photographs change by with each number, (P, m, K); None if they cannot change."""
+        return None
 
     @abstractmethod
     def take_out(self, values: Array, draft: Draft) -> None:

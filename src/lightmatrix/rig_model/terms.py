@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from lightmatrix.rig_model.ambient import Ambient
+from lightmatrix.rig_model.black import Black
 from lightmatrix.rig_model.camera_curve import CameraCurve
 from lightmatrix.rig_model.crosstalk import Crosstalk
 from lightmatrix.rig_model.dynamic_contrast import DynamicContrast
@@ -15,6 +16,7 @@ from lightmatrix.rig_model.rows import Rows
 from lightmatrix.rig_model.sharpening import CameraSharpening, Sharpening
 from lightmatrix.rig_model.shift import Shift
 from lightmatrix.rig_model.term import Term
+from lightmatrix.rig_model.tone_mapping import ToneMapping
 from lightmatrix.rig_model.torn import Torn
 from lightmatrix.rig_model.zoom import Zoom
 
@@ -32,7 +34,9 @@ TERMS: dict[str, type[Term]] = {
         Gain,
         Rows,
         Ambient,
+        ToneMapping,
         CameraCurve,
+        Black,
         Torn,
     )
 }

@@ -21,8 +21,9 @@ class Torn(Term):
     label = "previous"
     advice = Previous.advice
 
-    def regressors(self, seen: Prediction) -> None:
-        """None: it is found before T is estimated, which is wrong where the picture is torn."""
+    def found(self, seen: Prediction) -> Array | None:
+        """T is not asked, since it is wrong where the picture is torn."""
+        return torn_rows(seen.capture)
 
     def take_out(self, values: Array, draft: Draft) -> None:
         draft.lag = np.rint(values[0]).astype(np.int64)

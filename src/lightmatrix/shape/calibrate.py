@@ -656,7 +656,7 @@ def self_calibrate(
     Examples
     --------
     >>> import lightmatrix as lm
-    >>> known = lm.truth("corner")
+    >>> known = lm.truth("l_objects")
     >>> rig = lm.self_calibrate(known.transport(), known.geometry.camera_intrinsics)
     >>> rig.rms["epipolar"] < 0.3
     True

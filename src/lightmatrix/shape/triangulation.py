@@ -80,7 +80,7 @@ def triangulate(
     Examples
     --------
     >>> import lightmatrix as lm
-    >>> known = lm.truth("corner")
+    >>> known = lm.truth("l_objects")
     >>> shape = lm.triangulate(known.transport(), known.geometry, least_probability=0.99)
     >>> shape.depth.shape, bool(shape.kept.mean() > 0.9)
     ((64, 64), True)

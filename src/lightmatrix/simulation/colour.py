@@ -53,22 +53,13 @@ def in_all_primaries(truth: Truth) -> Truth:
     # The columns of the three matrices, in the order of a projector three times as wide.
     place = np.arange(3 * rows * cols).reshape(3, rows, cols).swapaxes(0, 1).ravel()
 
-    def side_by_side(matrices: list[csr_array]) -> csr_array:
-        return csr_array(csr_array(hstack(matrices, format="csr"))[:, place])
-
-    whole = side_by_side([part.matrix for part in parts])
-    # The direct share of each entry, shifted to between 1 and 2: no entry is an implicit zero, so
-    # that all keep their places.
-    shares = []
-    for part in parts:
-        data = part.matrix.data
-        share = np.divide(part.direct_data, data, out=np.zeros_like(data), where=data > 0)
-        shares.append(part.with_data(share + 1))
-    direct = side_by_side(shares).data - 1
+    # Direct light is the imaginary part of the same entries, so that both are moved alike.
+    both = [part.with_data(part.matrix.data + 1j * part.direct_data) for part in parts]
+    whole = csr_array(csr_array(hstack(both, format="csr"))[:, place])
     return replace(
         parts[0],
-        matrix=whole,
-        direct_data=(direct * whole.data).astype(np.float32),
+        matrix=csr_array((whole.data.real.copy(), whole.indices, whole.indptr), whole.shape),
+        direct_data=whole.data.imag.copy(),
         projector_shape=(rows, 3 * cols),
         metadata={**parts[0].metadata, "primary": "all"},
         geometry=None,

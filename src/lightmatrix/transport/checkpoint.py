@@ -180,8 +180,16 @@ class Checkpoint:
         return [(match[0], match[1], (int(match[2]), int(match[3]))) for match in found]
 
     def _tile(self, step: str, span: Span) -> SparseRows | None:
-        """A finished tile; None if it is damaged."""
-        return read_tile(self._kept.file(tile_name(step, span)), self._token, span[1] - span[0])
+        """A finished tile; None if it is missing, damaged, or was written for another token."""
+        name = tile_name(step, span)
+        try:
+            arrays = read_npz(self._kept.file(name))
+            if str(arrays.pop(_MARK, "")) != f"{name} of {self._token}":
+                return None
+            rows = SparseRows.from_arrays(arrays)
+        except InputError:
+            return None
+        return rows if rows.count == span[1] - span[0] else None
 
     def _tiles(self, step: str) -> Iterator[SparseRows]:
         """Finished tiles one after the other, so that they are never all in memory."""
@@ -201,18 +209,6 @@ class Checkpoint:
 def tile_name(step: str, span: Span) -> str:
     """The name of the file that keeps a tile of a step."""
     return f"{step}-{span[0]}-{span[1]}.npz"
-
-
-def read_tile(file: Path, token: str, count: int) -> SparseRows | None:
-    """A tile of `count` rows; None if it is missing, damaged, or was written for another token."""
-    try:
-        arrays = read_npz(file)
-        if str(arrays.pop(_MARK, "")) != f"{file.name} of {token}":
-            return None
-        rows = SparseRows.from_arrays(arrays)
-    except InputError:
-        return None
-    return rows if rows.count == count else None
 
 
 def _without_overlap(spans: Iterable[Span]) -> list[Span]:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,9 +15,6 @@ from lightmatrix.ranges import check_type
 from lightmatrix.reprs import short_repr
 from lightmatrix.transport.matrix import LightTransport
 from lightmatrix.transport.operator import HOW_TO_GIVE
-
-# Camera samples that are decoded at a time.
-_ROWS = 1 << 14
 
 
 def probe(transport: LightTransport, mask: sparray) -> LightTransport:
@@ -130,14 +126,7 @@ def max_min(capture: Capture) -> QuickLook:
     share = float(np.mean(lit)) / pixels
     if share <= 0:
         raise InputError("patterns that are all dark", hint="project patterns with light")
-    count = int(np.prod(capture.camera_shape))
-    high, low = np.empty(count, np.float32), np.empty(count, np.float32)
-    for start in range(0, count, _ROWS):
-        stop = min(start + _ROWS, count)
-        values = np.asarray(capture.samples(start, stop).values, np.float32)
-        high[start:stop], low[start:stop] = values.max(axis=1), values.min(axis=1)
-
-    def image(values: NDArray[Any]) -> NDArray[np.float32]:
-        return np.asarray(np.maximum(values, 0), np.float32).reshape(capture.camera_shape)
-
-    return QuickLook(image(high - low), image(low / share))
+    extremes = [(t.values.max(axis=1), t.values.min(axis=1)) for _, t in capture.tiles()]
+    high, low = map(np.concatenate, zip(*extremes, strict=True))
+    images = (np.maximum(each, 0).astype(np.float32) for each in (high - low, low / share))
+    return QuickLook(*(each.reshape(capture.camera_shape) for each in images))

@@ -312,7 +312,7 @@ class Rounds(Work):
         pixels = self._in_pixels(neighbours, samples, solved, start)
         length = solver.backgrounds.lengths(pixels)
         with np.errstate(divide="ignore", invalid="ignore"):
-            error = np.sqrt(misfit[start:stop]) / (solver.atoms.single_contrast * length)
+            error = np.sqrt(misfit[start:stop]) / (solver.atoms.neighbour_contrast * length)
         diagnostics: dict[str, NDArray[Any]] = {
             "footprint": footprint_sizes(pixels.coefficients),
             "estimated_error": error,

@@ -3,9 +3,10 @@
 **Held-out frames.** A row solved without some of its frames mispredicts these by what it has wrong.
 Under random patterns an error d of the row gives an error of the sample whose variance is that of
 the patterns' values times ||d||^2. So the frames held out measure ||d|| itself, of a row from a few
-frames less. A photograph of a pattern that was shown twice, or whose inverse was shown, follows
-from the others whatever T is. Such frames are held out together. If that leaves too few others,
-nothing is tested.
+frames less. Where patterns are smooth, light that is taken for a neighbour's hardly shows, and only
+the contrast between neighbours counts. A photograph of a pattern that was shown twice, or whose
+inverse was shown, follows from the others whatever T is. Such frames are held out together. If that
+leaves too few others, nothing is tested.
 
 **Residuals.** Photographs held out do not show what is wrong with all photographs alike. Two such
 faults leave traces in the residuals of some rows. A constant light, as of an electronic pedestal,

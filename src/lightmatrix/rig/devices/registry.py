@@ -36,15 +36,6 @@ class BackEnd(Generic[Device]):
     problem: str | None = None
     hint: str | None = None
 
-    def looked_for(self) -> BackEnd[Device]:
-        """The same with the devices that are there, or with what it lacks."""
-        if self.find is None:
-            return self
-        try:
-            return replace(self, found=tuple(self.find()))
-        except (MissingExtraError, DeviceError) as error:
-            return replace(self, problem=error.message, hint=error.hint)
-
 
 PROJECTORS: dict[str, BackEnd[Projector]] = {
     kind: BackEnd("projector", kind, *each)
@@ -123,7 +114,12 @@ def list_devices() -> list[BackEnd[Any]]:
     ['window', 'folder']
     """
     known: list[BackEnd[Any]] = [*PROJECTORS.values(), *CAMERAS.values()]
-    return [back.looked_for() for back in known]
+    for number, back in enumerate(known):
+        try:
+            known[number] = replace(back, found=tuple(back.find() if back.find else ()))
+        except (MissingExtraError, DeviceError) as error:
+            known[number] = replace(back, problem=error.message, hint=error.hint)
+    return known
 
 
 def _open_device(known: Mapping[str, BackEnd[Device]], role: str, text: str) -> Device:

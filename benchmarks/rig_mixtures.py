@@ -1,6 +1,6 @@
-"""Pictures that come within the exposure, on many virtual rigs: what of them is kept?
+"""Pictures that come within the exposure, on many virtual rigs, and what of them is kept.
 
-`python -m tests.rig.rig_mixtures --count 20` takes a capture with each of so many rigs. Every
+`python -m benchmarks.rig_mixtures --count 20` takes a capture with each of so many rigs. Every
 fifth picture comes so late that the one before it has 0.1 to 30 % of the exposure.
 """
 
