@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
+import itertools
 import time
 from collections.abc import Iterator
-from contextlib import closing
-from itertools import count
+from contextlib import closing, suppress
 from pathlib import Path
 from typing import Any
 
@@ -23,90 +23,64 @@ from lightmatrix.files.writing import check_output
     folder=Argument(metavar="CAPTURE", help="A capture folder, or a packed capture."),
     output=output_option("The store to write in the end, ending in .zarr."),
     window=Option(
-        "-k",
-        "--window",
-        help="Photographs that T is estimated from at first, and that slide along.",
-        show_default="32, or all of them with --watch",
-        min=8,
+        "-k", "--window", min=8, help="Photographs that T is estimated from, and that slide along."
     ),
     watch=Option(
         metavar="DIR",
-        help="Follow a folder in which another program leaves further photographs, under the "
-        "patterns of the capture from the first on, again and again. Ends when none comes for half "
-        "a minute, or with Ctrl-C.",
-        show_default="the capture's own photographs after the window",
+        help="Follow a folder in which another program leaves further photographs, of the patterns "
+        "of the capture in turn. It ends when none comes for half a minute, or with Ctrl-C.",
+        show_default="the photographs of the capture after the window",
     ),
-    changes=Option(metavar="FILE", help="Also draw when each camera pixel changed, as a .png."),
 )
 def track(
     folder: Path,
     output: Path,
-    window: int | None = None,
+    window: int = 32,
     watch: Path | None = None,
-    changes: Path | None = None,
     overwrite: Overwrite = False,
     as_json: Json = False,
 ) -> None:
-    """Let T follow a scene in which things move.
+    """Let T follow a scene in which things move, photograph by photograph.
 
-    Prints a line for each photograph. Rows of T that follow the photographs stay as they are; those
-    that changed are estimated again, and unknown until they predict photographs.
+    Rows of T that follow the photographs stay as they are. Those that changed are estimated again,
+    and unknown until they predict photographs; `show SCENE.zarr changes` draws them.
     """
     check_output(output, STORE, overwrite=overwrite)
     capture = lm.Capture.open(folder)
-    window = min(window or (32 if watch is None else capture.count), capture.count)
-    if watch is None and window == capture.count:
-        raise InputError(
-            f"{folder}: a window of all its {window} photographs", hint="use a smaller --window"
-        )
-    first = capture.select(range(window))
+    first = capture.select(range(min(window, capture.count)))
+    if watch is None and first.count == capture.count:
+        hint = f"use a window of less than {capture.count}"
+        raise InputError(f"{folder}: has no photographs after the window", hint=hint)
     with progress("estimating", "rows") as report:
         tracker = lm.Tracker(first, lm.estimate(first, progress=report))
-    if watch is None:
-        steps = tracker.follow(capture.select(range(window, capture.count)))
-    else:
-        steps = _watched(tracker, capture, watch)
-    lines: list[dict[str, Any]] = []
-    started = time.perf_counter()
-    try:
+    steps = (
+        tracker.follow(capture.select(range(first.count, capture.count)))
+        if watch is None
+        else _watched(tracker, capture, watch)
+    )
+    lines, started = list[dict[str, Any]](), time.perf_counter()
+    with suppress(KeyboardInterrupt):
         for step in steps:
             seconds, started = time.perf_counter() - started, time.perf_counter()
-            line = {
-                "photograph": step.photograph,
-                "missed": step.missed,
-                "changed_share": float(step.changed.mean()),
-                "unknown_share": float(step.unknown.mean()),
-                "seconds": seconds,
-            }
-            lines.append(line)
+            shares = {name: float(getattr(step, name).mean()) for name in ("changed", "unknown")}
+            lines.append({"missed": step.missed, **shares, "seconds": seconds})
             if not as_json:
-                shares = [100 * line[name] for name in ("missed", "changed_share", "unknown_share")]
-                say(
-                    f"photograph {step.photograph}: missed by {shares[0]:.2g} %, {shares[1]:.2g} % "
-                    f"changed, {shares[2]:.2g} % unknown; {seconds:.2f} s"
-                )
-    except KeyboardInterrupt:
-        if not lines:
-            raise
-    transport = tracker.transport
-    lm.save(output, transport, overwrite=overwrite)
-    if changes is not None:
-        lm.show(transport, "changes", output=changes, overwrite=overwrite)
+                named = ", ".join(f"{100 * lines[-1][n]:.2g} % {n}" for n in ("missed", *shares))
+                say(f"photograph {step.photograph}: {named}; {seconds:.2f} s")
+    lm.save(output, tracker.transport, overwrite=overwrite)
     if as_json:
-        show_json({"output": output, "photographs": lines, **transport.summary()})
+        show_json({"output": output, "photographs": lines, **tracker.transport.summary()})
         return
     say(f"{output}: T after {len(lines)} photographs")
 
 
 def _watched(tracker: lm.Tracker, capture: lm.Capture, folder: Path) -> Iterator[Any]:
     """Take the files that appear in a folder as photographs of the capture's patterns in turn."""
-    exposures = capture.exposures
-    with closing(lm.open_camera(f"watch:{folder},exposure={exposures[0]}")) as camera:
-        for number in count():
-            k = number % capture.count
-            try:
-                frame = camera.get_image(timeout=30.0)
-            except FrameTimeoutError:
-                return
-            pattern = capture.patterns.images(k, k + 1)[0]
-            yield tracker.update(frame.data, pattern, exposure=float(exposures[k]))
+    exposures = capture.exposures.tolist()
+    with (
+        closing(lm.open_camera(f"watch:{folder},exposure={exposures[0]}")) as camera,
+        suppress(FrameTimeoutError),
+    ):
+        for k in itertools.cycle(range(capture.count)):
+            levels, pattern = camera.get_image(30.0).data, capture.patterns.images(k, k + 1)[0]
+            yield tracker.update(levels, pattern, exposure=exposures[k])

@@ -75,41 +75,12 @@ class Estimator(ABC):
         pool: WorkerPool | None = None,
         review: Callable[[LightTransport], LightTransport | None] | None = None,
     ) -> LightTransport:
-        """Estimate the light transport matrix of a capture.
+        """Estimate T of a capture, as `lm.estimate` describes it.
 
-        Parameters
-        ----------
-        capture : Capture
-            M camera samples under K patterns of N projector pixels.
-        output : Path, optional
-            The store to write. Finished tiles of each step are kept beside it, so that an
-            interrupted run continues where it stopped.
-        overwrite : bool
-            Whether a complete store at `output` may be replaced.
-        remarks : mapping, optional
-            What the provenance shall hold besides the parameters, JSON-ready, such as what `check`
-            found, so that later verdicts know it.
-        progress : callable, optional
-            Called with (done, total) rows.
-        pool : WorkerPool, optional
-            Other processes that solve the tiles (`lightmatrix.estimators.workers`). None: this
-            process.
-        review : callable, optional
-            Called with T before it is written; it may return another one to write in its place.
-
-        Returns
-        -------
-        LightTransport
-            With the diagnostics clipped_share, iterations, converged, gap and objective of each
-            row, and those that the class documents.
-
-        Raises
-        ------
-        InputError, SolverError, OutputError
-            If the capture is unusable, the solver cannot treat the problem, or the output cannot
-            be written.
-        ClusterError
-            If the workers cannot be reached, do not see the capture, or all die.
+        `remarks` join the provenance, JSON-ready, such as what `check` found. `review` is called
+        with T before it is written, and may return another one to write in its place. Rows have
+        the diagnostics clipped_share, iterations, converged, gap and objective, and those that the
+        class documents.
         """
         plan = self.plan(capture)
         shapes = plan.shapes

@@ -2,14 +2,13 @@
 
 Each photograph is predicted before it is used, and what the prediction misses tells three things:
 
-1. **What changed, and when.** The squares missed by a camera sample and its neighbours, relative to
-   the usual ones, go into Page's cumulative sum (Biometrika 1954), which tells a change from chance
-   and when it began. Rows that follow the photographs stay as they are, bit by bit.
-2. **What is solved again.** A row that changed counts only photographs since then. Eight black and
+1. **What changed, and when**: Page's cumulative sum (Biometrika 1954) of the squares that camera
+   pixels and their neighbours miss, relative to the usual ones. Other rows stay bit by bit.
+2. **What is solved again**: rows that changed, with the photographs since then. Eight black and
    white ones tell 256 projector pixels apart, not all of them. But T knows how far light moves
-   where depth changes: along a line, within bounds. Only these pixels are searched; then neighbours
-   help, as in the coherent estimate.
-3. **What is not known yet.** A row is unknown until it predicts photographs that it has not used.
+   where depth changes: along a line, within bounds. Only there rows search; then neighbours help,
+   as in the coherent estimate.
+3. **What is not known yet**: rows that do not predict photographs before they use them.
 """
 
 from __future__ import annotations
@@ -17,7 +16,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -53,18 +52,11 @@ _FIRST, _JUDGED, _SEARCHED = 4, 3, 8
 _ROUNDS = (Round(1, (2, 1), 3), Round(1, (2, 1), 4), Round(1, (1, 1), 5, last=True))
 
 
-@dataclass(frozen=True, eq=False)
-class Update:
-    """What a photograph said of the scene; made by `Tracker.update`.
+class Update(NamedTuple):
+    """What a photograph, by its number, said of the scene.
 
-    Parameters
-    ----------
-    photograph : int
-        Its number, from 1 on.
-    changed, unknown : camera_shape bool
-        Camera samples that were found to have changed; those whose row is not known yet.
-    missed : float
-        The relative error of its prediction, over rows that are known and did not change.
+    `changed` and `unknown`, camera_shape bool, are camera samples that it showed to have changed,
+    and those whose rows are not known yet. The others missed it by `missed`, a relative error.
     """
 
     photograph: int
@@ -82,13 +74,6 @@ class Tracker:
         The first K photographs; further ones slide through a window of K.
     transport : LightTransport, optional
         T of these. None: it is estimated.
-
-    Attributes
-    ----------
-    photographs : int
-        Further photographs so far.
-    since : (M,) int64
-        The photograph with which each row changed last; 0 for rows that did not.
 
     Raises
     ------
@@ -151,21 +136,10 @@ class Tracker:
     def update(
         self, photograph: NDArray[Any], pattern: NDArray[Any], *, exposure: float | None = None
     ) -> Update:
-        """Take a further photograph into T.
+        """Take a further photograph into T: raw levels as those of the capture.
 
-        Parameters
-        ----------
-        photograph : (rows, cols[, channels]) uint8, uint16 or float32
-            Raw levels, as those of the capture.
-        pattern : (rows, cols) float
-            What was projected, in [0, 1].
-        exposure : float, optional
-            In the unit of the capture's exposures. None: that of its first frame.
-
-        Raises
-        ------
-        InputError
-            If the photograph or the pattern has another size or type than the capture's.
+        The pattern, (rows, cols), is in [0, 1]; the exposure in the capture's unit (None: that of
+        its first frame). An InputError refuses sizes and types other than the capture's.
         """
         first = self._capture.select([0])
         frames, wanted = ArrayStack(np.asarray(photograph)[None]), first.frames
@@ -191,10 +165,9 @@ class Tracker:
     def transport(self) -> LightTransport:
         """T now.
 
-        The diagnostics have the photograph with which each row changed (`since`, 0 for rows that
-        did not) and `unknown`, which is 1 for changed rows whose estimate does not yet predict
-        photographs. Their estimated error is 1; that of other changed rows is what they missed
-        the last photographs by.
+        Its diagnostics have the photograph with which each row changed (`since`, 0: none) and
+        whether it is `unknown`, with an estimated error of 1. That of other rows that changed is
+        what they missed the last photographs by.
         """
         changed, unknown = self.since > 0, self._unknown
         diagnostics = {name: values.copy() for name, values in self._given.diagnostics.items()}
@@ -264,7 +237,7 @@ class Tracker:
     def _changes(self, missed: NDArray[np.float32]) -> NDArray[np.bool_]:
         """The rows that have changed by now, (M,)."""
         self._began[self._region == 0] = self.photographs
-        # Rows that are learned anew miss by more at first.
+        # Rows that are learned anew miss more at first.
         usual = np.where(self._learning, np.maximum(self._usual, self._lately), self._usual)
         # What is not known yet says nothing of the rows beside it.
         around = self._around(np.where(self._unknown, 0, missed))
