@@ -12,8 +12,8 @@ from typing import Any
 from typer import Argument, Option
 
 import lightmatrix as lm
-from lightmatrix.cli.options import Json, Overwrite, described, output_option
-from lightmatrix.cli.terminal import progress, say, show_json
+from lightmatrix.cli.options import Json, Overwrite, described
+from lightmatrix.cli.terminal import answer, progress, say
 from lightmatrix.errors import FrameTimeoutError, InputError
 from lightmatrix.files.kinds import STORE
 from lightmatrix.files.writing import check_output
@@ -21,7 +21,7 @@ from lightmatrix.files.writing import check_output
 
 @described(
     folder=Argument(metavar="CAPTURE", help="A capture folder, or a packed capture."),
-    output=output_option("The store to write in the end, ending in .zarr."),
+    output="The store to write in the end, ending in .zarr.",
     window=Option(
         "-k", "--window", min=8, help="Photographs that T is estimated from, and that slide along."
     ),
@@ -68,10 +68,8 @@ def track(
                 named = ", ".join(f"{100 * lines[-1][n]:.2g} % {n}" for n in ("missed", *shares))
                 say(f"photograph {step.photograph}: {named}; {seconds:.2f} s")
     lm.save(output, tracker.transport, overwrite=overwrite)
-    if as_json:
-        show_json({"output": output, "photographs": lines, **tracker.transport.summary()})
-        return
-    say(f"{output}: T after {len(lines)} photographs")
+    result = {"output": output, "photographs": lines, **tracker.transport.summary()}
+    answer(as_json, result, f"{output}: T after {len(lines)} photographs")
 
 
 def _watched(tracker: lm.Tracker, capture: lm.Capture, folder: Path) -> Iterator[Any]:

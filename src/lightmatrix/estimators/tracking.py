@@ -14,7 +14,7 @@ Each photograph is predicted before it is used, and what the prediction misses t
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -29,15 +29,17 @@ from lightmatrix.capture.frames import ArrayStack
 from lightmatrix.capture.samples import Samples
 from lightmatrix.errors import InputError
 from lightmatrix.estimators.coherent.estimator import CoherentEstimator
-from lightmatrix.estimators.coherent.neighbourhood import REACH, Neighbourhood, strongest_entries
+from lightmatrix.estimators.coherent.neighbourhood import REACH, Neighbourhood
 from lightmatrix.estimators.coherent.row_solver import RowSolver
 from lightmatrix.estimators.coherent.schedule import Round
 from lightmatrix.estimators.estimate import estimate
+from lightmatrix.geometry.matches import fit_homography, moved
 from lightmatrix.patterns.colour import ColourPatterns
-from lightmatrix.patterns.pattern_set import ImagePatterns
+from lightmatrix.patterns.pattern_set import ImagePatterns, PatternSet
 from lightmatrix.ranges import real_array
 from lightmatrix.solvers.active_set import Candidates, Cells, solve_weighted
 from lightmatrix.solvers.problem import Result
+from lightmatrix.transport.correspondence import correspondence
 from lightmatrix.transport.matrix import LightTransport
 from lightmatrix.transport.sparse_rows import SparseRows
 
@@ -93,45 +95,38 @@ class Tracker:
     def __init__(
         self, capture: Capture | str | Path, transport: LightTransport | None = None
     ) -> None:
-        capture = open_capture(capture)
-        if isinstance(capture.patterns, ColourPatterns):
+        # What the rig did to further photographs is not known.
+        self._capture = replace(open_capture(capture), correction=None)
+        if isinstance(self._capture.patterns, ColourPatterns):
             raise InputError("patterns in colour", hint="track photographs of one primary")
-        if transport is None:
-            transport = estimate(capture, progress=False)
-        shapes = capture.camera_shape, capture.projector_shape
-        if transport.image_shapes != shapes:
-            raise InputError(
-                f"a matrix of shapes {transport.image_shapes}, for photographs of {shapes}",
-                hint="give the matrix of these photographs",
-            )
-        self.photographs, self.since = 0, np.zeros(capture.rows, np.int64)
-        self._capture, self._given = replace(capture, correction=None), transport
-        self._light = SparseRows(transport.sparse, transport.background)
-        self._camera: tuple[int, ...] = (*capture.camera_shape, 1)[:3]
-        self._parallax = _Parallax.of(transport)
-        # The window: the photograph n stands in column n mod K.
-        seen = self._capture.samples()
-        self._samples = Samples(
-            seen.values.copy(), seen.clipped.copy(), seen.clip_levels_of_all(), seen.counted
-        )
-        self._shown, self._exposures = capture.patterns.dense(), capture.exposures.copy()
-        misses = _squares(seen, self._predicted(self._light, self._shown)).T
-        misses *= self._weights[:, None]
+        self._given = transport or estimate(capture, progress=False)
+        if self._given.image_shapes != (self._capture.camera_shape, self._capture.projector_shape):
+            hint = "give the matrix of these photographs"
+            raise InputError(f"photographs of other sizes than those of {self._given}", hint=hint)
+        self._camera: tuple[int, ...] = (*self._given.camera_shape, 1)[:3]
+        self._light = SparseRows(self._given.sparse, self._given.background)
+        self._centres, self._steps = _parallax(self._given)
+        # The window: patterns (K, N) and samples (M, K); photograph n stands in column n mod K.
+        self._shown, seen = self._capture.patterns.dense(), self._capture.samples()
+        levels, weights = seen.clip_levels_of_all(), seen.weights_of_all()
+        self._samples = Samples(seen.values.copy(), seen.clipped.copy(), levels, weights)
+        self._longest = float(self._capture.exposures.max())
+        misses = _squares(self._samples, self._predicted(self._light, self._shown)).T
         # Photographs that T was estimated from are missed by less than others: squares were 1 to 3
         # times as large on `l_objects` at 64 x 64.
         self._usual = 4 * self._around(misses.mean(axis=0)) + 1e-12
         # The variance of the camera's noise is at most this: most rows are right but for noise.
         self._noise = float(np.quantile(self._usual, 0.25)) / 4
+        rows = len(self._usual)
+        self.photographs, self.since = 0, np.zeros(rows, np.int64)
         # Squares by which rows missed the last photographs, infinite until they are solved; and
         # those of the photographs that they were solved with.
-        self._missed, self._misfit = misses[-_JUDGED:], np.zeros(capture.rows)
+        self._missed, self._misfit = misses[-_JUDGED:], np.zeros(rows)
         # Cumulative sums of rows and of the regions around them, and where the latter began.
-        self._own, self._region = np.zeros((2, capture.rows))
-        self._began = np.zeros(capture.rows, np.int64)
+        (self._own, self._region), self._began = np.zeros((2, rows)), self.since.copy()
         # Rows that were solved again, in order, as atoms; and the light of all rows times the
         # contrast of the patterns, to which misses are relative.
-        self._rows, self._atoms = np.zeros(0, np.int64), self._light
-        self._length = np.ones(capture.rows)
+        self._rows, self._atoms, self._length = self.since[:0], self._light, np.ones(rows)
 
     def update(
         self, photograph: NDArray[Any], pattern: NDArray[Any], *, exposure: float | None = None
@@ -142,18 +137,16 @@ class Tracker:
         its first frame). An InputError refuses sizes and types other than the capture's.
         """
         first = self._capture.select([0])
-        frames, wanted = ArrayStack(np.asarray(photograph)[None]), first.frames
-        if (frames.shape, frames.dtype) != (wanted.shape, wanted.dtype):
-            raise InputError(
-                f"a photograph of {frames.shape} {frames.dtype}",
-                hint=f"give raw levels as in the capture, {wanted.shape} {wanted.dtype}",
-            )
-        patterns = ImagePatterns(real_array("a pattern", pattern)[None])
+        frames = ArrayStack(np.asarray(photograph)[None])
+        patterns: PatternSet = ImagePatterns(real_array("a pattern", pattern)[None])
         if first.bin_projector != (1, 1):
             patterns = patterns.coarse(first.bin_projector)
-        if patterns.shape != first.projector_shape:
-            hint = f"the projector has {first.projector_shape}"
-            raise InputError(f"a pattern of {patterns.shape} pixels", hint=hint)
+        wanted = first.frames.shape, first.frames.dtype, first.projector_shape
+        if (frames.shape, frames.dtype, patterns.shape) != wanted:
+            raise InputError(
+                f"a photograph {frames.shape} {frames.dtype} of a pattern {patterns.shape}",
+                hint=f"give raw levels {wanted[0]} {wanted[1]}, and a pattern {wanted[2]}",
+            )
         decoder = first.decoder if exposure is None else replace(first.decoder, exposure=exposure)
         return self._add(replace(first, patterns=patterns, frames=frames, decoder=decoder))
 
@@ -192,13 +185,15 @@ class Tracker:
 
     def _add(self, one: Capture) -> Update:
         self.photographs += 1
-        shown, seen, known = one.patterns.dense(), one.samples(), ~self._unknown
-        column = self.photographs % len(self._shown)
-        self._shown[column], self._exposures[column] = shown[0], one.exposures[0]
-        for name, values in vars(self._samples).items():
-            new = seen.counted if name == "weights" else getattr(seen, name)
-            values[:, column] = new if new.ndim == 1 else new[:, 0]
-        missed = _squares(seen, self._predicted(self._light, shown))[:, 0] * self._weights[column]
+        column, known, seen = self.photographs % len(self._shown), ~self._unknown, one.samples()
+        exposures = np.array([self._longest, one.exposures[0]])
+        if (weights := frame_weights(exposures)) is not None:
+            seen = replace(seen, weights=seen.weights_of_all() * weights[1])
+        self._shown[column] = one.patterns.dense()[0]
+        for name, new in vars(replace(seen, weights=seen.weights_of_all())).items():
+            getattr(self._samples, name)[:, column] = new if new.ndim == 1 else new[:, 0]
+        latest = self._samples.frames(np.array([column]))
+        missed = _squares(latest, self._predicted(self._light, self._shown[[column]]))[:, 0]
         changed = self._changes(missed) & known
         self.since[changed] = self._began[changed]
         self._own[changed] = 0
@@ -211,18 +206,11 @@ class Tracker:
         lost = ~known & (self._seen_by > 2 * _SEARCHED) & (misfit > _RATIO * self._usual)
         self.since[lost] = self.photographs + 1 - _SEARCHED
         self._solve()
-        right = known & ~changed & seen.counted[:, 0]
-        light = seen.values[right, 0]
-        error = float(np.sqrt(missed[right].sum() / max(float(light @ light), 1e-30)))
-        shape = self._capture.camera_shape
-        maps = changed.reshape(shape), self._unknown.reshape(shape)
-        return Update(self.photographs, *maps, error)
-
-    @property
-    def _weights(self) -> NDArray[np.float32]:
-        """Weights of the window's photographs by their exposures, (K,)."""
-        weights = frame_weights(self._exposures)
-        return np.ones(len(self._exposures), np.float32) if weights is None else weights
+        right = known & ~changed & latest.counted[:, 0]
+        error = np.sqrt(missed[right].sum() / max(np.square(latest.values[right]).sum(), 1e-30))
+        shape, unknown = self._given.camera_shape, self._unknown
+        maps = changed.reshape(shape), unknown.reshape(shape)
+        return Update(self.photographs, *maps, float(error))
 
     def _predicted(self, light: SparseRows, shown: NDArray[np.float32]) -> NDArray[np.float32]:
         """What rows of T show under patterns (k, N), (m, k)."""
@@ -279,8 +267,7 @@ class Tracker:
         most = int(seen_by.max())
         columns = np.arange(self.photographs + 1 - most, self.photographs + 1) % len(self._shown)
         shown, samples = self._shown[columns], self._samples.rows(rows).frames(columns)
-        weights = samples.weights_of_all() * self._weights[columns]
-        weights *= np.arange(most) >= most - seen_by[:, None]
+        weights = samples.weights_of_all() * (np.arange(most) >= most - seen_by[:, None])
         samples = replace(samples, weights=weights)
         # The part of the camera around them, where other rows stand as they are in T.
         row, col, _ = np.unravel_index(rows, self._camera)
@@ -291,7 +278,7 @@ class Tracker:
         camera, part = part.shape, part.ravel()
         patterns = ImagePatterns(shown.reshape(most, *self._given.projector_shape))
         solver = CoherentEstimator(background_grid=self._given.background_grid).row_solver(
-            capture_of_samples(patterns, samples, camera[:2], float(self._exposures.max()))
+            capture_of_samples(patterns, samples, camera[:2], self._longest)
         )
         atoms, light = solver.atoms, self._light.rows(part)
         matrix = light.coefficients
@@ -304,9 +291,7 @@ class Tracker:
         # Rows that are not known are searched; of others the last estimate is the start.
         search = (seen_by <= _SEARCHED) | self._unknown[rows]
         fresh, again = np.flatnonzero(search), np.flatnonzero(~search)
-        found = self._parallax.search(
-            solver, samples.rows(fresh), rows[fresh] // self._camera[2], seen_by[fresh]
-        )
+        found = self._search(solver, samples.rows(fresh), rows[fresh])
         before = self._atoms.rows(np.searchsorted(self._rows, rows[again]))
         order = np.argsort(np.concatenate([fresh, again]))
         now = (SparseRows.joined([found, before]) if len(again) else found).rows(order)
@@ -322,18 +307,36 @@ class Tracker:
         shares = solver.backgrounds.spread(csr_array(neighbours.centres[places]))
         background = (solved.background[:, None] * shares + solved.cells).astype(np.float32)
         new = SparseRows(atoms.expand(now.coefficients), background)
-        squares = _squares(samples, self._predicted(new, shown))
-        self._misfit[rows] = np.average(squares, axis=1, weights=weights + 1e-9)
+        squares = _squares(samples, self._predicted(new, shown)).sum(axis=1)
+        self._misfit[rows] = squares / np.maximum(weights.sum(axis=1), 1e-9)
         self._length[rows] = atoms.single_contrast * solver.backgrounds.lengths(new)
         self._light = self._light.replaced(rows, new)
         self._rows, self._atoms = rows, now
 
+    def _search(self, solver: RowSolver, samples: Samples, rows: NDArray[np.int64]) -> SparseRows:
+        """Rows by themselves, on the atoms where their light may be."""
+        shape, planes = solver.capture.projector_shape, solver.atoms.planes
+        plane = np.repeat(np.arange(planes) * (shape[0] * shape[1]), len(self._steps))
+        # Indices of 64 MiB at a time.
+        step, parts = max(1, (1 << 23) // len(plane)), []
+        for start in range(0, max(1, len(rows)), step):
+            some = slice(start, start + step)
+            place = self._centres[rows[some] // self._camera[2], None] + self._steps
+            inside = np.tile(((place >= 0) & (place < shape)).all(axis=2), planes)
+            index = (np.tile(place @ (shape[1], 1), planes) + plane)[inside].astype(np.int32)
+            ends = np.append(0, np.cumsum(inside.sum(axis=1)))
+            atoms = Candidates(ends, index, np.ones(len(index), np.float32))
+            problem = solver.first_problem(samples.rows(some))
+            none = Cells.none(solver.capture.patterns)
+            parts.append(_lit(solve_weighted(problem, atoms, none, solver.solver)))
+        return SparseRows.joined(parts)
+
 
 def _squares(samples: Samples, predicted: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Squares of what predictions miss, (m, k); clipped samples are lower bounds."""
+    """Weighted squares of what predictions miss, (m, k); clipped samples are lower bounds."""
     off = samples.values - predicted
-    off[(samples.clipped & (off < 0)) | ~samples.counted] = 0
-    return np.asarray(np.square(off))
+    off[samples.clipped & (off < 0)] = 0
+    return np.asarray(np.square(off) * samples.weights_of_all())
 
 
 def _lit(solved: Result) -> SparseRows:
@@ -342,69 +345,25 @@ def _lit(solved: Result) -> SparseRows:
     return SparseRows(rows.coefficients, rows.background[:, :1])
 
 
-@dataclass(frozen=True, eq=False)
-class _Parallax:
-    """Where the light of a camera pixel may lie in the projector, by what T knows of the scene.
+def _parallax(transport: LightTransport) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Where light of camera pixels may lie in the projector, by what T knows of the scene.
 
-    For a smooth surface it is a polynomial of the camera pixel, `centres` (P, 2). Depth moves it
-    from there along a line: `offsets` (J, 2) are the steps that occur, and three pixels more.
+    That of a plane lies where a homography says, (P, 2). Depth moves it from there along a line:
+    (J, 2) are the steps that occur, and three pixels more.
     """
-
-    centres: NDArray[np.int64]
-    offsets: NDArray[np.int64]
-
-    @classmethod
-    def of(cls, transport: LightTransport) -> _Parallax:
-        rows, cols, depth = (*transport.camera_shape, 1)[:3]
-        light = np.asarray(transport.sparse.sum(axis=1), np.float64).reshape(-1, depth)
-        best = np.arange(rows * cols) * depth + light.argmax(axis=1)
-        strongest = strongest_entries(transport.sparse)[best]
-        place = np.stack(np.divmod(strongest, transport.projector_shape[1]), axis=1)
-        lit = light.max(axis=1) > 0.02 * np.quantile(light, 0.99)
-        if not lit.any():
-            raise InputError("a matrix without light", hint="take photographs of a lit scene")
-        r, c = (each / max(rows, cols) for each in np.divmod(np.arange(rows * cols), cols))
-        terms = np.stack([np.ones_like(r), r, c, r * r, r * c, c * c], axis=1)
-        used = lit
-        # Rows that are wrong lie far from all others, and must not count.
-        for _ in range(4):
-            fit, *_ = np.linalg.lstsq(terms[used], place[used], rcond=None)
-            off = place - terms @ fit
-            far = np.linalg.norm(off, axis=1)
-            used = lit & (far <= max(2.0, 4 * float(np.median(far[lit]))))
-        _, axes = np.linalg.eigh(off[used].T @ off[used])
-        low, high = np.quantile(off[used] @ axes, (0.01, 0.99), axis=0)
-        reach = int(np.ceil(np.hypot(*np.maximum(-low, high)))) + 4
-        steps = np.indices((2 * reach + 1, 2 * reach + 1)).reshape(2, -1).T - reach
-        inside = ((steps @ axes >= low - 3) & (steps @ axes <= high + 3)).all(axis=1)
-        return cls(np.rint(terms @ fit).astype(np.int64), steps[inside])
-
-    def search(
-        self,
-        solver: RowSolver,
-        samples: Samples,
-        pixels: NDArray[np.int64],
-        seen_by: NDArray[np.int64],
-    ) -> SparseRows:
-        """Rows of camera pixels by themselves, on the atoms where their light may be.
-
-        Rows that are not known after many photographs search the whole projector now and then.
-        """
-        (height, width), planes = solver.capture.projector_shape, solver.atoms.planes
-        plane = np.repeat(np.arange(planes) * (height * width), len(self.offsets))
-        # Indices of 64 MiB at a time.
-        step, parts = max(1, (1 << 23) // len(plane)), []
-        for start in range(0, max(1, len(pixels)), step):
-            place = self.centres[pixels[start : start + step], None] + self.offsets
-            inside = np.tile(((place >= 0) & (place < (height, width))).all(axis=2), planes)
-            index = np.tile(place @ (width, 1), planes) + plane
-            ends = np.append(0, np.cumsum(inside.sum(axis=1)))
-            atoms = Candidates(ends, index[inside].astype(np.int32), np.ones(ends[-1], np.float32))
-            problem = solver.first_problem(samples.rows(slice(start, start + step)))
-            none = Cells.none(solver.capture.patterns)
-            parts.append(_lit(solve_weighted(problem, atoms, none, solver.solver)))
-        found = SparseRows.joined(parts)
-        wide = np.flatnonzero((seen_by > 2 * _SEARCHED) & (seen_by % _SEARCHED == 0))
-        if len(wide):
-            found = found.replaced(wide, _lit(solver.everywhere(samples.rows(wide), brief=True)))
-        return found
+    matches = correspondence(transport)
+    assert matches.light is not None
+    lit = matches.light > 0.02 * np.quantile(matches.light, 0.99)
+    if lit.sum() < 4:
+        raise InputError("a matrix without light", hint="take photographs of a lit scene")
+    camera = np.moveaxis(np.indices(lit.shape, np.float64), 0, -1)
+    place = matches.place[lit].astype(np.float64)
+    plane = fit_homography(camera[lit], place, np.ones(len(place)))
+    off = place - moved(plane, camera[lit])
+    _, axes = np.linalg.eigh(off.T @ off)
+    # Few rows are wrong.
+    low, high = np.quantile(off @ axes, (0.01, 0.99), axis=0)
+    reach = int(np.ceil(np.hypot(*np.maximum(-low, high)))) + 4
+    steps = np.indices((2 * reach + 1, 2 * reach + 1)).reshape(2, -1).T - reach
+    inside = ((steps @ axes >= low - 3) & (steps @ axes <= high + 3)).all(axis=1)
+    return np.rint(moved(plane, camera.reshape(-1, 2))).astype(np.int64), steps[inside]

@@ -104,11 +104,11 @@ def estimated_error_map(transport: LightTransport) -> Map:
 
 def changes_map(transport: LightTransport) -> Map:
     """The photograph with which each camera pixel changed last; grey for those that did not."""
-    since = _diagnostic(transport, "since")
-    changed, unknown = since > 0, np.nanmean(_diagnostic(transport, "unknown") > 0)
-    title = f"Changed: {percent(changed.mean())}, of it not known yet: {percent(unknown)} of all"
-    last = max(1.0, float(transport.provenance.get("tracked_photographs", since.max())))
-    return Map(title, "photograph", np.where(changed, since, np.nan), 1, max(last, 2))
+    since, unknown = (_diagnostic(transport, name) for name in ("since", "unknown"))
+    shares = [percent(float(np.mean(each > 0))) for each in (since, unknown)]
+    title = f"Changed: {shares[0]}; not known yet: {shares[1]}"
+    values = np.where(since > 0, since, np.nan)
+    return Map(title, "number of the photograph", values, 1, max(2.0, since.max()))
 
 
 def error_map(values: NDArray[np.floating]) -> Map:
