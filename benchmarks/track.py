@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 import lightmatrix as lm
 from experiments.harness import Row, options, show, write_json
 from lightmatrix.judgement.metrics import squared_errors
-from lightmatrix.pictures.style import figure, save
+from lightmatrix.pictures.style import display, figure, panel, save, white_level
 from lightmatrix.simulation import scenes
 from lightmatrix.simulation.renderer import render
 from lightmatrix.simulation.shapes import turn
@@ -67,7 +67,7 @@ def follow(kind: str, side: int, folder: Path) -> tuple[list[Row], lm.LightTrans
     """The errors after each photograph, and T in the end."""
     before, after = truths(side, folder)
     moved, known = moved_rows(before, after), after.transport()
-    patterns = lm.make_patterns(kind, (side, side), QUIET + 2 * WINDOW + WINDOW, seed=1, **KINDS[kind])
+    patterns = lm.make_patterns(kind, (side, side), QUIET + 2 * WINDOW, seed=1, **KINDS[kind])
     first = lm.simulate(before, patterns.subset(np.arange(WINDOW + QUIET)), exposure=0.5, seed=0)
     later = patterns.subset(np.arange(WINDOW + QUIET, 2 * WINDOW + QUIET))
     second = lm.simulate(after, later, exposure=0.5, seed=1)
@@ -114,26 +114,30 @@ def follow(kind: str, side: int, folder: Path) -> tuple[list[Row], lm.LightTrans
     return rows, transport
 
 
-def draw(rows: list[Row], transport: lm.LightTransport, folder: Path) -> None:
-    """Errors against the photographs since the change, and the map of what changed."""
-    drawing = figure((9.2, 3.8))
-    left, right = drawing.subplots(1, 2, width_ratios=(3, 2))
-    for kind, colour in zip(KINDS, ("C0", "C1"), strict=True):
-        some = [row for row in rows if row["patterns"] == kind and row["since the change"] > 3]
-        count = [row["since the change"] for row in some]
-        name = "black and white" if kind == "bernoulli" else "three grey levels"
-        left.semilogy(count, [row["error"] for row in some], ":", color=colour)
-        left.semilogy(count, [row["error of known"] or np.nan for row in some], "o-", color=colour, ms=3, label=name)
-        left.axhline(some[0]["fresh"], color=colour, lw=0.8)
-    left.set(xlabel="photographs since the change", ylabel="relative error of what moved")
-    left.legend(title="solid: rows that are known\ndotted: all; lines: fresh, from 32")
-    since = np.where(transport.diagnostics["since"] > 0, 1.0, 0.0).reshape(transport.camera_shape)
-    white = transport.relight(np.ones(transport.projector_shape))
-    grey = np.clip(white / np.quantile(white, 0.99), 0, 1) ** (1 / 2.2)
-    red = np.stack([np.maximum(grey, 0.9 * since), grey * (1 - 0.5 * since), grey * (1 - 0.5 * since)], -1)
-    right.imshow(red)
-    right.set(title="what changed (red) in the white image", xticks=[], yticks=[])
-    save(drawing, folder / "track")
+def draw(rows: list[Row], before: Truth, transport: lm.LightTransport, folder: Path) -> None:
+    """Errors against the photographs since the change, and pictures of it."""
+    with figure(10, 3.6) as drawing:
+        left, *pictures = drawing.subplots(1, 3, width_ratios=(5, 3, 3))
+        for kind, colour in zip(KINDS, ("C0", "C1"), strict=True):
+            some = [row for row in rows if row["patterns"] == kind and row["since the change"] > 3]
+            count = [row["since the change"] for row in some]
+            known = [row["error of known"] if row["unknown"] < 0.9 else np.nan for row in some]
+            name = "black and white" if kind == "bernoulli" else "three grey levels"
+            left.semilogy(count, [row["error"] for row in some], ":", color=colour)
+            left.semilogy(count, known, "o-", color=colour, markersize=3, label=name)
+            left.axhline(some[0]["fresh"], color=colour, linewidth=0.8)
+        left.set(xlabel="photographs since the change", ylabel="relative error of what moved")
+        left.set_ylim(0.008, 1)
+        left.legend(title="dots: known rows; dotted: all\nlevel: estimate from 32 photographs")
+        white = np.ones(transport.projector_shape)
+        images = [one.relight(white) for one in (before.transport(), transport)]
+        bright = white_level(images[0])
+        panel(pictures[0], display(images[0], bright), "before")
+        shown = np.repeat(display(images[1], bright)[..., None], 3, axis=2)
+        changed = transport.diagnostics["since"].reshape(transport.camera_shape) > 0
+        shown[changed] *= (1, 0.6, 0.5)
+        panel(pictures[1], shown, "after; red: found to have changed")
+        save(drawing, folder, "track")
 
 
 def main() -> None:
@@ -149,7 +153,7 @@ def main() -> None:
         rows += measured
         show(f"A block of l_objects is turned, {kind}", measured)
     write_json(arguments.out / "track.json", rows)
-    draw(rows, transport, arguments.out)
+    draw(rows, truths(arguments.side, arguments.out)[0], transport, arguments.out)
 
 
 if __name__ == "__main__":

@@ -112,12 +112,7 @@ class DaskPool:
     ) -> None:
         """Let workers solve tiles of a step whose earlier steps are finished; see `WorkerPool`.
 
-        Raises
-        ------
-        ClusterError
-            If all workers are gone, or a tile has killed several of them.
-        LightMatrixError
-            As an estimate in one process.
+        A ClusterError says that all workers are gone, or that a tile has killed several of them.
         """
         from distributed import wait
 
@@ -211,13 +206,8 @@ def _words(error: BaseException) -> str:
 def dask_pool(workers: int | None = None, cluster: str | None = None) -> Iterator[DaskPool]:
     """A pool of new processes or of the workers at `cluster`.
 
-    Raises
-    ------
-    MissingExtraError
-        If Dask is missing.
-    ClusterError
-        If workers cannot be started, the scheduler does not answer or has none, or one of them has
-        other versions.
+    A ClusterError says that workers cannot be started, the scheduler does not answer or has none,
+    or one of them has other versions.
     """
     load_extra("distributed", "estimates by several processes need Dask", "cluster")
     with ExitStack() as stack:

@@ -282,15 +282,7 @@ _FEWEST = 8
 
 @dataclass(frozen=True, eq=False)
 class Predicted:
-    """The predicted samples of m rows under K patterns: of their atoms and of their background.
-
-    Parameters
-    ----------
-    atoms, background : (m, K)
-        Light in units of camera sample.
-    brightness : (K,)
-        Mean of each pattern.
-    """
+    """Predicted samples of m rows under K patterns, (m, K) each, and the patterns' means, (K,)."""
 
     atoms: NDArray[np.float32]
     background: NDArray[np.float32]
