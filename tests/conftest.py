@@ -13,6 +13,7 @@ from hypothesis import HealthCheck, settings
 from lightmatrix.simulation import library
 from lightmatrix.simulation.library import read_bundled
 from lightmatrix.simulation.truth import Truth, binned
+from tests.helpers.projectors import two_projectors
 
 # A busy machine may need long for an example, and for drawing it.
 settings.register_profile("busy", deadline=None, suppress_health_check=[HealthCheck.too_slow])
@@ -39,13 +40,16 @@ def _scenes_are_unpacked_once() -> Iterator[None]:
 
 @pytest.fixture(scope="module")
 def small_scenes() -> Iterator[None]:
-    """The bundled scenes at smaller sizes too, binned, where they would be rendered."""
+    """The bundled scenes at smaller sizes too, binned, and a stage that is made of one."""
     bundled = library.truth
     coarse = cache(lambda name, factor: binned(bundled(name), factor))
 
     def truth(
         name: str | Path | Truth, size: tuple[int, int] = library.BUNDLED_SIZE, **options: Any
     ) -> Truth:
+        if name == "stage":
+            camera = options.pop("camera", 1)
+            return two_projectors(truth("l_objects", size, **options), camera)
         if name in library.BUNDLED and size in ((32, 32), (16, 16)):
             return coarse(name, 64 // size[0])
         return bundled(name, size, **options)

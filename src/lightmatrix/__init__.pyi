@@ -39,6 +39,7 @@ from .files.images import (
     write_image as write_image,
 )
 from .simulation.library import (
+    devices_of as devices_of,
     scenes as scenes,
     truth as truth,
 )

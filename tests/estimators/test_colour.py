@@ -21,7 +21,6 @@ from lightmatrix.estimators.colour import (
     unmixed_capture,
 )
 from lightmatrix.simulation.colour import in_all_primaries
-from lightmatrix.simulation.simulate import SimulatedCapture
 
 SIDE = 16
 SCENE = lm.ProceduralScene((SIDE, SIDE), (SIDE, SIDE)).truth()
@@ -82,13 +81,6 @@ def test_clipped_samples_become_lower_bounds() -> None:
     assert (read.values < exact - slack)[read.clipped].any()
 
 
-@pytest.fixture(scope="module")
-def capture() -> SimulatedCapture:
-    """Part of 32 photographs by a camera whose channels mix, of which some samples clip."""
-    patterns = lm.colour_bernoulli((64, 64), 32)
-    return lm.simulate("l_objects", patterns, exposure=0.445).crop((20, 20), (20, 20))
-
-
 def test_without_grey_patterns_a_usual_mixing_is_the_start() -> None:
     patterns = lm.colour_bernoulli((SIDE, SIDE), 24, grey=0)
     capture = lm.simulate(SCENE, patterns, exposure=0.3, bits=None)
@@ -126,9 +118,8 @@ def _part(wide: lm.LightTransport, primary: int) -> lm.LightTransport:
     return lm.LightTransport.from_matrix(wide.sparse[:, columns], wide.camera_shape, (SIDE, SIDE))
 
 
-def test_grey_captures_are_refused_and_colour_ones_are_not_read_as_grey(
-    capture: SimulatedCapture,
-) -> None:
+def test_grey_captures_are_refused_and_colour_ones_are_not_read_as_grey() -> None:
+    capture = lm.simulate(SCENE, PATTERNS, exposure=0.3)
     with pytest.raises(InputError, match="three matrices"):
         lm.estimate(capture)
     grey = lm.simulate(SCENE, PATTERNS.red, exposure=0.3)

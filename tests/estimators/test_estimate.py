@@ -174,7 +174,8 @@ def test_a_callable_counts_progress_instead(monkeypatch: pytest.MonkeyPatch) -> 
 @pytest.mark.parametrize("coherent", [True, False])
 def test_the_core_solves_rows_at_most_six_calls_below_estimate(coherent: bool) -> None:
     """The first lines of `estimators/estimate.py` list these calls."""
-    capture = lm.simulate("metal", lm.BernoulliPatterns((64, 64), 32))
+    truth = ProceduralScene((12, 12), (16, 16)).truth()
+    capture = lm.simulate(truth, lm.BernoulliPatterns((16, 16), 32))
     depths: set[int] = set()
 
     def count(frame: Any, event: str, called: Any) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -64,6 +65,9 @@ def capture(truth: Truth) -> Capture:
 def test_keeping_everything_gives_the_plain_estimate(
     capture: Capture, solver: Solver, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    if isinstance(solver, ADMM | SaturationADMM):
+        # Both take the same steps, whether they have converged or not.
+        solver = replace(solver, max_iterations=60)
     monkeypatch.setattr(multiscale, "_ACTIVE", 0)
     plain = PlainEstimator(solver, 0.05).estimate(capture)
     whole = MultiScaleEstimator(solver, 0.05)

@@ -35,7 +35,7 @@ def kinds(capture: lm.Capture) -> list[str]:
     return [each.kind for each in lm.check(capture)]
 
 
-@pytest.mark.parametrize("gamma", [0.6, 1.2, 2.2])
+@pytest.mark.parametrize("gamma", [0.6, 1.2])
 def test_the_gamma_of_the_camera_is_named(gamma: float) -> None:
     (finding,) = lm.check(captured(LEVELS ** (1 / gamma)))
     assert finding.kind == "camera-curve"
@@ -43,11 +43,14 @@ def test_the_gamma_of_the_camera_is_named(gamma: float) -> None:
     assert 'response="auto"' in finding.advice
 
 
-@pytest.mark.parametrize("gamma", [0.7, 1.4, 2.2])
+@pytest.mark.parametrize("gamma", [0.7, 1.4])
 def test_the_gamma_of_the_projector_is_named(gamma: float) -> None:
     (finding,) = lm.check(grey_capture(1.0, gamma))
     assert finding.kind == "projector-curve"
     assert float(finding.message.split("gamma of ")[1].split()[0]) == pytest.approx(gamma, rel=0.1)
+
+
+def test_the_gamma_of_the_camera_is_told_from_that_of_the_projector() -> None:
     assert kinds(grey_capture(2.2, 1.0)) == ["camera-curve"]
 
 

@@ -45,18 +45,6 @@ def insert(draw: Generator, file: Path) -> str:
     return f"{count} bytes inserted at {at}"
 
 
-def swap(draw: Generator, file: Path) -> str:
-    """Two pieces exchanged."""
-    data = bytearray(file.read_bytes())
-    size = int(draw.integers(1, max(2, len(data) // 4)))
-    first, second = (int(v) for v in draw.integers(0, max(1, len(data) - size), 2))
-    piece = bytes(data[first : first + size])
-    data[first : first + size] = data[second : second + size]
-    data[second : second + size] = piece
-    file.write_bytes(bytes(data))
-    return f"{size} bytes at {first} and {second} exchanged"
-
-
 def blank(draw: Generator, file: Path) -> str:
     """A stretch of zeros, as a bad sector leaves."""
     data = bytearray(file.read_bytes())
@@ -75,20 +63,6 @@ def lose(draw: Generator, file: Path) -> str:
     return "lost"
 
 
-def double(draw: Generator, file: Path) -> str:
-    """The file is there twice."""
-    file.with_name(f"{file.stem}_{draw.integers(10)}{file.suffix}").write_bytes(file.read_bytes())
-    return "doubled"
-
-
-def rename(draw: Generator, file: Path) -> str:
-    """The file has another name."""
-    names = ("²1.png", "[red].png", "-1.npz", "rows-a-b.npz", "0", "a b", ":x:.png", file.name[:-1])
-    name = names[int(draw.integers(len(names)))] or "x"
-    file.rename(file.with_name(name))
-    return f"renamed {name}"
-
-
 def replace(draw: Generator, file: Path) -> str:
     """Another thing than a file."""
     file.unlink()
@@ -102,8 +76,8 @@ def replace(draw: Generator, file: Path) -> str:
     return f"now a {('folder', 'pipe', 'link')[kind]}"
 
 
-BYTES: tuple[Damage, ...] = (flip_bit, flip_bit, cut, insert, swap, blank)
-FILES: tuple[Damage, ...] = (lose, double, rename, replace)
+BYTES: tuple[Damage, ...] = (flip_bit, flip_bit, cut, insert, blank)
+FILES: tuple[Damage, ...] = (lose, replace)
 
 
 # ---- JSON

@@ -14,6 +14,7 @@ import lightmatrix as lm
 from lightmatrix.cli import main
 from lightmatrix.errors import DeviceError
 from lightmatrix.rig.devices.base import Projector
+from lightmatrix.rig.devices.virtual import SimulatedClock
 from lightmatrix.rig.rig import ProjectedPatterns
 
 RIG = "virtual:procedural,size=16,real=0"
@@ -68,7 +69,9 @@ def test_cells_colours_and_light() -> None:
         lm.project(screen, picture, photograph="seen.png")
 
 
-def test_folders_and_videos_begin_anew(tmp_path: Path) -> None:
+def test_folders_and_videos_begin_anew(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    # Nobody waits, and a busy machine shows as many pictures.
+    monkeypatch.setattr("lightmatrix.rig.showing.Clock", SimulatedClock)
     (tmp_path / "frames").mkdir()
     for k in range(2):
         lm.write_image(tmp_path / "frames" / f"{k}.png", np.full((6, 8), 100 * k, np.uint8))

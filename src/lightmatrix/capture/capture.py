@@ -63,6 +63,10 @@ class Capture(Reader):
     projector_unknown : bool
         Whether the patterns are grey values whose light `estimate` finds in the frames. They are
         taken as light until then.
+    projectors : tuple of (rows, cols)
+        The sizes of several projectors that show their patterns at once. The patterns are those of
+        all of them, one above the other, each in the upper left of as many rows and columns as the
+        largest has. Empty: there is one.
     correction : Correction, optional
         What the rig did to the binned samples, taken out as they are read; see `fit_rig`.
     known : Samples, optional
@@ -91,6 +95,7 @@ class Capture(Reader):
     provenance: Mapping[str, Any] = field(default_factory=dict)
     surroundings: Surroundings | None = None
     projector_unknown: bool = False
+    projectors: tuple[tuple[int, int], ...] = ()
     correction: Correction | None = None
     known: Samples | None = None
 
@@ -107,6 +112,14 @@ class Capture(Reader):
                 f"{self.patterns.count} patterns, but {self.frames.count} images",
                 hint="give one image for each pattern, both in natural order; is one missing?",
             )
+        if self.projectors:
+            rows, cols = (max(sides) for sides in zip(*self.projectors, strict=True))
+            if self.projector_shape != (len(self.projectors) * rows, cols):
+                raise InputError(
+                    f"patterns of {self.patterns.shape} for projectors of {self.projectors}",
+                    hint="let patterns hold those of all projectors, one above the other, and do "
+                    "not bin their pixels",
+                )
         if self.mask is not None and self.mask.shape != self.frames.shape:
             raise InputError(
                 f"a mask of shape {self.mask.shape} for images of {self.frames.shape}",
@@ -283,13 +296,9 @@ class Capture(Reader):
         mask = None if self.mask is None else self.mask[inside]
         around = self.surroundings or Surroundings(self.decoder.black_frame, self.mask)
         return replace(
-            self,
-            frames=frames,
-            decoder=decoder,
-            mask=mask,
-            surroundings=around,
+            self, frames=frames, decoder=decoder, mask=mask, surroundings=around,
             correction=self.correction and self.correction.window(*inside, self.camera_shape),
-        )
+        )  # fmt: skip
 
     @property
     def whole(self) -> Capture:

@@ -197,14 +197,9 @@ def convert(
     exposures = np.asarray(layout.exposures)
     sensor = Sensor(exposures if np.ptp(exposures) else float(exposures[0]), bits=bits)
     write_capture(
-        output,
-        patterns,
-        frames(),
-        sensor=sensor,
-        response=response,
-        provenance={"converted_from": layout.name},
-        overwrite=overwrite,
-    )
+        output, patterns, frames(), sensor=sensor, response=response,
+        provenance={"converted_from": layout.name}, overwrite=overwrite,
+    )  # fmt: skip
     return layout.name
 
 

@@ -18,7 +18,7 @@ import json
 import math
 import os
 import shutil
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -110,9 +110,8 @@ def read_capture(
             decoder.check_count(stack.count)
     mask = read_mask(settings.mask, stack.shape)
     unknown = settings.projector_response == AUTOMATIC
-    return CaptureParts(
-        patterns, stack, decoder, mask, {**description.provenance, **curve}, unknown
-    )
+    provenance = {**description.provenance, **curve}
+    return CaptureParts(patterns, stack, decoder, mask, provenance, unknown, description.projectors)
 
 
 def read_folders(
@@ -166,6 +165,7 @@ def write_capture(
     black_exposure: float | None = None,
     response: str = "linear",
     provenance: Mapping[str, Any] | None = None,
+    projectors: Sequence[tuple[int, int]] = (),
     write_extras: Callable[[Path], None] | None = None,
     overwrite: bool = False,
 ) -> None:
@@ -204,9 +204,8 @@ def write_capture(
         decoder = sensor.decoder()
         if black is not None:
             decoder = replace(decoder, black_frame=black, black_exposure=black_exposure)
-        write_description(
-            part, patterns, shape or (), decoder, response=response, provenance=provenance
-        )
+        about: dict[str, Any] = {"provenance": provenance, "projectors": projectors}
+        write_description(part, patterns, shape or (), decoder, response=response, **about)
         if write_extras is not None:
             write_extras(part)
 
@@ -220,6 +219,7 @@ def write_description(
     response: str | None = None,
     mask: NDArray[np.bool_] | None = None,
     provenance: Mapping[str, Any] | None = None,
+    projectors: Sequence[tuple[int, int]] = (),
     projector_unknown: bool = False,
 ) -> None:
     """Write all of a capture folder but its images: patterns, capture.json, the files it names.
@@ -267,6 +267,8 @@ def write_description(
     if response is None and (points := decoder.response.nameless) is not None:
         np.save(part / "response.npy", points)
         content["response"] = "curve:response.npy"
+    if projectors:
+        content["projectors"] = [list(size) for size in projectors]
     if projector_unknown:
         content["projector_response"] = AUTOMATIC
     (part / NAME).write_text(json.dumps(content, indent=2, default=jsonable) + "\n")

@@ -99,14 +99,6 @@ class FoundResponse:
         The projector's response, if it was found too by `find_projector_response`.
     projector_uncertainty : float
         Uncertainty of its gamma.
-
-    Examples
-    --------
-    >>> import lightmatrix as lm
-    >>> from lightmatrix.capture.found_response import FoundResponse
-    >>> found = FoundResponse(lm.Response.parse("gamma:2.2"), 2.2, 0.01, 0.36, 1)
-    >>> print(found)
-    gamma 2.20 +- 0.01
     """
 
     response: Response

@@ -260,31 +260,24 @@ class Reader:
         They are for exposure 1, in units of the clip level, as `Problem` takes them. Masked ones
         are 0 and have weight 0.
         """
-        samples = self._uncorrected(start, self.rows if stop is None else stop)
+        stop = self.rows if stop is None else min(stop, self.rows)
+        if self.known is not None:
+            samples = self.known.rows(slice(start, stop))
+        else:
+            if self.bin_camera == (1, 1):
+                samples = self.decoder.decode(self.levels(start, stop), first_row=start)
+            else:
+                samples = self._binned.rows(slice(start, stop))
+            valid, weights = self.valid[start:stop, None], frame_weights(self.exposures)
+            values, clipped = samples.values, samples.clipped
+            if not valid.all():
+                values, clipped = values * valid, clipped & valid
+                every = np.ones(self.frames.count, np.float32) if weights is None else weights
+                weights = valid * every
+            samples = Samples(values, clipped, samples.clip_level, weights)
         if self.correction is None:
             return samples
         return self.correction.applied(samples, start, self.camera_shape)
-
-    def _uncorrected(self, start: int, stop: int) -> Samples:
-        stop = min(stop, self.rows)
-        if self.known is not None:
-            return self.known.rows(slice(start, stop))
-        if self.bin_camera == (1, 1):
-            decoded = self.decoder.decode(self.levels(start, stop), first_row=start)
-        else:
-            decoded = self._binned.rows(slice(start, stop))
-        valid = self.valid[start:stop]
-        weights = frame_weights(self.exposures)
-        if valid.all():
-            return Samples(decoded.values, decoded.clipped, decoded.clip_level, weights)
-        if weights is None:
-            weights = np.ones(self.frames.count, np.float32)
-        return Samples(
-            decoded.values * valid[:, None],
-            decoded.clipped & valid[:, None],
-            decoded.clip_level,
-            valid[:, None] * weights,
-        )
 
     @computed_once
     def valid(self) -> NDArray[np.bool_]:
@@ -296,15 +289,6 @@ class Reader:
             starts = np.arange(0, valid.shape[axis], self.bin_camera[axis])
             valid = np.logical_or.reduceat(valid, starts, axis=axis)
         return valid.ravel()
-
-    def _strips(self) -> Iterator[tuple[slice, slice]]:
-        """Rows of a frame that are binned at a time, and the slice of their samples."""
-        height, *others = self.frames.shape
-        width = int(np.prod(others))
-        step = self.bin_camera[0] * max(1, _STRIP // (self.bin_camera[0] * width))
-        for start in range(0, height, step):
-            stop = min(start + step, height)
-            yield slice(start, stop), slice(start * width, stop * width)
 
     @computed_once
     def _valid_pixels(self) -> NDArray[np.bool_]:
@@ -365,10 +349,12 @@ class Reader:
         frames, down = self.frames, self.bin_camera[0]
         wide, narrow = (math.prod(shape[1:]) for shape in (frames.shape, self.camera_shape))
         if not isinstance(frames, PixelFrames):
+            step = down * max(1, _STRIP // (down * wide))
             for k, frame in enumerate(in_order(frames)):
-                for rows, pixels in self._strips():
-                    where = slice(rows.start // down * narrow, -(-rows.stop // down) * narrow)
-                    yield where, pixels.start, k, frame[rows].reshape(-1, 1)
+                for top in range(0, len(frame), step):
+                    end = min(top + step, len(frame))
+                    where = slice(top // down * narrow, -(-end // down) * narrow)
+                    yield where, top * wide, k, frame[top:end].reshape(-1, 1)
             return
         step = down * max(1, BLOCK_LEVELS // (frames.count * wide * down))
         for top in range(0, frames.shape[0], step):
@@ -390,3 +376,5 @@ class CaptureParts:
     provenance: Mapping[str, Any] = field(default_factory=dict)
     # Whether the patterns are grey values whose light is to be found in the frames.
     projector_unknown: bool = False
+    # Rows and columns of each of several projectors.
+    projectors: tuple[tuple[int, int], ...] = ()

@@ -113,12 +113,8 @@ def pack_capture(
         names = [frames.name(k) for k in range(count)]
         group.attrs.update({"format": FORMAT, "version": VERSION, "names": names})
         write_description(
-            part,
-            capture.patterns,
-            frames.shape,
-            capture.decoder,
-            mask=capture.mask,
-            provenance=provenance,
+            part, capture.patterns, frames.shape, capture.decoder, mask=capture.mask,
+            provenance=provenance, projectors=capture.projectors,
             projector_unknown=capture.projector_unknown,
-        )
+        )  # fmt: skip
         write_extras(part)

@@ -136,6 +136,7 @@ class Description:
     settings: ReadSettings = field(default_factory=ReadSettings)
     projector_shape: tuple[int, ...] | None = None
     camera_shape: tuple[int, ...] | None = None
+    projectors: tuple[tuple[int, int], ...] = ()
     provenance: Mapping[str, Any] = field(default_factory=dict)
     absent: frozenset[str] = frozenset()
 
@@ -164,20 +165,17 @@ def read_description(file: Path, *, allow_outside: bool = False) -> Description:
         path(curve_file(response))
     with errors_naming(file):
         settings = ReadSettings(
-            black=path(frame["file"]),
-            black_exposure=frame["exposure"],
-            black_level=values["black_level"],
-            clip=values["clip"],
-            full_scale=values["full_scale"],
+            black=path(frame["file"]), black_exposure=frame["exposure"],
+            black_level=values["black_level"], clip=values["clip"], full_scale=values["full_scale"],
             exposure=1.0 if values["exposure"] is None else values["exposure"],
             response=None if response is None else Response.parse(response, file.parent),
             projector_response=projector if projector == AUTOMATIC else path(projector),
-            mask=path(values["mask"]),
-            mosaic=bool(values["mosaic"]),
-        )
+            mask=path(values["mask"]), mosaic=bool(values["mosaic"]),
+        )  # fmt: skip
     absent = frozenset(KEYS.keys() - content.keys())
     shapes = values["projector_shape"], values["camera_shape"]
-    return Description(settings, *shapes, values["provenance"] or {}, absent)
+    projectors = values["projectors"] or ()
+    return Description(settings, *shapes, projectors, values["provenance"] or {}, absent)
 
 
 # How a value is read, to None if it is of another kind or out of range; and what may stand there.
@@ -233,6 +231,12 @@ def _shape(value: Any) -> tuple[int, ...] | None:
     return tuple(value) if whole and len(value) in (2, 3) else None
 
 
+def _sizes(value: Any) -> tuple[tuple[int, ...], ...] | None:
+    sizes = [_shape(size) for size in value] if isinstance(value, list) else []
+    good = len(sizes) > 1 and all(size is not None and len(size) == 2 for size in sizes)
+    return tuple(size for size in sizes if size) if good else None
+
+
 def _text(value: Any) -> str | None:
     return value if isinstance(value, str) and value and "\0" not in value else None
 
@@ -247,6 +251,7 @@ KEYS: dict[str, _Kind] = {
     "version": (_number, "the version of the format"),
     "projector_shape": (_shape, "two whole numbers, such as [64, 64]"),
     "camera_shape": (_shape, "two or three whole numbers, such as [480, 640]"),
+    "projectors": (_sizes, "rows and columns of each of several, such as [[64, 64], [48, 64]]"),
     "provenance": (_of(dict), "an object; anything may stand in it"),
     "patterns": (_of(list), "the digest of each pattern that was projected"),
     "mask": _IMAGE,

@@ -1,6 +1,6 @@
 """All checks of photographs as such, in memory or on disk, also of some that cannot be opened.
 
-Each check knows what those before it found. `lm.check` (`estimators/rig_findings.py`) adds what the
+Later checks use what earlier ones found. `lm.check` (`estimators/rig_findings.py`) adds what the
 rig did in the course of the capture.
 """
 
@@ -39,7 +39,8 @@ from lightmatrix.patterns.pattern_set import ImagePatterns, PatternSet
 from lightmatrix.patterns.stripes import is_separable
 from lightmatrix.resources.threads import one_blas_thread, side_by_side
 
-# Nothing is inferred from fewer frames, or from fewer camera pixels that can be predicted.
+# Frames are not compared with each other if there are fewer, or fewer camera pixels that can be
+# predicted: chance then looks like a fault.
 _FEWEST_FRAMES, _FEWEST_ROWS = 12, 20
 # If more than a quarter of the frames are odd, the cause is not in single frames.
 _MOST_ODD = 0.25
@@ -155,6 +156,7 @@ def _check_surveyed(survey: Survey, capture: Capture) -> list[Finding]:
 
     lattice = CodeLattice.of(survey)
     displaced = [] if lattice is None else check_code_order(lattice, names.__getitem__)
+    # Two frames may seem swapped for another reason, which what follows may find.
     two_swapped = len(displaced) == 1 and len(displaced[0].frames) == 2
     few = survey.count < _FEWEST_FRAMES or len(rows) < _FEWEST_ROWS
     if few or (displaced and not two_swapped):
@@ -257,7 +259,8 @@ def _check_by_pairs(
         return unrelated
     findings = check_plain_frames(survey, rows, names)
     of_pairs = check_pairs(survey, rows, pairs, names)
-    # One black or spoilt frame, and motion, look like a swap. It is one if all is well without it.
+    # One black or spoilt frame, and motion, look like a swap. It is one if pairs add up once both
+    # frames are exchanged.
     if disorder and of_pairs and not any("black" in each.message for each in of_pairs):
         order = np.arange(survey.count)
         for each in disorder:

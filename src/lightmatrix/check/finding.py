@@ -74,13 +74,6 @@ class Finding:
         What is wrong, and how it shows.
     advice : str
         What to do.
-
-    Examples
-    --------
-    >>> import lightmatrix as lm
-    >>> from lightmatrix.check.finding import Finding
-    >>> Finding("gain", (), "the light varied by 5 %", "use a steady lamp").kind
-    'gain'
     """
 
     kind: str

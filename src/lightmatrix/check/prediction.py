@@ -68,14 +68,10 @@ class FramePrediction:
     def rows(self, index: NDArray[np.bool_] | NDArray[np.integer]) -> FramePrediction:
         """The prediction of some rows."""
         return replace(
-            self,
-            observed=self.observed[index],
-            expected=self.expected[index],
-            trusted=self.trusted[index],
-            miss=self.miss[index],
-            places=tuple(place[index] for place in self.places),
-            part=self.part[index],
-        )
+            self, observed=self.observed[index], expected=self.expected[index],
+            trusted=self.trusted[index], miss=self.miss[index],
+            places=tuple(place[index] for place in self.places), part=self.part[index],
+        )  # fmt: skip
 
 
 def find_places(

@@ -109,14 +109,9 @@ def _without_board(
             raise InputError(f"--principal {principal}", hint=hint)
         axis = given[0], given[1]
     rig = lm.self_calibrate(
-        poses[0],
-        focal,
-        principal=axis,
-        baseline=length,
-        units=units,
-        output=output,
+        poses[0], focal, principal=axis, baseline=length, units=units, output=output,
         overwrite=overwrite,
-    )
+    )  # fmt: skip
     projector = float(rig.projector_intrinsics[0, 0])
     if as_json:
         rms = {f"rms_{name}": value for name, value in rig.rms.items()}

@@ -12,7 +12,7 @@ from lightmatrix.cli import options
 from lightmatrix.cli.options import described
 from lightmatrix.cli.terminal import Stages, progress, say, show_json
 from lightmatrix.defaults import MOST_FRAMES, RIG_FILE, USUAL_FRAMES
-from lightmatrix.files.kinds import STORE
+from lightmatrix.files.kinds import PROJECTOR_STORES, STORE
 from lightmatrix.files.writing import check_output
 
 
@@ -49,8 +49,8 @@ def capture(
     output: Path,
     count: int | None = None,
     rig: options.RigName = None,
-    projector: options.ProjectorName = None,
-    camera: options.CameraName = None,
+    projector: options.ProjectorNames = None,
+    camera: options.CameraNames = None,
     pattern_folder: Path | None = None,
     density: float | None = None,
     cell: int = 1,
@@ -68,39 +68,57 @@ def capture(
     """Photograph patterns with a rig; interrupted runs go on.
 
     The rig is measured first: settle time and flicker, which the rig file keeps, and the exposures
-    that the scene needs. Frames that are late, torn, lost or copied are taken again.
+    that the scene needs. Frames that are late, torn, lost or copied are taken again. Several
+    projectors show random patterns at once; several cameras photograph them in turn, each into a
+    folder of its own: camera-1, camera-2, ...
     """
     settings = lm.CaptureSettings(cell, exposure, settle, response, check, until)
     if count is None:
         count = USUAL_FRAMES if until is None else MOST_FRAMES
+    scene = None if rig is None else rig.partition(":")[2].partition(",")[0]
+    addresses: list[str | None] = [*camera] if camera else [None]
+    rigs = [(rig, one) for one in addresses]
+    if scene is not None and not camera and "camera=" not in str(rig):
+        rigs = [(f"{rig},camera={k}", None) for k in range(1, lm.devices_of(scene).cameras + 1)]
+    several = lm.devices_of(scene).projectors > 1 if scene is not None else len(projector or ()) > 1
+    kind = PROJECTOR_STORES if several else STORE
+
+    def place(path: Path, number: int) -> Path:
+        return path if len(rigs) == 1 else path / f"camera-{number}"
+
+    numbers = range(1, len(rigs) + 1)
     if store is not None:
-        check_output(store, STORE, overwrite=overwrite)
-    with lm.open_rig(rig, projector=projector, camera=camera) as opened, Stages() as shown:
-        captured = lm.take_capture(
-            output,
-            opened,
-            pattern_folder,
-            count=count,
-            density=density,
-            seed=seed,
-            settings=settings,
-            keep=rig_file,
-            overwrite=overwrite,
-            progress=shown.photographed,
-            measuring=shown.measured,
-        )
-    summary: dict[str, Any] = {"output": output, "clipped_share": captured.clipped_share}
-    summary |= captured.provenance
-    if not as_json:
-        _show(summary)
-    if store is not None:
-        with progress("estimating", "rows") as report:
-            transport = lm.estimate(captured, output=store, overwrite=overwrite, progress=report)
-        summary["estimate"] = {"output": store, **transport.summary()}
+        for number in numbers:
+            check_output(place(store, number), kind, overwrite=overwrite)
+    finished = {k for k in numbers if not overwrite and lm.Capture.lies_at(place(output, k))}
+    summaries: list[dict[str, Any]] = []
+    for number, (address, one) in zip(numbers, rigs, strict=True):
+        folder = place(output, number)
+        if number in finished and len(finished) < len(rigs):
+            # An interrupted run had finished this camera.
+            captured = lm.Capture.open(folder)
+        else:
+            own = rig_file if len(rigs) == 1 else rig_file.with_stem(f"{rig_file.stem}-{number}")
+            with lm.open_rig(address, projector=projector, camera=one) as opened, Stages() as shown:
+                captured = lm.take_capture(
+                    folder, opened, pattern_folder, count=count, density=density, seed=seed,
+                    settings=settings, keep=own, overwrite=overwrite,
+                    progress=shown.photographed, measuring=shown.measured,
+                )  # fmt: skip
+        summary: dict[str, Any] = {"output": folder, "clipped_share": captured.clipped_share}
+        summaries.append({**summary, **captured.provenance})
         if not as_json:
-            say(f"light transport matrix in {store}")
+            _show(summaries[-1])
+        if store is not None:
+            target = place(store, number)
+            with progress("estimating", "rows") as report:
+                written: dict[str, Any] = {"output": target, "overwrite": overwrite}
+                transport = lm.estimate(captured, **written, progress=report)
+            summaries[-1]["estimate"] = {"output": target, **transport.summary()}
+            if not as_json:
+                say(f"light transport matrix in {target}")
     if as_json:
-        show_json(summary)
+        show_json(summaries[0] if len(rigs) == 1 else {"output": output, "cameras": summaries})
 
 
 def _show(summary: dict[str, Any]) -> None:

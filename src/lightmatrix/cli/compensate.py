@@ -60,7 +60,7 @@ def compensate(
     refine: int | None = None,
     live: bool = False,
     rig: options.RigName = None,
-    projector: options.ProjectorName = None,
+    projector: options.ProjectorNames = None,
     camera: options.CameraName = None,
     settle: options.Settle = None,
     rig_file: options.RigFile = Path(RIG_FILE),

@@ -33,7 +33,6 @@ from lightmatrix.reprs import amount, labelled
 
 if TYPE_CHECKING:
     from lightmatrix import ColourTransport, LightTransport
-    from lightmatrix.estimators.resource_estimate import ResourceEstimate
 
 # What is written where no other name is given.
 _OUTPUT = Path("scene.zarr")
@@ -48,7 +47,8 @@ _reporting = functools.partial(Option, rich_help_panel="Check and report")
 
 @with_source()
 @described(
-    output="The store to write, ending in .zarr. For patterns in colour: a folder of three.",
+    output="The store to write, ending in .zarr. For patterns in colour, or several projectors, a "
+    "folder of stores.",
     solver=_solving(
         help="active-set (one-sided, rejection, linear; certifies a duality gap), "
         "saturation-admm (clipped, one-sided, rejection, linear), admm (linear), "
@@ -179,14 +179,16 @@ def estimate(
         set_by_user |= {**others, "correct": correct != "auto"}
         named = {f"--{name.replace('_', '-')}": value for name, value in set_by_user.items()}
         refuse(named, "patterns in colour")
+    if isinstance(capture.patterns, lm.ColourPatterns) or capture.projectors:
         if output == _OUTPUT:
             output = Path("scene")
         if output.suffix.lower() == ".zarr":
+            what = "several projectors" if capture.projectors else "patterns in colour"
             raise InputError(
-                f"{output} for patterns in colour, whose T is a folder of three stores",
+                f"{output} for {what}, whose T is a folder of stores",
                 hint=f"name a folder: -o {output.with_suffix('')}",
             )
-    else:
+    if not isinstance(capture.patterns, lm.ColourPatterns):
         _check_report(output, report, viewer, geometry, overwrite=overwrite)
     capture = capture.bin(projector=size(bin_projector), camera=size(bin_camera))
     if isinstance(capture.patterns, lm.ColourPatterns):
@@ -195,16 +197,15 @@ def estimate(
         return
     rig = None if geometry is None else lm.geometry_of(capture, geometry)
     if dry_run:
-        _show_resources(lm.estimate_resources(capture, settings), as_json)
+        needed = lm.estimate_resources(capture, settings)
+        free = f"{amount(needed.available)} are {'allowed' if needed.limited else 'free'}"
+        advice = [as_options(needed.advice)] if needed.advice else []
+        answer(as_json, needed.as_dict(), f"the estimate takes {needed} ({free})", *advice)
         return
     transport = lm.estimate(
-        capture,
-        **asdict(settings),
-        output=output,
-        overwrite=overwrite,
-        check=check,
+        capture, **asdict(settings), output=output, overwrite=overwrite, check=check,
         correct=correct if correct in ("auto", "none") else correct.split(","),
-    )
+    )  # fmt: skip
     seconds, outcome = round(time.perf_counter() - started, 2), None
     findings = transport.provenance["findings"]
     if report is not None:
@@ -278,14 +279,3 @@ def _show_colour(output: Path, colour: ColourTransport, seconds: float, as_json:
     names = ", ".join(f"{name}.zarr" for name in COLOURS)
     result |= judged_json(judged) | findings
     answer(as_json, result, *judged.lines(), f"{names} in {output}")
-
-
-def _show_resources(resources: ResourceEstimate, as_json: bool) -> None:
-    """Print the memory and time that the estimate would take, for --dry-run."""
-    if as_json:
-        show_json(resources.as_dict())
-        return
-    free = f"{amount(resources.available)} are {'allowed' if resources.limited else 'free'}"
-    say(f"the estimate takes {resources} ({free})", style=None if resources.fits else "yellow")
-    if resources.advice:
-        say(as_options(resources.advice))

@@ -38,14 +38,9 @@ def layers(
     They come near to far, up to three a camera pixel.
     """
     found = lm.layers(
-        scene,
-        geometry,
-        tolerance=tolerance,
-        least_probability=least_probability,
-        output=output,
-        picture=picture,
-        overwrite=overwrite,
-    )
+        scene, geometry, tolerance=tolerance, least_probability=least_probability, output=output,
+        picture=picture, overwrite=overwrite,
+    )  # fmt: skip
     one, two, three, mirrored = found.summary().values()
     answer(
         as_json,

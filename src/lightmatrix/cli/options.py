@@ -73,7 +73,15 @@ RigName = Annotated[
     Option("--rig", metavar="virtual:SCENE", help="A virtual rig, which needs no hardware."),
 ]
 ProjectorName = Annotated[str | None, Option("--projector", help="A projector, such as window:1.")]
+ProjectorNames = Annotated[
+    list[str] | None,
+    Option("--projector", help="A projector, such as window:1; repeat it for several at once."),
+]
 CameraName = Annotated[str | None, Option("--camera", help="A camera, such as aravis:ID.")]
+CameraNames = Annotated[
+    list[str] | None,
+    Option("--camera", help="A camera, such as aravis:ID; repeat it for several in turn."),
+]
 Settle = Annotated[
     float | None,
     Option(help="Seconds to wait after showing a picture.", show_default="as measured"),

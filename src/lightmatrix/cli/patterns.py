@@ -100,19 +100,9 @@ def patterns(
         made = lm.colour_bernoulli(size(shape), number, grey=grey, density=density, seed=seed)
     else:
         made = lm.make_patterns(
-            kind,
-            size(shape),
-            count,
-            density=density,
-            levels=levels,
-            mix=mix,
-            order=order,
-            permute=permute,
-            block=size(block),
-            inverse=inverse,
-            period=period,
-            seed=seed,
-        )
+            kind, size(shape), count, density=density, levels=levels, mix=mix, order=order,
+            permute=permute, block=size(block), inverse=inverse, period=period, seed=seed,
+        )  # fmt: skip
     lm.write_patterns(
         output,
         made,

@@ -62,20 +62,11 @@ def plan(
     """
     with progress("rendering", "paths") as report:
         advice = lm.plan(
-            source,
-            size=None if shape is None else size(shape),
-            frames=frames,
-            error=error,
-            noise=noise,
-            exposure=exposure,
-            shortest=shortest,
-            black=None if black is None else level_or_file(black),
-            clip=clip,
-            response=response,
-            output=output,
-            overwrite=overwrite,
-            progress=report,
-        )
+            source, size=None if shape is None else size(shape), frames=frames, error=error,
+            noise=noise, exposure=exposure, shortest=shortest,
+            black=None if black is None else level_or_file(black), clip=clip, response=response,
+            output=output, overwrite=overwrite, progress=report,
+        )  # fmt: skip
     if as_json:
         show_json(advice.as_dict())
         return

@@ -14,7 +14,10 @@ from lightmatrix.errors import InputError
 
 
 @options.described(
-    source=Argument(metavar="SHOWN", help="An image, a folder of images, or a video."),
+    source=Argument(
+        metavar="SHOWN",
+        help="An image, a folder of images, or a video; or an image for each projector.",
+    ),
     photograph=Option(
         "-o", "--photograph", help="Image of what the camera sees of the first picture."
     ),
@@ -28,8 +31,8 @@ from lightmatrix.errors import InputError
     ),
 )
 def project(
-    source: Path,
-    projector: options.ProjectorName = None,
+    source: list[Path],
+    projector: options.ProjectorNames = None,
     camera: options.CameraName = None,
     rig: options.RigName = None,
     photograph: Path | None = None,
@@ -55,21 +58,14 @@ def project(
     opened = (
         lm.open_rig(rig, projector=projector, camera=camera)
         if with_camera
-        else lm.open_projector(str(projector))
+        else lm.open_projector(projector or [])
     )
     try:
         lm.project(
-            opened,
-            source,
-            seconds=seconds,
-            fps=fps,
-            cell=cell,
-            projector_response=projector_response,
-            until=enter_was_pressed,
-            photograph=photograph,
-            keep=rig_file,
-            overwrite=overwrite,
-        )
+            opened, source[0] if len(source) == 1 else source, seconds=seconds, fps=fps, cell=cell,
+            projector_response=projector_response, until=enter_was_pressed, photograph=photograph,
+            keep=rig_file, overwrite=overwrite,
+        )  # fmt: skip
     finally:
         opened.close()
     if photograph is not None:

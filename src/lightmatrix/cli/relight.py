@@ -35,14 +35,9 @@ def relight(
     colour projector, give the folder of red.zarr, green.zarr and blue.zarr.
     """
     image = lm.relight(
-        scene,
-        pattern,
-        exposure=exposure,
-        gamma=gamma,
-        resize=resize,
-        output=output,
+        scene, pattern, exposure=exposure, gamma=gamma, resize=resize, output=output,
         overwrite=overwrite,
-    )
+    )  # fmt: skip
     clipped, peak = float((image > 1).mean()), float(image.max())
     note = f"; {100 * clipped:.1f} % of it is above full scale" if clipped else ""
     if clipped and output.suffix.lower() == ".png":

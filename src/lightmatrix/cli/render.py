@@ -44,15 +44,9 @@ def render(
     check_output(output, TRUTH, overwrite=overwrite)
     with progress(f"rendering {name}", "paths") as report:
         truth = lm.render(
-            name,
-            size(shape),
-            projector_size=None if projector is None else size(projector),
-            samples=samples,
-            seed=seed,
-            keep=keep,
-            colour=colour,
-            progress=report,
-        )
+            name, size(shape), projector_size=None if projector is None else size(projector),
+            samples=samples, seed=seed, keep=keep, colour=colour, progress=report,
+        )  # fmt: skip
     truth.save(output, overwrite=overwrite)
     entries = truth.matrix.nnz / truth.matrix.shape[0]
     share = float(truth.direct_data.sum() / max(truth.matrix.sum(), 1e-30))

@@ -59,14 +59,9 @@ def response(
         refuse({"--exposure": exposure, "--black": black}, "a projector's curve")
         grey = None if levels is None else numbers(levels, "--levels")
         ramp = lm.projector_response(
-            photographs,
-            [grey] if isinstance(grey, float) else grey,
-            response=camera,
-            clip=clip,
-            output=output,
-            picture=picture,
-            overwrite=overwrite,
-        )
+            photographs, [grey] if isinstance(grey, float) else grey, response=camera, clip=clip,
+            output=output, picture=picture, overwrite=overwrite,
+        )  # fmt: skip
         if as_json:
             show_json({"output": output, "picture": picture, "gamma": ramp.gamma})
             return
@@ -75,14 +70,10 @@ def response(
         return
     refuse({"--levels": levels, "--response": camera}, "a camera's curve")
     measured = lm.camera_response(
-        photographs,
-        None if exposure is None else numbers(exposure, "--exposure"),
-        black=None if black is None else level_or_file(black),
-        clip=clip,
-        output=output,
-        picture=picture,
-        overwrite=overwrite,
-    )
+        photographs, None if exposure is None else numbers(exposure, "--exposure"),
+        black=None if black is None else level_or_file(black), clip=clip, output=output,
+        picture=picture, overwrite=overwrite,
+    )  # fmt: skip
     if as_json:
         show_json({"output": output, "picture": picture, **measured.as_dict()})
         return

@@ -102,13 +102,9 @@ def _add_command(part: str) -> None:
         opened = lm.open_rig(rig, projector=projector, camera=camera)
         with opened, Stages() as shown:
             known = lm.measure_rig(
-                opened,
-                [part],
-                keep=rig_file,
-                settle=settle,
-                response=response,
+                opened, [part], keep=rig_file, settle=settle, response=response,
                 progress=shown.measured,
-            )
+            )  # fmt: skip
         measured: dict[str, Any] = known.as_dict()[part]
         if as_json:
             show_json({"rig_file": rig_file, part: measured})

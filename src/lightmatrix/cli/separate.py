@@ -33,13 +33,9 @@ def separate(
     confidence.npy and parallax.npy.
     """
     parts = lm.separate(
-        scene,
-        pattern=pattern,
-        epipolar=epipolar,
-        non_epipolar=non_epipolar,
-        output=output,
+        scene, pattern=pattern, epipolar=epipolar, non_epipolar=non_epipolar, output=output,
         overwrite=overwrite,
-    )
+    )  # fmt: skip
     direct, others = (
         float(part.sparse.data.sum(dtype=float) + part.background.sum(dtype=float))
         for part in (parts.direct, parts.global_)

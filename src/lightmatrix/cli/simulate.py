@@ -10,7 +10,7 @@ import typer
 
 import lightmatrix as lm
 from lightmatrix.cli.options import Json, Overwrite, Seed, described
-from lightmatrix.cli.terminal import answer, progress
+from lightmatrix.cli.terminal import progress, say, show_json
 from lightmatrix.defaults import EXPOSURES_EXAMPLE, USUAL_NOISE
 from lightmatrix.errors import InputError
 from lightmatrix.files.kinds import CAPTURE
@@ -74,36 +74,30 @@ def simulate(
 
     The command writes a capture folder, with the true T beside the frames as truth.npz. Camera and
     projector have the size of the patterns; the scene `procedural` has any that fits into memory.
+    Patterns for two projectors stand one above the other, 128x64 for 64x64 each; every camera has a
+    folder: camera-1, camera-2.
     """
-    check_output(output, CAPTURE, overwrite=overwrite)
-    with progress("simulating", "rows") as report:
-        capture = lm.simulate(
-            scene,
-            patterns,
-            exposure=exposure,
-            bits=bits,
-            noise=noise,
-            shot_noise=shot_noise,
-            full_well=full_well,
-            black_level=black_level,
-            blur=blur,
-            camera_blur=camera_blur,
-            leak=leak,
-            ambient=ambient,
-            vignetting=vignetting,
-            primary=primary,
-            faults=_amounts(fault or []),
-            seed=seed,
-            progress=report,
-        )
-        capture.save(output, overwrite=overwrite)
-    clipped = capture.raw_clipped_share
-    result = {"output": output, "frames": capture.count, "clipped_share": clipped}
-    answer(
-        as_json,
-        result | {"exposures": Counter(capture.exposures.tolist())},
-        f"{capture.count} frames in {output}, {100 * clipped:.1f} % of the samples clipped",
-    )
+    cameras = lm.devices_of(scene).cameras
+    places = [output] if cameras == 1 else [output / f"camera-{k}" for k in range(1, cameras + 1)]
+    for place in places:
+        check_output(place, CAPTURE, overwrite=overwrite)
+    summaries = []
+    for camera, place in enumerate(places, start=1):
+        with progress("simulating", "rows") as report:
+            capture = lm.simulate(
+                scene, patterns, camera=camera, exposure=exposure, bits=bits, noise=noise,
+                shot_noise=shot_noise, full_well=full_well, black_level=black_level, blur=blur,
+                camera_blur=camera_blur, leak=leak, ambient=ambient, vignetting=vignetting,
+                primary=primary, faults=_amounts(fault or []), seed=seed, progress=report,
+            )  # fmt: skip
+            capture.save(place, overwrite=overwrite)
+        clipped, exposures = capture.raw_clipped_share, Counter(capture.exposures.tolist())
+        about = {"frames": capture.count, "exposures": exposures, "clipped_share": clipped}
+        summaries.append({"output": place, **about})
+        if not as_json:
+            say(f"{capture.count} frames in {place}, {100 * clipped:.1f} % of the samples clipped")
+    if as_json:
+        show_json(summaries[0] if cameras == 1 else {"output": output, "cameras": summaries})
 
 
 def _amounts(faults: list[str]) -> dict[str, float]:

@@ -44,16 +44,9 @@ def triangulate(
     depth, and how probably it is right.
     """
     shape = lm.triangulate(
-        scene,
-        geometry,
-        tolerance=tolerance,
-        least_probability=least_probability,
-        output=output,
-        depth=depth,
-        picture=picture,
-        mesh=mesh,
-        overwrite=overwrite,
-    )
+        scene, geometry, tolerance=tolerance, least_probability=least_probability, output=output,
+        depth=depth, picture=picture, mesh=mesh, overwrite=overwrite,
+    )  # fmt: skip
     summary = shape.summary()
     units = f" {shape.geometry.units}" if shape.geometry.units else ""
     share = summary["points"] / shape.kept.size

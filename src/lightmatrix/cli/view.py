@@ -57,11 +57,6 @@ def view(
 
     with shown:
         lm.serve_viewer(
-            scene,
-            port=port,
-            browser=browser,
-            ready=ready,
-            progress=lambda *step: bar()(*step),
-            capture=capture,
-            geometry=geometry,
-        )
+            scene, port=port, browser=browser, ready=ready, progress=lambda *step: bar()(*step),
+            capture=capture, geometry=geometry,
+        )  # fmt: skip

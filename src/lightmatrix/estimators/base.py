@@ -26,7 +26,7 @@ from lightmatrix.solvers import Solver
 from lightmatrix.solvers.loop import Progress
 from lightmatrix.solvers.problem import Result, check_regularization
 from lightmatrix.transport.checkpoint import ROWS, Checkpoint
-from lightmatrix.transport.matrix import LightTransport
+from lightmatrix.transport.matrix import PROJECTORS, LightTransport
 from lightmatrix.transport.sparse_rows import SparseRows
 
 # The step of a T that takes the place of the one that was estimated.
@@ -151,7 +151,9 @@ def solver_provenance(solver: Solver) -> dict[str, Any]:
 
 def capture_provenance(capture: Capture) -> dict[str, Any]:
     """The patterns, the capture and the versions of everything, JSON-ready."""
+    sizes = {PROJECTORS: list(map(list, capture.projectors))} if capture.projectors else {}
     return {
+        **sizes,
         "patterns": capture.patterns.description,
         "pattern_digest": capture.patterns.digest,
         "capture_description": capture.description,

@@ -5,7 +5,7 @@ A tile of rows is solved six calls below it:
 1. `estimate` (here) checks the settings and the capture, and chooses the estimator (`choice.py`).
 2. `Estimator.estimate` (`base.py`) plans the work and opens the checkpoint.
 3. `complete` (`work.py`) goes through the steps of the work and their missing tiles.
-4. A method of `Rounds` (`coherent/rounds.py`) reads the samples of a tile and keeps its rows.
+4. A method of `Rounds` (`coherent/rounds.py`) reads the samples of a tile and returns its rows.
 5. `RowSolver.near` (`coherent/row_solver.py`) sets up the weighted problem of these rows.
 6. `solve_weighted` (`solvers/active_set.py`) hands it to the compiled core.
 
@@ -36,7 +36,7 @@ from lightmatrix.estimators.rig_findings import rig_findings
 from lightmatrix.estimators.settings import EstimateSettings
 from lightmatrix.estimators.unknown_response import find_projector_response, find_response
 from lightmatrix.estimators.workers import dask_pool
-from lightmatrix.files.kinds import STORE
+from lightmatrix.files.kinds import PROJECTOR_STORES, STORE
 from lightmatrix.files.writing import check_output
 from lightmatrix.patterns.colour import ColourPatterns
 from lightmatrix.patterns.projector_curve import ProjectorResponse
@@ -45,6 +45,7 @@ from lightmatrix.rig_model.model import RigModel
 from lightmatrix.rig_model.terms import TERMS
 from lightmatrix.solvers.loop import Progress
 from lightmatrix.transport.matrix import LightTransport, prediction_error
+from lightmatrix.transport.store import save_projectors
 
 
 def estimate(
@@ -118,7 +119,7 @@ def estimate(
         docs/clusters.md). They read the capture by its path.
     output : str or Path, optional
         A store (.zarr) to write as well. Finished tiles are kept beside it, so that an interrupted
-        run continues where it stopped.
+        run continues where it stopped. Of several projectors, a folder of stores instead.
     overwrite : bool
         Whether a complete store at `output` may be replaced.
     check : bool
@@ -139,7 +140,7 @@ def estimate(
     -------
     LightTransport
         With the share of clipped samples, gap, iterations and convergence of each row as
-        `diagnostics`.
+        `diagnostics`. Of several projectors, its `split` gives the matrix of each.
 
     Warns
     -----
@@ -166,26 +167,17 @@ def estimate(
     ((64, 64), 'one-sided')
     """
     settings = EstimateSettings(
-        solver,
-        fidelity,
-        regularization,
-        coherent,
-        multi_scale,
-        background,
-        signed,
-        iterations,
-        tile_rows,
-        memory,
-        workers,
-        cluster,
-    )
+        solver, fidelity, regularization, coherent, multi_scale, background, signed, iterations,
+        tile_rows, memory, workers, cluster,
+    )  # fmt: skip
     allowed = terms_to_correct(correct)
     capture = open_capture(capture)
     if isinstance(capture.patterns, ColourPatterns):
         hint = "use lm.estimate_colour, or `lightmatrix estimate`"
         raise InputError("patterns in several colours, of which T has three matrices", hint=hint)
+    folder = output if capture.projectors else None
     if output is not None:
-        check_output(output, STORE, overwrite=overwrite)
+        check_output(output, PROJECTOR_STORES if folder else STORE, overwrite=overwrite)
     if response is not None:
         known = Response.parse(response) if isinstance(response, str) else response
         capture = with_response(capture, known)
@@ -236,7 +228,7 @@ def estimate(
                 left = [name for name in TERMS if name not in allowed]
                 if prediction_error(first) is None:
                     left = list(TERMS)
-                elif left and RigModel().refined(capture, capture, transport, left) is None:
+                elif left and RigModel().refined(capture, capture, first, left) is None:
                     left = []
                 found = rig_findings(capture, findings, left) if check and left else []
                 if not (model.names or found):
@@ -248,13 +240,16 @@ def estimate(
                 kept += [each.as_dict() for each in found]
                 return replace(transport, provenance={**transport.provenance, FINDINGS: kept})
 
-            return run(
+            transport = run(
                 capture,
-                output=None if output is None else Path(output),
+                output=None if folder or output is None else Path(output),
                 overwrite=overwrite,
                 remarks={FINDINGS: [each.as_dict() for each in findings], **remarks},
                 review=without_faults,
             )
+    if folder is not None:
+        save_projectors(folder, transport, overwrite=overwrite)
+    return transport
 
 
 def _bar(title: str, shown: bool) -> AbstractContextManager[Any]:

@@ -23,16 +23,7 @@ from lightmatrix.resources.threads import core_threads
 
 @dataclass(frozen=True)
 class ResourceEstimate:
-    """The memory that an estimate takes at most, and the order of magnitude of its time.
-
-    Examples
-    --------
-    >>> import lightmatrix as lm
-    >>> capture = lm.simulate("metal", lm.BernoulliPatterns((64, 64), 32))
-    >>> resources = lm.estimate_resources(capture)
-    >>> resources.fits, resources.memory < 2**30
-    (True, True)
-    """
+    """The memory that an estimate takes at most, and the order of magnitude of its time."""
 
     # Bytes of memory at its peak, and of temporary files.
     memory: int
@@ -65,7 +56,12 @@ class ResourceEstimate:
         return "" if self.fits else advice
 
     def __str__(self) -> str:
-        time = "" if self.seconds is None else f", and {_time(self.seconds)}"
+        time = ""
+        if self.seconds is not None:
+            limits = {10: "seconds", 100: "about a minute", 1500: "some minutes"}
+            limits |= {7200: "about an hour", 86400: "hours"}
+            time = next((word for limit, word in limits.items() if self.seconds < limit), "days")
+            time = f", and {time}"
         disk = f", {amount(self.temporary)} of temporary files" if self.temporary else ""
         shared = f" ({self.workers} workers)" if self.workers > 1 else ""
         return f"up to {amount(self.memory)} of memory{shared}{disk}{time}"
@@ -152,15 +148,11 @@ def estimate_resources(
     while limit is not None and workers * memory(tile_bytes) > available and tile_bytes > 8 << 20:
         tile_bytes //= 2
     return ResourceEstimate(
-        workers * memory(tile_bytes),
-        workers * temporary,
-        _seconds(capture, coherent) if active_set else None,
-        available,
-        max(1, tile_bytes // max(1, row_bytes)),
-        coherent,
-        limit is not None and available == limit,
+        workers * memory(tile_bytes), workers * temporary,
+        _seconds(capture, coherent) if active_set else None, available,
+        max(1, tile_bytes // max(1, row_bytes)), coherent, limit is not None and available == limit,
         workers,
-    )
+    )  # fmt: skip
 
 
 def _is_grey(patterns: PatternSet) -> bool:
@@ -221,12 +213,3 @@ def _seconds(capture: Capture, coherent: bool) -> float:
         each = 300 * count + pixels * count / (2 if _is_grey(capture.patterns) else 64)
     # Python takes two seconds to start and to check.
     return 2 + capture.rows * each / 1e9 / core_threads()
-
-
-def _time(seconds: float) -> str:
-    """The order of magnitude of a time."""
-    words = ((10, "seconds"), (100, "about a minute"), (1500, "some minutes"))
-    for limit, word in (*words, (7200, "about an hour"), (86400, "hours")):
-        if seconds < limit:
-            return word
-    return "days"

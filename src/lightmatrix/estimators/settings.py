@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -12,12 +13,13 @@ from lightmatrix.ranges import check_at_least_one, check_number, check_whole
 from lightmatrix.resources.memory import memory_bytes
 from lightmatrix.solvers import ADMM, ROMP, ActiveSet, Fidelity, SaturationADMM, Solver
 
-# The solvers by name, each with the fidelity that it has unless the user asks for another.
-SOLVERS = {
-    "active-set": Fidelity.ONE_SIDED,
-    "saturation-admm": Fidelity.ONE_SIDED,
-    "admm": Fidelity.LINEAR,
-    "romp": Fidelity.REJECTION,
+# The solvers by name, each with the fidelity that it has unless the user asks for another, and with
+# the parameter that limits its iterations.
+SOLVERS: dict[str, tuple[Callable[..., Solver], Fidelity, str]] = {
+    "active-set": (ActiveSet, Fidelity.ONE_SIDED, "max_passes"),
+    "saturation-admm": (SaturationADMM, Fidelity.ONE_SIDED, "max_iterations"),
+    "admm": (ADMM, Fidelity.LINEAR, "max_iterations"),
+    "romp": (ROMP, Fidelity.REJECTION, "max_iterations"),
 }
 # The largest number of iterations that an estimate accepts. It is beyond what anybody can wait for
 # and fits into 32 bits.
@@ -107,19 +109,15 @@ class EstimateSettings:
     @cached_property
     def row_solver(self) -> Solver:
         """The solver with its fidelity and iteration limit."""
-        fidelity = SOLVERS[self.solver] if self.fidelity is None else Fidelity(self.fidelity)
-        limit = {} if self.iterations is None else {"max_iterations": self.iterations}
-        if self.solver == "active-set":
-            passes = ActiveSet.max_passes if self.iterations is None else self.iterations
-            return ActiveSet(fidelity, max_passes=passes)
-        if self.solver == "romp":
-            return ROMP(fidelity=fidelity, **limit)
-        if self.solver == "saturation-admm":
-            return SaturationADMM(fidelity=fidelity, **limit)
+        solver, usual, limit = SOLVERS[self.solver]
+        fidelity = usual if self.fidelity is None else Fidelity(self.fidelity)
+        limits = {} if self.iterations is None else {limit: self.iterations}
+        if solver is not ADMM:
+            return solver(fidelity=fidelity, **limits)
         if fidelity is not Fidelity.LINEAR:
             hint = "use the solver saturation-admm, or the fidelity linear"
             raise InputError(f"the solver admm cannot use the fidelity {fidelity}", hint=hint)
-        return ADMM(**limit)
+        return ADMM(**limits)
 
     @property
     def memory_limit(self) -> int | None:

@@ -1,4 +1,4 @@
-"""The names of colour channels, in the order of an image's last axis, and of their stores."""
+"""The names of colour channels, in the order of an image's last axis, and folders of stores."""
 
 from __future__ import annotations
 
@@ -7,6 +7,14 @@ from pathlib import Path
 from lightmatrix.paths import as_path
 
 COLOURS = ("red", "green", "blue")
+
+
+def stores_within(folder: str | Path) -> tuple[Path, ...]:
+    """The stores of the primaries of a colour projector, or of several projectors, in a folder."""
+    if holds_colour(folder):
+        return colour_paths(folder)
+    found = as_path(folder).glob("projector-*.zarr")
+    return tuple(sorted(found, key=lambda path: (len(path.name), path.name)))
 
 
 def holds_colour(folder: str | Path) -> bool:

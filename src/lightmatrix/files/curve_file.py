@@ -55,7 +55,13 @@ class CurveFile:
             hint = "`camera_response` measures cameras, `projector_response` projectors"
             raise InputError(f"{file}: is the response of a {other}, not of a {device}", hint=hint)
         levels, light = _numbers(content.get("levels")), _numbers(content.get("light"))
-        if levels is None or light is None or not _is_curve(levels, light):
+        if (
+            levels is None
+            or light is None
+            or len(levels) != len(light)
+            or not (levels[0] == 0 <= light[0] and light[-1] == 1)
+            or not ((np.diff(levels) > 0).all() and (np.diff(light) >= 0).all())
+        ):
             raise InputError(
                 f"{file}: holds no curve: levels that increase from 0, and light from 0 to 1",
                 hint="measure it again with `lightmatrix response`",
@@ -79,9 +85,3 @@ def _numbers(values: Any) -> NDArray[np.float64] | None:
     if any(type(value) not in (int, float) or abs(value) > 1e9 for value in values):
         return None
     return np.array(values, np.float64)
-
-
-def _is_curve(levels: NDArray[np.float64], light: NDArray[np.float64]) -> bool:
-    increases = len(levels) == len(light) and bool((np.diff(levels) > 0).all())
-    ends = levels[0] == 0 and light[0] >= 0 and light[-1] == 1
-    return bool(increases and ends and (np.diff(light) >= 0).all())

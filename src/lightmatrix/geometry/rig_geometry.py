@@ -475,15 +475,10 @@ class RigGeometry:
         camera = intrinsics_of(camera_intrinsics, camera_shape, "camera")
         projector = intrinsics_of(projector_intrinsics, projector_shape, "projector")
         return cls(
-            camera @ np.eye(3, 4),
-            projector @ np.column_stack([turn, moved]),
-            camera_shape,
-            projector_shape,
-            np.asarray(camera_distortion),
-            np.asarray(projector_distortion),
-            units,
+            camera @ np.eye(3, 4), projector @ np.column_stack([turn, moved]), camera_shape,
+            projector_shape, np.asarray(camera_distortion), np.asarray(projector_distortion), units,
             dict(rms or {}),
-        )
+        )  # fmt: skip
 
     @property
     def camera_intrinsics(self) -> NDArray[np.float64]:

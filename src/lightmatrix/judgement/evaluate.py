@@ -98,14 +98,6 @@ class ColourErrors:
         ||T_est - T||_F / ||T||_F over the three together.
     relighting_error : float
         Relative L2 error of linear, unclipped images under patterns in colour, averaged.
-
-    Examples
-    --------
-    >>> import lightmatrix as lm
-    >>> known = [lm.ProceduralScene((16, 16), (16, 16)).truth().transport()] * 3
-    >>> errors = lm.evaluate_colour(known, known)
-    >>> errors.green.relative_error, errors.relighting_error
-    (0.0, 0.0)
     """
 
     red: Errors

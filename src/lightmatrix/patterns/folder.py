@@ -143,12 +143,21 @@ def read_patterns(source: str | Path) -> PatternSet:
     entries = list_entries(place)
     # A stack in one file was not written from an operator.
     paths = [entry for entry in entries if isinstance(entry, Path)]
-    description = _read_description(place / DESCRIPTION) if paths else None
-    difference = None
-    if description is not None:
+    file, difference = place / DESCRIPTION, None
+    # A dangling link is an error, not a folder without a description.
+    if paths and os.path.lexists(file):
+        description = read_json(file, FORMAT, VERSION).get("description")
+        if not isinstance(description, dict):
+            hint = "remove it to read the patterns from their images"
+            raise InputError(f"{file}: holds no description of the patterns", hint=hint)
         # Patterns of another size might take all memory.
-        difference = _differing_size(description, paths)
-        with errors_naming(place / DESCRIPTION):
+        size = [*read_image(paths[0]).shape[:2]]
+        if description.get("kind") != PatternSet.kind:
+            if description.get("count", len(paths)) != len(paths):
+                difference = f"its {len(paths)} images are not"
+            elif description.get("shape", size) != size:
+                difference = f"{paths[0].name} is not among"
+        with errors_naming(file):
             operator = None if difference else remake_patterns(description)
         if operator is not None:
             difference = _first_difference(operator, paths)
@@ -239,27 +248,6 @@ def _greys(
                 "their photographs, into a folder of their own",
             )
         yield grey
-
-
-def _read_description(file: Path) -> dict[str, Any] | None:
-    # A dangling link is an error, not a folder without a description.
-    if not os.path.lexists(file):
-        return None
-    content = read_json(file, FORMAT, VERSION)
-    if not isinstance(content.get("description"), dict):
-        hint = "remove it to read the patterns from their images"
-        raise InputError(f"{file}: holds no description of the patterns", hint=hint)
-    return dict(content["description"])
-
-
-def _differing_size(description: dict[str, Any], paths: list[Path]) -> str | None:
-    """How a description differs from the images in count or size, in words; None if it does not."""
-    if description.get("kind") == PatternSet.kind:
-        return None
-    if description.get("count", len(paths)) != len(paths):
-        return f"its {len(paths)} images are not"
-    size = [*read_image(paths[0]).shape[:2]]
-    return None if description.get("shape", size) == size else f"{paths[0].name} is not among"
 
 
 def _first_difference(operator: PatternSet, paths: list[Path]) -> str | None:

@@ -174,13 +174,6 @@ class Advice:
         of fewer frames than were measured.
     commands : tuple of str
         Commands to run.
-
-    Examples
-    --------
-    >>> import lightmatrix as lm
-    >>> advice = lm.plan("metal", size=(64, 64), error=0.02)
-    >>> advice.frames, advice.exposure, advice.make_patterns().count
-    (64, '0.587:0.75,0.146:0.25', 64)
     """
 
     source: str

@@ -122,15 +122,10 @@ def validate(
         return np.ascontiguousarray((values * exposures).T).reshape(-1, *tested.camera_shape)
 
     return Validation(
-        frames,
-        images(samples.values),
-        images(predictions),
-        counted.T.reshape(-1, *tested.camera_shape),
-        error(predictions),
-        error(baseline),
-        len(others),
-        region,
-    )
+        frames, images(samples.values), images(predictions),
+        counted.T.reshape(-1, *tested.camera_shape), error(predictions), error(baseline),
+        len(others), region,
+    )  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False)

@@ -221,16 +221,6 @@ class CameraResponse:
         For a colour camera, the largest difference between the curves of its channels, in light.
     residuals : (2, n) float64
         Middles of the ranges of light, and the means of which `misfit` is the largest.
-
-    Examples
-    --------
-    >>> import lightmatrix as lm
-    >>> from lightmatrix.responses.curves import CameraResponse
-    >>> light = np.geomspace(0.002, 1, 4000).reshape(50, 80)
-    >>> photographs = [np.rint(255 * np.clip(e * light, 0, 1)) for e in (0.25, 1, 4)]
-    >>> measured = lm.camera_response(np.array(photographs, np.uint8), [0.25, 1, 4])
-    >>> isinstance(measured, CameraResponse), abs(measured.gamma - 1) < 0.02
-    (True, True)
     """
 
     response: Response

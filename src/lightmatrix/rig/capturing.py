@@ -36,6 +36,7 @@ from lightmatrix.patterns.pattern_set import PatternSet
 from lightmatrix.ranges import as_float, whole
 from lightmatrix.reprs import percent
 from lightmatrix.rig.devices.base import exposure_limits
+from lightmatrix.rig.devices.several import pattern_sizes
 from lightmatrix.rig.photograph import Photographer, take_references
 from lightmatrix.rig.rig import ProjectedPatterns, Rig
 from lightmatrix.rig.rig_measurements import RigMeasurements, kept_measurements, measure_rig
@@ -176,6 +177,7 @@ class CaptureSettings:
 
     def check_rig(self, rig: Rig) -> None:
         """Refuse settings that a rig does not have."""
+        pattern_sizes(rig.projector, self.cell)
         shortest, longest = exposure_limits(rig.camera)
         if self.exposure is not None and not shortest <= self.exposure <= longest:
             hint = f"the camera has {shortest:g} to {longest:g} s"
@@ -261,6 +263,15 @@ def take_capture(
     if patterns is not None:
         # Patterns that do not fit are refused before anything is measured.
         ProjectedPatterns(patterns, screen, cell)
+        if pattern_sizes(rig.projector, cell) and patterns.shape != (
+            screen[0] // cell,
+            screen[1] // cell,
+        ):
+            raise InputError(
+                f"patterns of {patterns.shape}, for several projectors of {screen} in all",
+                hint=f"make patterns of {screen[0] // cell}x{screen[1] // cell}, which hold those "
+                "of all projectors, one above the other",
+            )
     with claimed(output, LIVE_CAPTURE, overwrite=overwrite) as target:
         known = kept_measurements(rig, keep)
         # The exposures are those of the scene, and only grey patterns need the response.
@@ -269,13 +280,9 @@ def take_capture(
         parts += ["response"] if patterns is not None and patterns.as_bits() is None else []
         if parts or settings.settle is not None:
             known = measure_rig(
-                rig,
-                parts,
-                keep=keep,
-                settle=settings.settle,
-                response=settings.response,
+                rig, parts, keep=keep, settle=settings.settle, response=settings.response,
                 progress=measuring,
-            )
+            )  # fmt: skip
         if patterns is None:
             if density is None:
                 density = 0.5 if known.exposure is None else known.exposure.density
@@ -345,15 +352,9 @@ def _begin(
             hint="put the rig back as it was, or begin anew: overwrite=True",
         )
     return CaptureSession(
-        photographer,
-        record,
-        patterns,
-        projected.image,
-        seconds,
-        references,
-        check=settings.check,
+        photographer, record, patterns, projected.image, seconds, references, check=settings.check,
         progress=progress,
-    )
+    )  # fmt: skip
 
 
 def _write(
@@ -421,6 +422,7 @@ def _write(
         black_exposure=float(np.round(references.black.exposure / longest, 9)),
         response=settings.response if curve is None else f"curve:{Path(curve).name}",
         provenance=provenance,
+        projectors=pattern_sizes(session.photographer.rig.projector, settings.cell),
         write_extras=write_extras,
         overwrite=overwrite,
     )

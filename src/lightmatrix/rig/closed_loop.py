@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -18,16 +18,16 @@ from lightmatrix.files.writing import check_output
 from lightmatrix.patterns.pattern_set import ImagePatterns
 from lightmatrix.reprs import short_repr
 from lightmatrix.rig.devices.base import set_exposure
+from lightmatrix.rig.devices.several import pattern_sizes, stacked
 from lightmatrix.rig.photograph import (
     AveragedFrame,
     Photographer,
-    WhiteAndBlack,
     find_white_and_black,
     take_average,
     take_white_and_black,
 )
 from lightmatrix.rig.rig import ProjectedPatterns, Rig, UnfitRigError
-from lightmatrix.rig.rig_measurements import RigMeasurements, measure_rig
+from lightmatrix.rig.rig_measurements import measure_rig
 from lightmatrix.uses.compensation import (
     Compensation,
     Compensator,
@@ -159,7 +159,10 @@ def refine_compensation(
     if output is not None:
         check_output(output, IMAGE, overwrite=overwrite)
     shared = compensator(transport, mask=mask, projector_mask=projector_mask)
-    shared.light.check_single()
+    count, several = len(shared.light.matrices), len(pattern_sizes(rig.projector)) or 1
+    if count != several:
+        hint = "give the matrix of each projector of the rig"
+        raise InputError(f"{count} matrices, for a rig of {several} projectors", hint=hint)
     if response is None:
         captured = shared.light.matrices[0].provenance.get("capture_description")
         response = captured.get("response") if isinstance(captured, Mapping) else None
@@ -167,7 +170,7 @@ def refine_compensation(
     samples = wanted_samples(wanted, shared.light.camera_shape, gamma=gamma, fit=fit)
     if brightness is None:
         brightness = shared.automatic_brightness(samples)
-    loop = _ClosedLoop.begin(rig, shared, curve, keep, settle, measuring)
+    loop = _ClosedLoop(rig, shared, curve, keep, settle, measuring)
     target = np.float32(brightness) * samples * shared.white_point
     asked, found = target, shared.reaching(target, brightness)
     # Samples that no pattern reaches would pull their neighbours further with every step.
@@ -178,7 +181,7 @@ def refine_compensation(
         if step:
             start = np.concatenate([pattern.ravel() for pattern in found.patterns])
             found = shared.reaching(target, brightness, start=start, asked=asked)
-        seen = loop.photograph(found.pattern)
+        seen = loop.photograph(found.patterns)
         missed = np.where(counted, target - seen, 0)
         mean_square = float(np.mean((missed[counted] / found.scale) ** 2))
         errors.append(-10 * float(np.log10(max(mean_square, 1e-12))))
@@ -191,51 +194,42 @@ def refine_compensation(
         if progress is not None:
             progress(step + 1, steps + 1)
     assert best is not None
-    found = replace(best[0], encoding=(loop.known.response,))
+    found = replace(best[0], encoding=(loop.known.response,) * len(found.patterns))
     if output is not None:
         write_shown(output, found.encoded, overwrite=overwrite)
     photograph = best[1].reshape(shared.light.camera_shape)
     return RefinedCompensation(found, photograph, np.array(errors))
 
 
-@dataclass(frozen=True, eq=False)
 class _ClosedLoop:
     """A rig that is ready to photograph patterns in the units of T."""
 
-    photographer: Photographer
-    known: RigMeasurements
-    curve: Response
-    whites: WhiteAndBlack
-    # Light of a photograph, as a share of the clip level, for each unit of T.
-    unit: float
-
-    @classmethod
-    def begin(
-        cls,
+    def __init__(
+        self,
         rig: Rig,
         shared: Compensator,
         curve: str,
         keep: str | Path | None,
         settle: float | None,
         measuring: Callable[[str, int, int], None] | None,
-    ) -> _ClosedLoop:
+    ) -> None:
         """Measure the rig, choose an exposure, and compare white with what T says of it."""
         parts = "flicker", "response"
-        known = measure_rig(
+        self.known = known = measure_rig(
             rig, parts, keep=keep, settle=settle, response=curve, progress=measuring
         )
         assert known.settle is not None
         assert known.flicker is not None
-        photographer = Photographer(rig, known.settle.seconds)
+        self.photographer = photographer = Photographer(rig, known.settle.seconds)
         whites = rig.persistently(lambda: find_white_and_black(photographer))
         exposure, period = whites.exposure, known.flicker.period
         if period:
             exposure = max(1, round(exposure / period)) * period
         exposure = set_exposure(rig.camera, exposure)
         whites = rig.persistently(lambda: take_white_and_black(photographer, exposure, _FRAMES))
-        camera = Response.parse(curve)
-        loop = cls(photographer, known, camera, whites, 1.0)
-        light = loop.light(whites.white)
+        # Light of a photograph, as a share of the clip level, for each unit of T.
+        self.curve, self.whites, self.unit = Response.parse(curve), whites, 1.0
+        light = self.light(whites.white)
         if light.size != shared.light.white.size:
             raise InputError(
                 f"a matrix of a camera of shape {shared.light.camera_shape}, for a camera of shape "
@@ -245,13 +239,12 @@ class _ClosedLoop:
         # Clipped samples are too dark.
         counted = shared.lit & (whites.white.mean.ravel() < 0.95 * whites.white.clip_level)
         expected = shared.light.white[counted]
-        unit = float(light[counted] @ expected / max(float(expected @ expected), 1e-30))
-        if not unit > 0:
+        self.unit = float(light[counted] @ expected / max(float(expected @ expected), 1e-30))
+        if not self.unit > 0:
             raise UnfitRigError(
                 "the white photograph has nothing in common with the matrix",
                 hint="give the matrix that this rig measured of this scene",
             )
-        return cls(photographer, known, camera, whites, unit)
 
     def light(self, frame: AveragedFrame) -> NDArray[np.float32]:
         """Light of the projector in a frame, (M,), in the units of T."""
@@ -259,9 +252,11 @@ class _ClosedLoop:
         light = self.curve.linearise(frame.mean / top) - self.curve.linearise(black / top)
         return np.asarray(light.ravel() / self.unit, np.float32)
 
-    def photograph(self, pattern: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Show a pattern and photograph it: its light, (M,), in the units of T."""
+    def photograph(self, patterns: Sequence[NDArray[np.float32]]) -> NDArray[np.float32]:
+        """Show the pattern of each projector and photograph: the light, (M,), in the units of T."""
         rig = self.photographer.rig
+        sizes = pattern_sizes(rig.projector)
+        pattern = stacked(patterns, sizes) if sizes else patterns[0]
         shown = ProjectedPatterns(
             ImagePatterns(pattern[None]), rig.projector.shape, response=self.known.response
         )

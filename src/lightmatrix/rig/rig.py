@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -53,14 +53,6 @@ class Rig:
         The T that a virtual rig shows, at an exposure of `unit` seconds.
     unit : float
         Seconds.
-
-    Examples
-    --------
-    >>> import lightmatrix as lm
-    >>> with lm.open_rig("virtual:l_objects,real=0") as rig:
-    ...     frame = rig.camera.get_image(timeout=1.0)
-    >>> frame.data.shape, rig.projector.shape
-    ((64, 64), (64, 64))
     """
 
     projector: Projector
@@ -127,7 +119,7 @@ class Rig:
 def open_rig(
     rig: str | VirtualSettings | None = None,
     *,
-    projector: str | None = None,
+    projector: str | Sequence[str] | None = None,
     camera: str | None = None,
 ) -> Rig:
     """Open a projector and a camera, or a virtual rig.
@@ -137,7 +129,8 @@ def open_rig(
     rig : str or VirtualSettings, optional
         ``virtual:SCENE``, or ``virtual:SCENE,name=value,...``; see `VirtualSettings`.
     projector, camera : str, optional
-        Instead: addresses of devices, such as ``window:1`` and ``aravis:ID``.
+        Instead: addresses of devices, such as ``window:1`` and ``aravis:ID``. Several projectors
+        become one, whose picture holds those of all, one above the other.
 
     Returns
     -------
@@ -160,7 +153,7 @@ def open_rig(
     Rig(virtual:metal, virtual:metal)
     """
     if rig is None:
-        if projector is None or camera is None:
+        if not projector or camera is None:
             raise InputError(
                 "there is no rig to photograph with",
                 hint="give a rig, virtual:l_objects, or a projector and a camera; "
@@ -173,7 +166,7 @@ def open_rig(
         except BaseException:
             first.close()
             raise
-    elif projector is not None or camera is not None:
+    elif projector or camera is not None:
         hint = "a virtual rig has both; give one or the other"
         raise InputError("a rig and a projector or a camera", hint=hint)
     return _virtual(rig if isinstance(rig, VirtualSettings) else parse_settings(rig))
@@ -184,7 +177,7 @@ def _virtual(settings: VirtualSettings) -> Rig:
     if settings.scene == PROCEDURAL:
         truth = ProceduralScene(size, size, settings.seed).truth()
     else:
-        truth = library.truth(settings.scene, size)
+        truth = library.truth(settings.scene, size, camera=settings.camera)
     clock = SimulatedClock() if not settings.real else Clock()
     light = VirtualLight(truth, realism.ambient(truth, settings.room), settings)
     camera = VirtualCamera(light, clock)

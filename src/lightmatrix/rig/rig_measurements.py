@@ -197,32 +197,24 @@ def measure_flicker(rig: Rig, whites: WhiteAndBlack, settle: float, report: _Rep
     (times, bright), (_, dark) = series
     level = float(np.median(bright) - np.median(dark))
     refresh = float(rig.projector.info().get("refresh") or 60.0)
-    amplitude, frequency = 0.0, 0.0
+    amplitude, frequency, light = 0.0, 0.0, bright / level
     for candidate in dict.fromkeys((100.0, 120.0, refresh, 2 * refresh)):
-        wave, error = _wave(times - exposure / 2, bright / level, candidate)
-        # The exposure averages the wave.
-        wave /= max(abs(float(np.sinc(candidate * exposure))), 0.05)
+        phase = 2 * np.pi * candidate * (times - times[0])
+        basis = np.column_stack([np.cos(phase), np.sin(phase), np.ones_like(phase)])
+        apart = basis[:, :2] - basis[:, :2].mean(axis=0)
+        # The camera's own rhythm may hide a frequency.
+        if np.linalg.svd(apart, compute_uv=False)[-1] < 0.15 * np.sqrt(len(times)):
+            continue
+        waves, *_ = np.linalg.lstsq(basis, light, rcond=None)
+        # Amplitude and its standard error. The exposure averages the wave.
+        rest = ((light - basis @ waves) ** 2).sum()
+        error = float(np.sqrt(rest / max(1, len(times) - 3) * 2 / len(times)))
+        wave = float(np.hypot(*waves[:2])) / max(abs(float(np.sinc(candidate * exposure))), 0.05)
         # Five virtual rigs without flicker show none above 0.4 % and four standard errors. If two
         # frequencies fit, the one tried first wins.
         if wave > max(0.004, 4 * error, 1.1 * amplitude):
             amplitude, frequency = wave, candidate
     return Flicker(amplitude, frequency, float(bright.std()) / level, float(dark.std()) / level)
-
-
-def _wave(
-    times: NDArray[np.float64], light: NDArray[np.float64], frequency: float
-) -> tuple[float, float]:
-    """Amplitude of a frequency in a series, and its standard error."""
-    phase = 2 * np.pi * frequency * (times - times[0])
-    basis = np.column_stack([np.cos(phase), np.sin(phase), np.ones_like(phase)])
-    spread = basis[:, :2] - basis[:, :2].mean(axis=0)
-    # The camera's own rhythm may hide a frequency.
-    if np.linalg.svd(spread, compute_uv=False)[-1] < 0.15 * np.sqrt(len(times)):
-        return 0.0, 0.0
-    waves, *_ = np.linalg.lstsq(basis, light, rcond=None)
-    rest = light - basis @ waves
-    error = float(np.sqrt((rest**2).sum() / max(1, len(times) - 3) * 2 / len(times)))
-    return float(np.hypot(*waves[:2])), error
 
 
 @dataclass(frozen=True)
@@ -283,14 +275,10 @@ def measure_exposure(
             )
     seconds_used = tuple(sorted(possible, reverse=True))
     return ExposureAdvice(
-        seconds_used,
-        advise_density(frame, advised),
-        tuple(clipped_share(frame, exposure) for exposure in seconds_used),
-        noise,
-        pedestal,
-        period,
+        seconds_used, advise_density(frame, advised),
+        tuple(clipped_share(frame, exposure) for exposure in seconds_used), noise, pedestal, period,
         tuple(warnings),
-    )
+    )  # fmt: skip
 
 
 def measure_response(

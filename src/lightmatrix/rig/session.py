@@ -70,14 +70,9 @@ class CaptureRecord:
         """
         settings = json.loads(json.dumps(dict(wanted), default=jsonable))
         results = RunningResults.resume(
-            target,
-            PARTIAL,
-            settings,
-            file=_STATE,
-            key="wanted",
-            contents="frames of another capture",
-            overwrite=overwrite,
-        )
+            target, PARTIAL, settings, file=_STATE, key="wanted",
+            contents="frames of another capture", overwrite=overwrite,
+        )  # fmt: skip
         content = results.read_object(_STATE)
         if content is None:
             return cls(results, settings, SessionState())

@@ -21,6 +21,7 @@ from lightmatrix.patterns.pattern_set import to_grey
 from lightmatrix.patterns.projector_curve import ProjectorResponse
 from lightmatrix.ranges import check_number, check_whole
 from lightmatrix.rig.devices.base import Clock, Projector, size_in_words
+from lightmatrix.rig.devices.several import pattern_sizes, stacked
 from lightmatrix.rig.photograph import Photographer, find_white_and_black, take_average
 from lightmatrix.rig.rig import Rig, on_screen
 from lightmatrix.rig.rig_measurements import measure_rig
@@ -28,7 +29,7 @@ from lightmatrix.rig.rig_measurements import measure_rig
 
 def project(
     device: Rig | Projector,
-    source: NDArray[Any] | str | Path,
+    source: NDArray[Any] | str | Path | list[str | Path] | list[Path],
     *,
     seconds: float | None = None,
     fps: float | None = None,
@@ -50,7 +51,8 @@ def project(
         See `open_rig` and `open_projector`.
     source : array, str or Path
         (rows, cols[, 3]) in [0, 1], an image file, a folder of images in natural order, or a video
-        file. Folders and videos begin anew at their end.
+        file. Folders and videos begin anew at their end. Of several projectors, a list of a picture
+        for each.
     seconds : float, optional
         How long, above 0. None: until a key is pressed in the projector's window, or `until`.
     fps : float, optional
@@ -103,6 +105,10 @@ def project(
     curve = projector_response
     if isinstance(curve, str | Path):
         curve = ProjectorResponse.parse(curve)
+    if isinstance(source, list):
+        lights = [given_image("a picture", one, read_light) for one in source]
+        sizes = pattern_sizes(projector, cell) or [lights[0].shape[:2]]
+        source = stacked(lights, sizes)
     pictures, rate = _pictures(source)
     shown = (_on_screen(picture, projector.shape, cell, curve) for picture in pictures)
     if photograph is not None:

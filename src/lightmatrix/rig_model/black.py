@@ -31,6 +31,8 @@ class Black(Term):
         missed = (seen.left**2).sum(axis=1) / np.maximum(seen.free, 1)
         level, scatter = seen.constants
         known = np.flatnonzero((seen.free >= 3) & (dark > 0) & (scatter > 0))
+        if not known.size:
+            return None
         weight = (1 / (scatter * (missed + np.median(missed))))[known]
         level, dark = level[known], dark[known]
         # Groups of pixels that lie beside each other, since there are dark ones in some.

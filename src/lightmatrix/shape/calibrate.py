@@ -238,17 +238,10 @@ def _fit(
         guess = flags | cv2.CALIB_USE_INTRINSIC_GUESS
         fits.append(cv2.calibrateCamera(objects, lit, wide, start, None, flags=guess))
     answer = cv2.stereoCalibrateExtended(
-        objects,
-        seen,
-        lit,
-        *camera_start,
-        *min(fits, key=lambda fit: float(fit[0]))[1:3],
-        camera_shape[::-1],
-        None,
-        None,
-        flags=flags | cv2.CALIB_USE_INTRINSIC_GUESS,
+        objects, seen, lit, *camera_start, *min(fits, key=lambda fit: float(fit[0]))[1:3],
+        camera_shape[::-1], None, None, flags=flags | cv2.CALIB_USE_INTRINSIC_GUESS,
         criteria=(cv2.TERM_CRITERIA_COUNT + cv2.TERM_CRITERIA_EPS, 200, 1e-9),
-    )
+    )  # fmt: skip
     camera, camera_lens, projector, projector_lens, turn, shift = answer[1:7]
     projector[:2, 2] -= border
 
@@ -698,14 +691,9 @@ def self_calibrate(
         if principal is not None:
             camera_intrinsics[:2, 2] = principal
     camera = RigGeometry.from_intrinsics(
-        camera_intrinsics,
-        _centred(max(projector_shape), projector_shape),
-        np.eye(3),
-        (1, 0, 0),
-        (rows, cols),
-        projector_shape,
-        camera_distortion=camera_distortion,
-    )
+        camera_intrinsics, _centred(max(projector_shape), projector_shape), np.eye(3), (1, 0, 0),
+        (rows, cols), projector_shape, camera_distortion=camera_distortion,
+    )  # fmt: skip
     seen = camera.undistort_camera(seen)
     finite = np.isfinite(seen).all(axis=1)
     seen, lit = seen[finite], lit[finite]
@@ -735,14 +723,9 @@ def self_calibrate(
             matrix, seen, own, camera.camera_intrinsics, known, projector_shape, free
         )
         rig = RigGeometry.from_intrinsics(
-            camera.camera_intrinsics,
-            *pose[:2],
-            pose[2] * baseline,
-            (rows, cols),
-            projector_shape,
-            camera_distortion=camera_distortion,
-            units=units,
-        )
+            camera.camera_intrinsics, *pose[:2], pose[2] * baseline, (rows, cols), projector_shape,
+            camera_distortion=camera_distortion, units=units,
+        )  # fmt: skip
         away = sampson(rig.fundamental_matrix(), seen, own)
         rms = {"epipolar": float(np.sqrt((away**2).mean()))}
         if known is None:

@@ -147,13 +147,9 @@ def depth_map(depth: NDArray[np.floating], units: str | None) -> Map:
     # A plane that faces the camera has one depth only.
     high = max(high, low + 1e-6 * max(1.0, abs(low)))
     return Map(
-        "Depth along the camera's axis",
-        units or "unit of the geometry",
-        depth.astype(np.float64),
-        low,
-        high,
-        "viridis_r",
-    )
+        "Depth along the camera's axis", units or "unit of the geometry", depth.astype(np.float64),
+        low, high, "viridis_r",
+    )  # fmt: skip
 
 
 def normal_colours(normals: NDArray[np.floating]) -> NDArray[np.float64]:
@@ -220,14 +216,6 @@ class Shape:
         Its distance from the line, in projector pixels.
     geometry : RigGeometry
         Of images of these sizes.
-
-    Examples
-    --------
-    >>> import lightmatrix as lm
-    >>> known = lm.truth("l_objects")
-    >>> shape = lm.triangulate(known.transport(), known.geometry)
-    >>> bool(np.nanmedian(np.abs(shape.depth - known.depth)) < 0.01)
-    True
     """
 
     depth: NDArray[np.float32]

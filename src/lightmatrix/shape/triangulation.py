@@ -117,17 +117,12 @@ def triangulate(
 
     depths, points = mapped(seen.depth[chosen]), mapped(seen.points[chosen])
     shape = Shape(
-        depths,
-        points,
-        surface_normals(points, depths, rig),
-        light.astype(np.float32).reshape(grid),
-        mapped(uncertainty),
-        found.astype(np.float32).reshape(grid),
-        test.reshape(grid),
-        place.astype(np.float32).reshape(*grid, 2),
-        np.abs(away).astype(np.float32).reshape(grid),
+        depths, points, surface_normals(points, depths, rig),
+        light.astype(np.float32).reshape(grid), mapped(uncertainty),
+        found.astype(np.float32).reshape(grid), test.reshape(grid),
+        place.astype(np.float32).reshape(*grid, 2), np.abs(away).astype(np.float32).reshape(grid),
         rig,
-    )
+    )  # fmt: skip
     if outputs and not shape.kept.any():
         raise InputError(
             f"no point is found; pixels by the test that they fail: {shape.summary()['pixels']}",

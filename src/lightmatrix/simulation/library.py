@@ -20,7 +20,7 @@ from lightmatrix.paths import as_path
 from lightmatrix.reprs import html_table
 from lightmatrix.simulation.procedural import ProceduralScene
 from lightmatrix.simulation.renderer import Progress, render
-from lightmatrix.simulation.scenes import Scene, names, scene
+from lightmatrix.simulation.scenes import Scene, names, scene, seen_by
 from lightmatrix.simulation.truth import Truth, view_geometry
 
 
@@ -59,6 +59,7 @@ def truth(
     name: str | Path | Truth,
     size: tuple[int, int] = BUNDLED_SIZE,
     *,
+    camera: int = 1,
     samples: int | None = None,
     seed: int = 0,
     progress: Progress | None = None,
@@ -72,7 +73,10 @@ def truth(
         "procedural", which needs no renderer. Or a truth file, T.npz; or a simulated capture. A
         truth is returned unchanged.
     size : (rows, cols)
-        Camera and projector size of a scene. Bundled scenes have 64 x 64.
+        Camera and projector size of a scene; each of several projectors has it. Bundled scenes have
+        64 x 64.
+    camera : int
+        Number of the camera, from 1 on, in scenes that have several.
     samples : int, optional
         Paths per camera pixel; None takes the bundled file, or 16,384 where there is none.
     seed : int
@@ -111,20 +115,21 @@ def truth(
     name = str(name)
     if name == PROCEDURAL:
         return ProceduralScene(size, size, seed).truth()
-    built = scene(name)
+    built = seen_by(scene(name), camera)
     if name in BUNDLED and size == BUNDLED_SIZE and samples is None and seed == 0:
         with as_file(files("lightmatrix.simulation") / "data" / f"{name}.npz") as path:
             return _with_geometry(read_bundled(path), built)
     samples = samples or USUAL_SAMPLES
     rows, cols = size
-    key = f"{name}-v{built.version}-{rows}x{cols}-{samples}spp-seed{seed}.npz"
+    of_camera = f"-camera{camera}" if camera > 1 else ""
+    key = f"{name}-v{built.version}{of_camera}-{rows}x{cols}-{samples}spp-seed{seed}.npz"
     path = cache_folder() / key
     if path.exists():
         try:
             return _with_geometry(Truth.load(path), built)
         except InputError:
             pass  # The file is damaged, so the scene is rendered again.
-    rendered = render(name, size, samples=samples, seed=seed, progress=progress)
+    rendered = render(name, size, camera=camera, samples=samples, seed=seed, progress=progress)
     try:
         rendered.save(path, overwrite=True)
     except OutputError as error:
@@ -132,8 +137,30 @@ def truth(
     return rendered
 
 
+class Devices(NamedTuple):
+    """The numbers of projectors and of cameras of a scene."""
+
+    projectors: int
+    cameras: int
+
+
+def devices_of(name: str | Path) -> Devices:
+    """The numbers of projectors and of cameras of what `truth` takes: 1, but in some scenes.
+
+    Examples
+    --------
+    >>> import lightmatrix as lm
+    >>> lm.devices_of("metal"), lm.devices_of("stage")
+    (Devices(projectors=1, cameras=1), Devices(projectors=2, cameras=2))
+    """
+    built = scene(str(name)) if str(name) in names() else None
+    return Devices(1, 1) if built is None else Devices(len(built.projectors), len(built.cameras))
+
+
 def _with_geometry(known: Truth, built: Scene) -> Truth:
     """A truth of a whole scene whose file does not hold the geometry."""
+    if built.more_projectors:
+        return known
     return replace(known, geometry=view_geometry(built, known.camera_shape, known.projector_shape))
 
 

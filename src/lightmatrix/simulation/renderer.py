@@ -10,22 +10,24 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cache
 from types import ModuleType
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import csr_array
+from scipy.sparse import csr_array, hstack
 
 from lightmatrix.errors import InputError, MissingExtraError
+from lightmatrix.geometry.rig_geometry import RigGeometry
 from lightmatrix.ranges import check_seed, check_sides
 from lightmatrix.resources.memory import available_bytes, check_memory
-from lightmatrix.simulation.scenes import Part, Scene, View
+from lightmatrix.simulation.scenes import Part, Scene, View, seen_by
 from lightmatrix.simulation.scenes import scene as find_scene
 from lightmatrix.simulation.thinning import joined, thinned_in_steps
 from lightmatrix.simulation.truth import Truth, view_geometry
+from lightmatrix.transport.matrix import PROJECTORS
 
 # A program that fails or crashes unless the LLVM variant works.
 _PROBE = (
@@ -229,6 +231,7 @@ def render(
     size: tuple[int, int],
     *,
     projector_size: tuple[int, int] | None = None,
+    camera: int = 1,
     samples: int = 4096,
     seed: int = 0,
     keep: float = 0.999,
@@ -249,7 +252,10 @@ def render(
     size : (rows, cols)
         Camera size, and the projector's unless `projector_size` is given.
     projector_size : (rows, cols), optional
-        Projector size.
+        Projector size. Of several projectors, the size of each; T then has the pixels of all, one
+        projector above the other.
+    camera : int
+        Number of the camera, from 1 on, in scenes that have several.
     samples : int
         Paths per camera pixel. Too few make rows look sparser than they are.
     seed : int
@@ -280,7 +286,7 @@ def render(
     >>> import lightmatrix as lm
     >>> known = lm.render("wall", (32, 32), samples=64)  # doctest: +SKIP
     """
-    scene = find_scene(name)
+    scene = seen_by(find_scene(name), camera)
     projector = projector_size or size
     for device, shape in (("camera", size), ("projector", projector)):
         check_sides(f"a {device}", shape)
@@ -294,9 +300,12 @@ def render(
     check_memory(words, needed_bytes(size, channels), "use a smaller size")
     started = time.perf_counter()
     mi = load_mitsuba()
-    loaded = mitsuba_scene(mi, scene, size, projector)
-    about = (mi, loaded, size, projector, scene.max_depth, channels, samples, seed)
-    rendering = _Rendering(*about, progress)
+    renderings = []
+    for view in scene.projectors:
+        loaded = mitsuba_scene(mi, replace(scene, projector=view), size, projector)
+        about = (mi, loaded, size, projector, scene.max_depth, channels, samples, seed)
+        renderings.append(_Rendering(*about, progress))
+    rendering = renderings[0]
     most = min(rendering.pixels, samples * scene.max_depth)
     if needed_bytes(size, channels, most) > available_bytes():
         # The size of the result is estimated from a few camera pixels, with a margin of 30 %: they
@@ -309,6 +318,15 @@ def render(
         hint = "use a smaller size, fewer samples, or keep a smaller share of the light"
         check_memory(words, needed, hint)
     matrix, direct = rendering.matrix(keep)
+    for other in renderings[1:]:
+        # Direct light is the imaginary part of the same entries, so that both are joined alike.
+        more, beside = other.matrix(keep)
+        pairs = ((matrix, direct), (more, beside))
+        both = [csr_array((m.data + 1j * d, m.indices, m.indptr), shape=m.shape) for m, d in pairs]
+        joint = csr_array(hstack(both, format="csr"), dtype=np.complex64)
+        parts = (joint.data.real.copy(), joint.indices, joint.indptr)
+        matrix, direct = csr_array(parts, shape=joint.shape), joint.data.imag.copy()
+        rendering.energies += other.energies
     # At exposure 1, a fifth of the rows clip under their strongest single pixel.
     level = float(np.quantile(matrix.max(axis=1).toarray(), 0.8))
     scale = 1 / level if level > 0 else 1.0
@@ -330,7 +348,11 @@ def render(
         "renderer": f"mitsuba {mi.__version__} {mi.variant()}",
         "seconds": round(time.perf_counter() - started, 1),
     }
-    geometry = view_geometry(scene, size, projector)
+    geometry: RigGeometry | None = view_geometry(scene, size, projector)
+    if (several := len(renderings)) > 1:
+        # A geometry is that of one projector.
+        metadata |= {"camera": camera, PROJECTORS: [list(projector)] * several}
+        geometry, projector = None, (several * projector[0], projector[1])
     camera_shape = (*size, 3) if colour else size
     return Truth(matrix, direct, camera_shape, projector, metadata, geometry)
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from difflib import get_close_matches
 from functools import partial
 from importlib.resources import files
@@ -171,6 +171,19 @@ class Scene:
     camera: View = _CAMERA
     # Its image is centred on its axis, since Mitsuba's projector has no shifted film.
     projector: View = _PROJECTOR
+    # Further ones beside the first: projectors that all light the scene, cameras that all see it.
+    more_projectors: tuple[View, ...] = ()
+    more_cameras: tuple[View, ...] = ()
+
+    @property
+    def projectors(self) -> tuple[View, ...]:
+        """All projectors."""
+        return self.projector, *self.more_projectors
+
+    @property
+    def cameras(self) -> tuple[View, ...]:
+        """All cameras."""
+        return self.camera, *self.more_cameras
 
 
 def _at_rest(name: str) -> list[tuple[str, Callable[[Mesh], Mesh]]]:
@@ -503,6 +516,42 @@ def _mirror() -> Scene:
     return Scene("mirror", "a statue beside a dusty mirror that shows it", parts, 6)
 
 
+# Two projectors, left and right, whose pictures overlap by a third; the second one hangs upside
+# down. The second camera sees the scene from the side.
+_LEFT = View((-1.1, 0.2, 4.0), target=(-0.45, 0.0, 0.0), roll=4.0, width=1.35)
+_RIGHT = View((0.9, -0.1, 3.6), target=(0.45, 0.0, 0.0), roll=175.0, width=1.35)
+_FRONT = View((-0.2, -0.3, 4.0), target=(0.0, 0.0, 0.0), width=2.3)
+_SIDE = View((1.3, -1.0, 3.6), target=(0.0, 0.0, 0.0), roll=8.0, width=2.3)
+
+
+def _stage() -> Scene:
+    """A corner of two white walls under two projectors."""
+    return Scene(
+        "stage",
+        "a white corner under two projectors, seen by two cameras",
+        (Part(_valley(), matt(0.8)),),
+        camera=_FRONT,
+        projector=_LEFT,
+        more_projectors=(_RIGHT,),
+        more_cameras=(_SIDE,),
+    )
+
+
+def _statues() -> Scene:
+    """Two statues on a table under two projectors, each of which lights both from its side."""
+    profile = [(0.34, 0.0), (0.34, 0.1), (0.24, 0.14), (0.2, 0.35), (0.14, 0.5), (0.06, 0.56)]
+    stone = merge([revolve(profile, 128), ball(0.15, 64).placed((0.0, 0.0, 0.5))])
+    places = ((-0.42, -0.3, 0.0), (0.42, 0.3, 0.0))
+    parts = (Part(sheet(6.0), matt(0.5)), *(Part(stone.placed(at), matt(0.85)) for at in places))
+    return replace(
+        _stage(),
+        name="statues",
+        description="two statues under two projectors, seen by two cameras",
+        parts=parts,
+        max_depth=6,
+    )
+
+
 BUILDERS: dict[str, Callable[[], Scene]] = {
     "l_objects": _l_objects,
     "gripper": _gripper,
@@ -515,6 +564,8 @@ BUILDERS: dict[str, Callable[[], Scene]] = {
     "curtain": _curtain,
     "glass": _glass,
     "mirror": _mirror,
+    "stage": _stage,
+    "statues": _statues,
 }
 
 
@@ -525,6 +576,15 @@ def scene(name: str) -> Scene:
         advice = f"did you mean {' or '.join(near)}?" if near else "see `lightmatrix scenes`"
         raise InputError(f"there is no scene called {name!r}", hint=advice)
     return BUILDERS[name]()
+
+
+def seen_by(built: Scene, camera: int) -> Scene:
+    """The scene with one of its cameras, numbered from 1 on."""
+    cameras = built.cameras
+    if not 1 <= camera <= len(cameras):
+        hint = f"{built.name} has {len(cameras)}"
+        raise InputError(f"camera {camera} of {built.name}", hint=hint)
+    return replace(built, camera=cameras[camera - 1])
 
 
 def names() -> tuple[str, ...]:

@@ -28,6 +28,7 @@ from lightmatrix.simulation.colour import in_all_primaries, in_primary, is_of_al
 from lightmatrix.simulation.faults import Faults
 from lightmatrix.simulation.irradiance import irradiance
 from lightmatrix.simulation.truth import Truth
+from lightmatrix.transport.matrix import PROJECTORS
 
 Progress = Callable[[int, int], None]
 
@@ -95,17 +96,12 @@ class SimulatedCapture(Capture):
         decoder = self.decoder
         black = decoder.black_frame
         write_capture(
-            folder,
-            self.patterns,
-            (self.frames.read(k) for k in range(self.count)),
-            sensor=self.sensor,
-            camera_shape=self.frames.shape,
+            folder, self.patterns, (self.frames.read(k) for k in range(self.count)),
+            sensor=self.sensor, camera_shape=self.frames.shape,
             black=None if black is None else black.reshape(self.frames.shape),
-            black_exposure=decoder.black_exposure,
-            provenance=self.provenance,
-            write_extras=save_truth,
-            overwrite=overwrite,
-        )
+            black_exposure=decoder.black_exposure, provenance=self.provenance,
+            projectors=self.projectors, write_extras=save_truth, overwrite=overwrite,
+        )  # fmt: skip
 
     def crop(self, corner: tuple[int, int], shape: tuple[int, int]) -> SimulatedCapture:
         """A rectangle of the photographs, and the rows of the truth that belong to it."""
@@ -128,6 +124,7 @@ def simulate(
     scene: str | Path | Truth,
     patterns: PatternSet | str | Path,
     *,
+    camera: int = 1,
     exposure: float | str = 0.8,
     bits: int | None = 8,
     noise: float = USUAL_NOISE,
@@ -154,7 +151,10 @@ def simulate(
     patterns : PatternSet, str or Path
         K patterns, or a folder of them. Patterns in colour (`ColourPatterns`) are photographed by a
         camera of three channels whose filters overlap; the truth then has the pixels of red, green
-        and blue side by side. A truth that has them already is photographed as it is.
+        and blue side by side. A truth that has them already is photographed as it is. Patterns of
+        several projectors stand one above the other: 128x64 for two of 64 x 64.
+    camera : int
+        Number of the camera, from 1 on, in scenes that have several.
     exposure : float or str
         Exposure e in sample = min(1, e T p), or several exposures with their shares of the frames,
         such as ``1:0.75,0.25:0.25``.
@@ -230,20 +230,23 @@ def simulate(
         exposure_sequence(exposures, patterns), as_float(black_level), noise, shot_noise, bits
     )
     realism.check_realism(
-        patterns.shape,
-        blur=blur,
-        camera_blur=camera_blur,
-        vignetting=vignetting,
-        leak=leak,
+        patterns.shape, blur=blur, camera_blur=camera_blur, vignetting=vignetting, leak=leak,
         ambient=ambient,
-    )
+    )  # fmt: skip
     wrong = Faults(faults or {}, seed)
     if wrong.black_exposure != 1 and not (leak or ambient):
         raise InputError(
             "a fault black without a black frame", hint="add room light too, such as ambient=0.05"
         )
     shape = patterns.primary_shape if isinstance(patterns, ColourPatterns) else patterns.shape
-    truth = library.truth(scene, shape, progress=progress)
+    several = 1 if isinstance(scene, Truth) else library.devices_of(scene).projectors
+    if shape[0] % several:
+        raise InputError(
+            f"patterns of {shape[0]} rows for {several} projectors, one above the other",
+            hint="make patterns of as many rows as all projectors have: 128x64 for two of 64x64",
+        )
+    size = (shape[0] // several, shape[1])
+    truth = library.truth(scene, size, camera=camera, progress=progress)
     if blur and is_of_all_primaries(truth):
         raise InputError(
             "a blur of a colour projector's T, whose colours stand side by side",
@@ -289,6 +292,7 @@ def simulate(
         decoder,
         provenance=provenance,
         # Without the leak, which the black frame holds.
+        projectors=tuple((rows, cols) for rows, cols in truth.metadata.get(PROJECTORS, ())),
         truth=truth.scaled(np.float32(1 - leak)) if leak else truth,
         sensor=sensor,
     )

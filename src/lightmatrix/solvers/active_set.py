@@ -219,14 +219,7 @@ def solve_weighted(
     if pseudo_samples is not None:
         pseudo = (pseudo_samples.unseen.prepared, pseudo_samples)
     solved, coefficients = _core.solve_weighted(
-        prepared(problem),
-        problem.samples,
-        solver.settings(problem),
-        candidates,
-        cells=cells,
-        expected=pseudo,
-        background=background,
-        start=start,
-        progress=progress,
-    )
+        prepared(problem), problem.samples, solver.settings(problem), candidates, cells=cells,
+        expected=pseudo, background=background, start=start, progress=progress,
+    )  # fmt: skip
     return as_result(solved, problem, coefficients.astype(np.float32))

@@ -162,13 +162,9 @@ class _Finished:
         background = np.where(np.isfinite(background), background, 0)
         objective, gap = relative_gap(problem, x, background, self.solver.fidelity)
         part = solved_rows(
-            x,
-            background,
-            iterations=np.full(len(rows), iteration, np.int32),
-            converged=converged,
-            gap=gap,
-            objective=objective,
-        )
+            x, background, iterations=np.full(len(rows), iteration, np.int32), converged=converged,
+            gap=gap, objective=objective,
+        )  # fmt: skip
         self.order.append(rows)
         self.parts.append(part)
 

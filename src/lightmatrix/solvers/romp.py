@@ -81,24 +81,21 @@ class ROMP:
             parts.append(self._solve_chunk(problem.take(rows), n))
             if progress is not None:
                 progress(int(rows[-1]) + 1, problem.rows)
-        return self._joined(problem, parts)
+        if not parts:
+            return Result(no_rows(problem), Status.CONVERGED)
+        dtype = problem.samples.values.dtype
+        solved = SparseRows.joined(parts)
+        coefficients = csr_array(solved.coefficients, dtype=dtype)
+        background = solved.background.astype(dtype)
+        objective, _ = relative_gap(problem, coefficients, background[:, 0], self.fidelity)
+        diagnostics = {**solved.diagnostics, "gap": np.full(problem.rows, np.nan)}
+        solved = solved_rows(coefficients, background, **diagnostics, objective=objective)
+        converged = solved.diagnostics["converged"].all()
+        return Result(solved, Status.CONVERGED if converged else Status.ITERATION_LIMIT)
 
     def row_bytes(self, patterns: int, pixels: int) -> int:
         """Bytes of one row: correlations, samples and the Gram matrix of up to 96 pixels."""
         return 8 * (3 * pixels + 8 * patterns + 96 * 96)
-
-    def _joined(self, problem: Problem, parts: list[SparseRows]) -> Result:
-        if not parts:
-            return Result(no_rows(problem), Status.CONVERGED)
-        dtype = problem.samples.values.dtype
-        rows = SparseRows.joined(parts)
-        coefficients = csr_array(rows.coefficients, dtype=dtype)
-        background = rows.background.astype(dtype)
-        objective, _ = relative_gap(problem, coefficients, background[:, 0], self.fidelity)
-        diagnostics = {**rows.diagnostics, "gap": np.full(problem.rows, np.nan)}
-        rows = solved_rows(coefficients, background, **diagnostics, objective=objective)
-        converged = rows.diagnostics["converged"].all()
-        return Result(rows, Status.CONVERGED if converged else Status.ITERATION_LIMIT)
 
     def _solve_chunk(self, problem: Problem, n: int) -> SparseRows:
         """The rows of a chunk, with the number of rounds and convergence as diagnostics."""

@@ -74,13 +74,9 @@ class Checkpoint:
         with ExitStack() as claim:
             target = claim.enter_context(claimed(path, STORE, overwrite=overwrite))
             kept = RunningResults.resume(
-                target,
-                PARTIAL,
-                wanted,
-                file=_FINGERPRINT,
-                contents="an incomplete estimate with other settings",
-                overwrite=overwrite,
-            )
+                target, PARTIAL, wanted, file=_FINGERPRINT,
+                contents="an incomplete estimate with other settings", overwrite=overwrite,
+            )  # fmt: skip
             if not kept.has(_FINGERPRINT):
                 try:
                     with kept.keep(_FINGERPRINT) as part:
@@ -156,14 +152,10 @@ class Checkpoint:
         provenance = dict(provenance or {})
         try:
             save_rows(
-                self._path,
-                self._tiles(step),
-                camera_shape=camera_shape,
-                projector_shape=projector_shape,
-                background_grid=background_grid,
-                provenance=provenance,
-                overwrite=self._overwrite,
-            )
+                self._path, self._tiles(step), camera_shape=camera_shape,
+                projector_shape=projector_shape, background_grid=background_grid,
+                provenance=provenance, overwrite=self._overwrite,
+            )  # fmt: skip
         except OutputError as error:
             raise OutputError(
                 error.message,

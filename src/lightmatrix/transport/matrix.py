@@ -18,9 +18,11 @@ from lightmatrix.patterns.pattern_set import check_grid
 from lightmatrix.ranges import check_finite, check_type, real_array
 from lightmatrix.regions import Region
 from lightmatrix.reprs import html_table, labelled
-from lightmatrix.transport.operator import HOW_TO_GIVE, TransportOperator
+from lightmatrix.transport.operator import HOW_TO_GIVE, TransportOperator, cell_means
 from lightmatrix.transport.sparse_rows import SparseRows, checked_matrix, checked_shape
 
+# The entry of the provenance with the sizes of several projectors; see `Capture.projectors`.
+PROJECTORS = "projectors"
 # The entries of the provenance that a summary repeats.
 _SUMMARY_KEYS = ("estimator", "solver", "regularization", "certificate", "pattern_digest", "scene")
 
@@ -198,11 +200,33 @@ class LightTransport(TransportOperator):
         )
 
     def cropped_like(self, estimate: LightTransport) -> LightTransport:
-        """The part that `estimate` covers, if it comes from cropped photographs; else all of it."""
-        region = estimate.region
+        """The part that `estimate` covers: of cropped photographs, of one of several projectors."""
+        region, number = estimate.region, estimate.provenance.get("projector")
+        part = self.split()[number - 1] if number and PROJECTORS in self.provenance else self
         if region is None or estimate.camera_shape[:2] != region.shape:
-            return self
-        return self.crop(region) if self.camera_shape[:2] == region.whole else self
+            return part
+        return part.crop(region) if self.camera_shape[:2] == region.whole else part
+
+    def split(self) -> tuple[LightTransport, ...]:
+        """T of each of several projectors that were measured at once; itself if there is one."""
+        sizes = self.provenance.get(PROJECTORS)
+        if not sizes:
+            return (self,)
+        places = np.arange(self.shape[1]).reshape(len(sizes), -1, self.projector_shape[1])
+        columns, pooling = self.sparse.tocsc(), self.pooling.tocsc()
+        kept = {key: value for key, value in self.provenance.items() if key != PROJECTORS}
+        result = []
+        for number, (rows, cols) in enumerate(sizes, start=1):
+            own = places[number - 1, :rows, :cols].ravel()
+            high, wide = self.background_grid
+            grid = min(max(1, high // len(sizes)), rows), min(wide, cols)
+            # What a cell gives each of its pixels, added up over the pixels of each new cell.
+            cells = pooling[:, own] @ (cell_means((rows, cols), grid) > 0).T
+            background = np.asarray(self.background @ cells, np.float32)
+            parts = (csr_array(columns[:, own]), background, self.camera_shape, (rows, cols), grid)
+            about = {**kept, "projector": number}
+            result.append(LightTransport(*parts, self.diagnostics, about))
+        return tuple(result)
 
     @property
     def region(self) -> Region | None:

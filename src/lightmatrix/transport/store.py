@@ -25,7 +25,7 @@ from zarr.codecs import BloscCodec
 
 from lightmatrix.errors import InputError
 from lightmatrix.files.colours import COLOURS, colour_paths
-from lightmatrix.files.kinds import COLOUR_STORES, CORRESPONDENCE, PARTIAL, STORE
+from lightmatrix.files.kinds import COLOUR_STORES, CORRESPONDENCE, PARTIAL, PROJECTOR_STORES, STORE
 from lightmatrix.files.reading import read_bytes
 from lightmatrix.files.writing import atomic_folder
 from lightmatrix.files.zarr_arrays import (
@@ -97,14 +97,10 @@ def save(path: str | Path, transport: LightTransport, *, overwrite: bool = False
     transport = replace(transport)
     rows = SparseRows(transport.sparse, transport.background, transport.diagnostics)
     save_rows(
-        path,
-        [rows],
-        camera_shape=transport.camera_shape,
-        projector_shape=transport.projector_shape,
-        background_grid=transport.background_grid,
-        provenance=transport.provenance,
-        overwrite=overwrite,
-    )
+        path, [rows], camera_shape=transport.camera_shape,
+        projector_shape=transport.projector_shape, background_grid=transport.background_grid,
+        provenance=transport.provenance, overwrite=overwrite,
+    )  # fmt: skip
 
 
 def save_rows(
@@ -267,6 +263,18 @@ def save_colour(folder: str | Path, transport: ColourTransport, *, overwrite: bo
     with atomic_folder(folder, COLOUR_STORES, overwrite=overwrite) as part:
         for name, one in zip(COLOURS, transport, strict=True):
             save(part / f"{name}.zarr", one)
+
+
+def save_projectors(
+    folder: str | Path, transport: LightTransport, *, overwrite: bool = False
+) -> None:
+    """Write T of several projectors as projector-1.zarr, projector-2.zarr, ... in a folder.
+
+    An OutputError says that the folder exists or cannot be written.
+    """
+    with atomic_folder(folder, PROJECTOR_STORES, overwrite=overwrite) as part:
+        for number, one in enumerate(transport.split(), start=1):
+            save(part / f"projector-{number}.zarr", one)
 
 
 def open_colour(folder: str | Path) -> ColourTransport:
@@ -492,14 +500,9 @@ class StoredTransport(TransportOperator):
     def _in_memory(self, rows: SparseRows, camera_shape: tuple[int, ...]) -> LightTransport:
         with as_damage_error(self.place, self.remedy):
             return LightTransport(
-                rows.coefficients,
-                rows.background,
-                camera_shape,
-                self.projector_shape,
-                self.background_grid,
-                rows.diagnostics,
-                self.provenance,
-            )
+                rows.coefficients, rows.background, camera_shape, self.projector_shape,
+                self.background_grid, rows.diagnostics, self.provenance,
+            )  # fmt: skip
 
     @cached_property
     def _indptr(self) -> NDArray[np.int64]:

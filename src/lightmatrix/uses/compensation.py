@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lightmatrix.errors import InputError
-from lightmatrix.files.colours import colour_paths, holds_colour
+from lightmatrix.files.colours import stores_within
 from lightmatrix.files.extras import video_frames
 from lightmatrix.files.images import DISPLAY_GAMMA, write_image
 from lightmatrix.files.kinds import IMAGE, PATTERNS
@@ -128,7 +128,8 @@ class JointLight:
 def joint_light(transport: Transport | Sequence[Transport]) -> JointLight:
     """The operator of one matrix, or of several of one camera, loaded if they are on disk.
 
-    The folder of a colour projector stands for the matrices of its primaries.
+    The folder of a colour projector stands for the matrices of its primaries, that of several
+    projectors for theirs, and a T of several that were measured at once for its parts.
     An InputError says that they do not fit into memory, or that their cameras differ.
     """
     several = isinstance(transport, Sequence) and not isinstance(transport, str)
@@ -137,11 +138,10 @@ def joint_light(transport: Transport | Sequence[Transport]) -> JointLight:
         raise InputError("no light transport matrix", hint="give one, or one for each projector")
     parts: list[Any] = []
     for source in sources:
-        colour = isinstance(source, str | Path) and holds_colour(source)
-        parts += colour_paths(source) if colour else (source,)
+        parts += (isinstance(source, str | Path) and stores_within(source)) or (source,)
     # A compensation of a megapixel camera with 29 entries a row and 64 values of background took
     # 1.5 times the memory of its matrix (python -m benchmarks.uses_at_scale).
-    matrices = tuple(loaded(part, 1.5) for part in parts)
+    matrices = tuple(one for part in parts for one in loaded(part, 1.5).split())
     shapes = sorted({matrix.camera_shape for matrix in matrices})
     if len(shapes) > 1:
         raise InputError(
@@ -494,13 +494,9 @@ class Compensator:
         scale = brightness * float(self.white_point[: len(self._channels)].mean())
         shape = self.light.camera_shape
         return Compensation(
-            self.light.split(pattern),
-            predicted.reshape(shape),
-            target.reshape(shape),
-            scale,
-            brightness,
-            reach.reshape(shape),
-        )
+            self.light.split(pattern), predicted.reshape(shape), target.reshape(shape), scale,
+            brightness, reach.reshape(shape),
+        )  # fmt: skip
 
 
 def compensator(
@@ -547,8 +543,8 @@ def compensate(
     ----------
     transport : LightTransport, StoredTransport, str or Path, or several of them
         T, or where `open` finds it. Several: projectors that light one scene together, or the
-        primaries of a colour projector, also as the folder that `save_colour` wrote; their patterns
-        are found jointly. A store is loaded.
+        primaries of a colour projector, also as the folder that `save_colour` or `estimate` wrote;
+        their patterns are found jointly. A store is loaded.
     wanted : (rows, cols) or (rows, cols, channels) array, str or Path
         The picture in [0, 1], as the camera is to see it. Grey for a colour camera: in the colours
         that the scene has under a white pattern. In colour for a grey camera: its luminance.

@@ -76,12 +76,6 @@ class QuickLook:
     ----------
     direct, global_ : camera_shape float32
         Images in camera full scale at exposure 1.
-
-    Examples
-    --------
-    >>> import lightmatrix as lm
-    >>> lm.max_min(lm.simulate("metal", lm.BernoulliPatterns((64, 64), 8))).direct.shape
-    (64, 64)
     """
 
     direct: NDArray[np.float32]

@@ -126,13 +126,9 @@ class Scene:
         rows, cols = self.matrix.camera_shape[:2]
         projector = self.matrix.projector_shape
         return Session(
-            self.light,
-            self._white or 1.0,
-            lambda: self._coarse,
-            (rows, cols),
-            projector,
+            self.light, self._white or 1.0, lambda: self._coarse, (rows, cols), projector,
             self._compensated if self._compensates else None,
-        )
+        )  # fmt: skip
 
     @property
     def _compensates(self) -> bool:

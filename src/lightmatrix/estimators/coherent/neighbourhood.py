@@ -4,7 +4,8 @@ Neighbouring camera pixels have much the same footprint, moved by a pixel or so.
 Jacobian of the correspondence. It is measured, and not derived from the sizes of camera and
 projector. At first the strongest pixels of many rows are wrong, but they are wrong at random: among
 the displacements between neighbouring camera pixels the true one stands out as a peak, whatever the
-scale, the angle or the part that projector and camera see of each other.
+scale, the angle or the part that projector and camera see of each other. Each of several projectors
+has a Jacobian of its own.
 
 Where neighbours' rows, moved back by the Jacobian, hold light, there a row is likely to hold some.
 And each neighbour's row, moved back and scaled to the known samples, is a guess at this one.
@@ -15,6 +16,7 @@ patterns that were never shown (`docs/coherent.md`).
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -330,7 +332,10 @@ class Neighbourhood:
     camera: tuple[int, int, int]
     atoms: AtomPatterns
     spacing: int = 1
-    known_jacobian: NDArray[np.float32] | None = None
+    # Of each projector; empty: they are measured.
+    known_jacobians: Sequence[NDArray[np.float32]] = ()
+    # Their pixels stand one above the other among the atoms.
+    projectors: int = 1
 
     def around(self, start: int, stop: int) -> tuple[int, int]:
         """The range of rows that contains the neighbours of the rows start..stop."""
@@ -353,17 +358,8 @@ class Neighbourhood:
         `background` has those of the rows `around`, under K shown and E unseen patterns, (n, K +
         E).
         """
-        values, variances = _core.expected_samples(
-            self.atoms.prepared,
-            unseen.prepared,
-            replace(samples, clipped=clipped),
-            self,
-            background,
-            reach=REACH,
-            start=int(rows[0]),
-            level=level,
-            index=rows - rows[0],
-        )
+        known = replace(samples, clipped=clipped)
+        values, variances = self._expected(unseen, known, level, rows, background)
         count, constants = self.atoms.count, PSEUDO_SAMPLES
         np.maximum(values[:, :count], samples.clip_level, out=values[:, :count], where=clipped)
         # Neighbours estimated from fewer than twelve photographs err more than they differ. At 8
@@ -385,6 +381,72 @@ class Neighbourhood:
         weight[weight < constants.least_weight] = 0
         return PseudoSamples(unseen, values, weight)
 
+    def _expected(
+        self,
+        unseen: PatternSet,
+        samples: Samples,
+        level: float,
+        rows: NDArray[np.int64],
+        background: NDArray[np.float32],
+    ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        """Samples that neighbours expect of some rows, and their variances, (m, K + E)."""
+        if self.projectors == 1:
+            start, prepared = int(rows[0]), (self.atoms.prepared, unseen.prepared)
+            return _core.expected_samples(
+                *prepared, samples, self, background,
+                reach=REACH, start=start, level=level, index=rows - start,
+            )  # fmt: skip
+        first, last = self.around(int(rows[0]), int(rows[-1]) + 1)
+        own = background[rows - first, : self.atoms.count]
+        # The background is divided among the projectors as their light is.
+        light = [part.rows.coefficients.sum(axis=1, dtype=np.float32) for part in self.parts]
+        total = np.maximum(np.sum(light, axis=0), np.float32(1e-30))
+        shares = [(one / total)[:, None] for one in light]
+        parts = list(zip(self.parts, shares, strict=True))
+        shown = [part.under_patterns[rows] + share[rows] * own for part, share in parts]
+        whole, expected = np.sum(shown, axis=0), []
+        for (part, share), mine in zip(parts, shown, strict=True):
+            # A projector explains what the others leave of the samples.
+            left = replace(samples, values=samples.values - (whole - mine))
+            around = background * share[first:last]
+            expected.append(part._expected(unseen, left, level, rows, around))
+        values, variances = (np.stack(each) for each in zip(*expected, strict=True))
+        # A projector of which no neighbour holds light gives none.
+        empty = np.isinf(variances)
+        variances = np.where(empty.all(axis=0), np.inf, np.where(empty, 0, variances).sum(axis=0))
+        return values.sum(axis=0), variances.astype(np.float32)
+
+    @computed_once
+    def parts(self) -> list[Neighbourhood]:
+        """The light of each projector by itself."""
+        if self.projectors == 1:
+            return [self]
+        result = []
+        for number in range(self.projectors):
+            rows = replace(self.rows, coefficients=self._of(number, self.rows.coefficients))
+            known = self.known_jacobians[number : number + 1]
+            result.append(replace(self, rows=rows, known_jacobians=known, projectors=1))
+        return result
+
+    @computed_once
+    def _moving(self) -> list[Neighbourhood]:
+        """The light of all projectors, moving as that of each does."""
+        return [replace(self, known_jacobians=[part.jacobian], projectors=1) for part in self.parts]
+
+    def _of(self, number: int, matrix: csr_array) -> csr_array:
+        """The entries of a matrix of atoms (m, S N) that belong to a projector."""
+        pixels = self.atoms.single.pixels
+        own = csr_array(matrix, copy=True)
+        own.data[matrix.indices % pixels // (pixels // self.projectors) != number] = 0
+        own.eliminate_zeros()
+        return own
+
+    @computed_once
+    def under_patterns(self) -> NDArray[np.float32]:
+        """Samples of all rows under the patterns shown, without backgrounds, (M, K)."""
+        chunks = [self.rows.coefficients @ chunk.T for _, chunk in self.atoms.chunks()]
+        return np.concatenate(chunks, axis=1, dtype=np.float32)
+
     @property
     def projector(self) -> tuple[int, int, int]:
         """Planes, rows and columns of the atoms."""
@@ -393,8 +455,8 @@ class Neighbourhood:
     @computed_once
     def jacobian(self) -> NDArray[np.float32]:
         """The Jacobian of the correspondence, (M, 4); see `measure_jacobian`."""
-        if self.known_jacobian is not None:
-            return self.known_jacobian
+        if self.known_jacobians:
+            return self.known_jacobians[0]
         return measure_jacobian(self.rows.coefficients, self.camera, self.atoms.shape, self.spacing)
 
     @computed_once
@@ -429,27 +491,26 @@ class Neighbourhood:
         """The likeliest atoms of some ascending rows, with penalties by the light of neighbours.
 
         `reach` has half widths of the windows in camera and projector pixels, `most` limits a row's
-        atoms, and `trust` is how little light among neighbours makes an atom likely for 32 `known`
-        samples.
+        atoms of each projector, and `trust` is how little light among neighbours makes an atom
+        likely for 32 `known` samples.
         """
         constants = LIKELY_ATOMS
+        if self.projectors > 1:
+            shape = (len(rows), self.atoms.pixels)
+            several = csr_array(shape, dtype=np.float32)
+            for number, one in enumerate(self._moving):
+                found = one.likely_atoms(reach, most, trust, known, rows, first=first)
+                matrix = csr_array((found.data, found.indices, found.indptr), shape=shape)
+                several = several + self._of(number, matrix)
+            return Candidates(several.indptr.astype(np.int64), several.indices, several.data)
         wider = np.full(self.atoms.planes, constants.wider_spot, np.float32)
         wider[0] = constants.wider_pixel
         indptr, atoms, penalties = _core.likely_pixels(
-            self.rows.coefficients,
-            self.camera,
-            self.projector,
-            self.jacobian,
-            self.atoms.spots,
-            constants.within_at_first if first else constants.within,
-            wider,
-            np.ones(self.rows.count, np.float32) if first else self.singles,
-            reach,
-            most,
-            trust * self._independence(known, rows),
-            (0, self.rows.count),
-            rows,
-        )
+            self.rows.coefficients, self.camera, self.projector, self.jacobian, self.atoms.spots,
+            constants.within_at_first if first else constants.within, wider,
+            np.ones(self.rows.count, np.float32) if first else self.singles, reach, most,
+            trust * self._independence(known, rows), (0, self.rows.count), rows,
+        )  # fmt: skip
         return Candidates(indptr, atoms, penalties)
 
     def _independence(

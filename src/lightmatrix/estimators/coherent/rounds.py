@@ -341,11 +341,13 @@ class Rounds(Work):
             rows = read(round_name(number - 1))
             grid, before = self._grid(number), self._grid(number - 1)
             atoms = self.solver.atoms
-            neighbours = Neighbourhood(rows, before.camera, atoms, before.spacing)
+            projectors = max(1, len(self.capture.projectors))
+            near = Neighbourhood(rows, before.camera, atoms, before.spacing, (), projectors)
             if grid is not before:
-                jacobian = grid.refine_jacobian(before, neighbours.jacobian)
+                finer = [grid.refine_jacobian(before, part.jacobian) for part in near.parts]
                 rows = grid.spread(before, rows)
-                neighbours = Neighbourhood(rows, grid.camera, atoms, grid.spacing, jacobian)
+                near = Neighbourhood(rows, grid.camera, atoms, grid.spacing, finer, projectors)
+            neighbours = near
             self._latest[number] = neighbours
         return self._latest[number]
 

@@ -234,8 +234,11 @@ class RowSolver:
     @computed_once
     def backgrounds(self) -> Backgrounds:
         """The cells of the background, at most one a pixel."""
-        shape = self.capture.projector_shape
-        grid = min(self.background_grid[0], shape[0]), min(self.background_grid[1], shape[1])
+        shape, several = self.capture.projector_shape, max(1, len(self.capture.projectors))
+        grid = (
+            min(several * self.background_grid[0], shape[0]),
+            min(self.background_grid[1], shape[1]),
+        )
         return Backgrounds(grid, self.capture.patterns, self.unseen.single)
 
     def everywhere(
@@ -307,13 +310,9 @@ class RowSolver:
         background = halos[rows - first, : cells.means.shape[1]]
         known = samples.counted & ~samples.clipped
         candidates = neighbours.likely_atoms(
-            this_round.window,
-            self.candidates,
-            self.trust,
-            known.sum(axis=1),
-            rows,
+            this_round.window, self.candidates, self.trust, known.sum(axis=1), rows,
             first=this_round.age == 1,
-        )
+        )  # fmt: skip
         return WeightedRows(
             problem, candidates, cells, pseudo_samples, np.ascontiguousarray(background)
         )
@@ -329,15 +328,10 @@ class RowSolver:
         """Solve rows, ascending, on their likeliest atoms; returns their problem too."""
         weighted = self.weighted_rows(samples, rows, this_round, neighbours)
         solved = solve_weighted(
-            weighted.problem,
-            weighted.candidates,
-            weighted.cells,
-            self.solver,
-            pseudo_samples=weighted.pseudo_samples,
-            background=weighted.background,
-            start=neighbours.rows.rows(rows),
-            progress=progress,
-        )
+            weighted.problem, weighted.candidates, weighted.cells, self.solver,
+            pseudo_samples=weighted.pseudo_samples, background=weighted.background,
+            start=neighbours.rows.rows(rows), progress=progress,
+        )  # fmt: skip
         return solved, weighted
 
     def halos(self, neighbours: Neighbourhood, start: int, stop: int) -> NDArray[np.float32]:

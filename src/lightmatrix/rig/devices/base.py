@@ -182,7 +182,11 @@ def check_image(image: NDArray[np.uint8], shape: tuple[int, int]) -> None:
 
 
 class Camera(ABC):
-    """Takes photographs. Subclasses have a kind, open the device and set the attributes below."""
+    """Takes photographs. Subclasses have a kind, open the device and set the attributes below.
+
+    They also override `_exposure_range`, `_read_exposure` and `_write_exposure`, unless the
+    exposure is only stated.
+    """
 
     kind: ClassVar[str]
     # Seconds to wait for a frame beyond its exposure.

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import ExitStack, closing
 from dataclasses import dataclass, replace
 from typing import Any, Generic, TypeVar
 
@@ -12,6 +13,7 @@ from lightmatrix.rig.devices.base import Address, AvailableDevice, Camera, Proje
 from lightmatrix.rig.devices.dslr import find_dslr, open_dslr
 from lightmatrix.rig.devices.folders import open_folder, open_watched
 from lightmatrix.rig.devices.gentl import find_gentl, open_gentl
+from lightmatrix.rig.devices.several import SeveralProjectors
 from lightmatrix.rig.devices.video import find_video, open_video
 from lightmatrix.rig.devices.window import find_windows, open_window
 
@@ -63,10 +65,11 @@ CAMERAS: dict[str, BackEnd[Camera]] = {
 }  # fmt: skip
 
 
-def open_projector(address: str) -> Projector:
+def open_projector(address: str | Sequence[str]) -> Projector:
     """Open a projector by its address; close it in the end.
 
-    The address is KIND, KIND:ARGUMENT or KIND:ARGUMENT,option=value, as in ``window:1``.
+    The address is KIND, KIND:ARGUMENT or KIND:ARGUMENT,option=value, as in ``window:1``. Several
+    projectors become one, whose picture holds those of all, one above the other.
 
     Raises
     ------
@@ -85,7 +88,12 @@ def open_projector(address: str) -> Projector:
     (48, 64)
     >>> projector.close()
     """
-    return _open_device(PROJECTORS, "projector", address)
+    several = [address] if isinstance(address, str) else address
+    with ExitStack() as opened:
+        opening = (_open_device(PROJECTORS, "projector", one) for one in several)
+        each = [opened.enter_context(closing(one)) for one in opening]
+        opened.pop_all()
+    return each[0] if len(each) == 1 else SeveralProjectors(each)
 
 
 def open_camera(address: str) -> Camera:

@@ -15,6 +15,7 @@ from lightmatrix.capture.sensor import Sensor
 from lightmatrix.errors import DeviceError, InputError
 from lightmatrix.rig.devices.base import Address, Camera, Clock, Frame, Projector, check_image
 from lightmatrix.simulation.truth import Truth
+from lightmatrix.transport.matrix import PROJECTORS
 
 PREFIX = "virtual:"
 
@@ -25,7 +26,7 @@ class VirtualSettings:
 
     # A scene (see `scenes`), a truth file (T.npz), or "procedural".
     scene: str
-    # Pixels along a side of projector and camera; the bundled scenes have 64.
+    # Pixels along a side of each projector and camera; the bundled scenes have 64.
     size: int = 64
     # Refreshes of the projector between `show` and the light.
     delay: float = 2.0
@@ -49,6 +50,8 @@ class VirtualSettings:
     seed: int = 0
     # 1: real time; 0: the clock of the rig jumps instead of waiting.
     real: int = 1
+    # Number of the camera, in scenes that have several.
+    camera: int = 1
 
     def __post_init__(self) -> None:
         least = {"size": 2, "gamma": 0.1, "camera_gamma": 0.1, "unit": 1e-6}
@@ -171,9 +174,11 @@ class VirtualProjector(Projector):
         self.image: NDArray[np.uint8] | None = np.zeros(self.shape, np.uint8)
 
     def info(self) -> dict[str, Any]:
+        sizes = self._light.truth.metadata.get(PROJECTORS)
         return {
             "name": PREFIX + self._light.settings.scene,
             "shape": list(self.shape),
+            **({PROJECTORS: sizes} if sizes else {}),
             "refresh": HARDWARE.refresh,
         }
 

@@ -1,0 +1,147 @@
+"""Several projectors at once, several cameras in turn: from photographs to the wall."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+import lightmatrix as lm
+from lightmatrix.cli import main
+from lightmatrix.errors import InputError
+from lightmatrix.judgement.metrics import relative_error
+from lightmatrix.simulation import library
+from lightmatrix.simulation.simulate import SimulatedCapture
+from lightmatrix.simulation.truth import Truth, binned
+from lightmatrix.transport.matrix import LightTransport
+from tests.helpers.projectors import two_projectors
+
+pytestmark = pytest.mark.usefixtures("small_scenes")
+
+
+@pytest.fixture(scope="module")
+def both() -> Truth:
+    return two_projectors(binned(library.truth("l_objects"), 2))
+
+
+@pytest.fixture(scope="module")
+def capture(both: Truth) -> SimulatedCapture:
+    return lm.simulate(both, lm.BernoulliPatterns((64, 32), 24), exposure=0.3)
+
+
+@pytest.fixture(scope="module")
+def stores(capture: SimulatedCapture, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("stores")
+    capture.save(folder / "capture")
+    lm.estimate(folder / "capture", output=folder / "scene", check=False, correct="none")
+    return folder
+
+
+def _error(found: LightTransport, both: Truth) -> list[float]:
+    pairs = zip(found.split(), both.transport().split(), strict=True)
+    return [relative_error(one, known) for one, known in pairs]
+
+
+def test_each_projector_is_estimated_as_well_as_alone(
+    both: Truth, capture: SimulatedCapture, stores: Path
+) -> None:
+    """Though the second one hangs upside down, so that its light moves the other way."""
+    alone = []
+    for known in both.transport().split():
+        truth = Truth(known.sparse, known.sparse.data, known.camera_shape, known.projector_shape)
+        photographs = lm.simulate(truth, lm.BernoulliPatterns((32, 32), 24), exposure=0.3)
+        found = lm.estimate(photographs, check=False, correct="none")
+        alone.append(relative_error(found, known))
+    joint = [lm.open(stores / "scene" / f"projector-{k}.zarr") for k in (1, 2)]
+    errors = [lm.evaluate(one, capture.truth).relative_error for one in joint]
+    assert max(np.divide(errors, alone)) < 1.4
+    # As one projector, all of whose light moves alike, they err several times as much.
+    as_one = lm.estimate(replace(capture, projectors=()), check=False, correct="none")
+    as_one = replace(as_one, provenance=both.metadata)
+    assert min(np.divide(_error(as_one, both), errors)) > 2
+
+
+def test_the_parts_of_t_add_up(both: Truth, capture: SimulatedCapture) -> None:
+    """Also its background, and where one projector is smaller than the other."""
+    sizes = ((32, 32), (24, 20))
+    found = lm.estimate(capture, check=False, correct="none")
+    assert found.background.any()
+    whole = replace(found, provenance={"projectors": sizes})
+    shown = np.random.default_rng(0).random((2, 32, 32), np.float32)
+    shown[1, 24:] = shown[1, :, 20:] = 0
+    parts = [
+        one.relight(shown[k][: size[0], : size[1]])
+        for k, (one, size) in enumerate(zip(whole.split(), sizes, strict=True))
+    ]
+    expected = found.relight(shown.reshape(64, 32))
+    np.testing.assert_allclose(sum(parts), expected, atol=0.02 * expected.max())
+    whole = replace(found, provenance=both.metadata)
+    parts = [one.relight(pattern) for one, pattern in zip(whole.split(), shown, strict=True)]
+    np.testing.assert_allclose(sum(parts), expected, rtol=1e-4, atol=1e-6)
+
+
+def test_white_is_even_where_both_shine(both: Truth, stores: Path) -> None:
+    """By the folder that `estimate` wrote, in a photograph by the true T."""
+    found = lm.compensate(stores / "scene", np.ones((32, 32)), brightness=0.4)
+
+    def uneven(patterns: Sequence[NDArray[np.floating]]) -> float:
+        parts = zip(both.transport().split(), patterns, strict=True)
+        seen = np.sum([one.relight(shown) for one, shown in parts], axis=0)[found.reachable]
+        return float(seen.std() / seen.mean())
+
+    assert found.reachable.mean() > 0.7
+    # With the true T it is 0.013.
+    assert uneven(found.patterns) < 0.035
+    assert uneven([np.ones((32, 32))] * 2) > 0.2
+
+
+def test_a_capture_names_its_projectors(capture: SimulatedCapture, stores: Path) -> None:
+    opened = lm.Capture.open(stores / "capture")
+    assert opened.projectors == ((32, 32), (32, 32))
+    with pytest.raises(InputError, match="do not bin"):
+        opened.bin(projector=2)
+    with pytest.raises(InputError, match="all projectors, one above the other"):
+        replace(opened, projectors=((32, 32), (30, 30), (30, 30)))
+    lm.pack(stores / "capture", stores / "packed")
+    assert lm.Capture.open(stores / "packed").projectors == opened.projectors
+    file = stores / "packed" / "capture.json"
+    for wrong in (3, [[64, 32]], [[32, 32], [32]], [[32, 32], [0, 32]]):
+        content = json.loads(file.read_text())
+        file.write_text(json.dumps({**content, "projectors": wrong}))
+        with pytest.raises(InputError, match='"projectors" cannot be'):
+            lm.Capture.open(stores / "packed")
+
+
+def test_a_studio(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Two projectors and two cameras, from the capture to the wall, by commands."""
+    monkeypatch.chdir(tmp_path)
+    rig = "virtual:stage,size=16,real=0"
+    capture = ["capture", "--rig", rig, "-k", "24", "-o", "wall", "--estimate", "scene", "--json"]
+    assert main(capture) == 0
+    said = json.loads(capsys.readouterr().out)
+    assert [one["frames"] for one in said["cameras"]] == [24, 24]
+    assert [path.name for path in sorted(Path("scene/camera-2").iterdir())] == [
+        ".lightmatrix",
+        "projector-1.zarr",
+        "projector-2.zarr",
+    ]
+    # A run that was stopped before the second camera goes on there.
+    assert main(capture) == 2
+    lm.write_image("picture.png", np.tile(np.linspace(0.2, 0.8, 16), (16, 1)))
+    with_rig = ["--rig", rig, "--rig-file", "rig-1.json"]
+    assert main(["compensate", "scene/camera-1", "picture.png", "-o", "show.png"]) == 0
+    assert main(["project", "show-1.png", "show-2.png", *with_rig, "-o", "seen.png"]) == 0
+    assert main(["project", "show-1.png", *with_rig, "-o", "half.png"]) == 0
+    half, seen = (lm.read_image(name).astype(float) for name in ("half.png", "seen.png"))
+    assert seen.mean() > half.mean()
+    assert main(["compensate", "scene/camera-1", "picture.png", "-o", "b.png", *with_rig]) == 0
+    capsys.readouterr()
+    assert main(["project", "show-1.png", "show-2.png", "half.png", *with_rig, "-o", "c.png"]) == 2
+    assert "one picture for each projector" in capsys.readouterr().err
