@@ -295,13 +295,13 @@ class Tracker:
         before = self._atoms.rows(np.searchsorted(self._rows, rows[again]))
         order = np.argsort(np.concatenate([fresh, again]))
         now = (SparseRows.joined([found, before]) if len(again) else found).rows(order)
-        places, jacobian = np.searchsorted(part, rows), None
+        places, known = np.searchsorted(part, rows), list[NDArray[np.float32]]()
         for this_round in _ROUNDS:
             due = np.arange(len(rows)) if this_round.last else fresh
             if len(due):
                 around = beside.replaced(places, now)
-                neighbours = Neighbourhood(around, camera, atoms, known_jacobian=jacobian)
-                jacobian = neighbours.jacobian
+                neighbours = Neighbourhood(around, camera, atoms, known_jacobians=known)
+                known = [neighbours.jacobian]
                 solved, _ = solver.near(samples.rows(due), places[due], this_round, neighbours)
                 now = now.replaced(due, _lit(solved))
         shares = solver.backgrounds.spread(csr_array(neighbours.centres[places]))
