@@ -13,6 +13,5 @@ def as_path(value: Any) -> Path:
     """A path; anything else than text or a path is refused."""
     if isinstance(value, str | PathLike):
         return Path(value)
-    raise InputError(
-        f"{type(value).__name__} in place of a file or folder", hint="give a str or a pathlib.Path"
-    )
+    hint = "give a str or a pathlib.Path"
+    raise InputError(f"{type(value).__name__} in place of a file or folder", hint=hint)

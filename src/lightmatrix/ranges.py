@@ -70,9 +70,8 @@ def check_sides(what: str, shape: Any) -> None:
     except TypeError:
         sides = []
     if len(sides) != 2 or min(sides) < 1:
-        raise InputError(
-            f"{what} of shape {shape!s:.100}", hint="give (rows, cols), both at least 1"
-        )
+        hint = "give (rows, cols), both at least 1"
+        raise InputError(f"{what} of shape {shape!s:.100}", hint=hint)
     if sides[0] * sides[1] >= 2**31:
         hint = "2147483647 in all is the most"
         raise InputError(f"{what} of {shape[0]!s:.20} x {shape[1]!s:.20} pixels", hint=hint)
@@ -89,10 +88,8 @@ def check_whole(what: str, value: Any, *, least: int = 1, most: int = 2**63 - 1,
 def check_type(what: str, value: Any, *kinds: type, hint: str | None = None) -> None:
     """Refuse a value that is of none of the kinds; `what` says in the message what is wanted."""
     if not isinstance(value, kinds):
-        raise InputError(
-            f"{type(value).__name__} in place of {what}",
-            hint=hint or f"give a {' or '.join(kind.__name__ for kind in kinds)}",
-        )
+        hint = hint or f"give a {' or '.join(kind.__name__ for kind in kinds)}"
+        raise InputError(f"{type(value).__name__} in place of {what}", hint=hint)
 
 
 def check_seed(seed: int) -> None:

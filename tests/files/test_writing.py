@@ -18,7 +18,8 @@ import pytest
 
 from lightmatrix.cli import main
 from lightmatrix.errors import LightMatrixWarning, OutputError
-from lightmatrix.files.writing import atomic_folder, check_output, claimed, locked
+from lightmatrix.files.kinds import FileKind, OutputKind
+from lightmatrix.files.writing import atomic_files, atomic_folder, check_output, claimed, locked
 from tests.helpers.limits import largest_file
 from tests.helpers.systems import FLOCKS, FORKS, LIMITS, PIPES, SIGNALS
 
@@ -94,6 +95,41 @@ def test_killed_at_any_step_the_old_output_or_the_new_one_is_there(
     assert result.returncode == 0, result.stderr
     assert int(result.stdout) > 8
     assert os.listdir(tmp_path) == ["out"]
+
+
+@pytest.mark.parametrize("old", [False, True])
+def test_a_run_stopped_between_its_files_is_not_in_the_way(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, old: bool
+) -> None:
+    names, replace = ("a.ply", "b.tif", "c.png"), os.replace
+    kinds: dict[str | Path, OutputKind] = {
+        tmp_path / name: FileKind("file", (), (b"",)) for name in names
+    }
+
+    def put(text: str, overwrite: bool) -> None:
+        with atomic_files(kinds, overwrite=overwrite) as parts:
+            for part in parts:
+                part.write_text(text)
+
+    def stopping(source: Path, target: Path) -> None:
+        if target.name == "b.tif":
+            os.kill(os.getpid(), signal.SIGINT)
+        replace(source, target)
+
+    if old:
+        put("old", overwrite=False)
+    monkeypatch.setattr("lightmatrix.files.writing.os.replace", stopping)
+    with pytest.raises(KeyboardInterrupt):
+        put("new", overwrite=True)
+    assert [each.name for each in sorted(tmp_path.iterdir())] == [*names] * old
+    assert {each.read_text() for each in tmp_path.iterdir()} <= {"old"}
+    monkeypatch.setattr("lightmatrix.files.writing.os.replace", replace)
+    put("newer", overwrite=old)
+    assert {each.name: each.read_text() for each in tmp_path.iterdir()} == dict.fromkeys(
+        names, "newer"
+    )
+    with pytest.raises(OutputError, match="exists already"):
+        put("again", overwrite=False)
 
 
 def test_what_is_in_the_way_of_the_temporary_folder_stays(tmp_path: Path) -> None:

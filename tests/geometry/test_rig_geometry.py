@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -11,6 +12,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy.io import savemat
 from scipy.spatial.transform import Rotation
 
 import lightmatrix as lm
@@ -175,30 +177,218 @@ def test_a_saved_geometry_is_the_same(tmp_path: Path) -> None:
     geometry.save(tmp_path / "rig.json", overwrite=True)
 
 
-@pytest.mark.parametrize("ending", ["xml", "yml", "json"])
-def test_files_of_opencv_are_read(tmp_path: Path, ending: str) -> None:
+def as_yaml(values: dict[str, Any], *, tag: str = " !!opencv-matrix") -> str:
+    """Matrices as OpenCV writes them, numbers and lists as they are."""
+    text = ""
+    for name, value in values.items():
+        if isinstance(value, np.ndarray):
+            rows, cols = value.shape
+            text += f"{name}:{tag}\n   rows: {rows}\n   cols: {cols}\n"
+            text += "   dt: d\n" if tag else ""
+            text += f"   data: [ {', '.join(map(str, value.ravel().tolist()))} ]\n"
+        else:
+            text += f"{name}: {value}\n"
+    return text
+
+
+def as_xml(values: dict[str, Any]) -> str:
+    text = '<?xml version="1.0"?>\n<opencv_storage>\n'
+    for name, value in values.items():
+        body = value
+        if isinstance(value, np.ndarray):
+            rows, cols = value.shape
+            data = " ".join(map(str, value.ravel().tolist()))
+            body = f"<rows>{rows}</rows><cols>{cols}</cols><dt>d</dt><data>\n    {data}</data>"
+        text += f"<{name}>{body}</{name}>\n"
+    return text + "</opencv_storage>\n"
+
+
+def as_ros(known: lm.RigGeometry, device: str, *, echoed: bool = False) -> str:
+    """The camera_info of a device: as its calibrator saves it, or as a topic shows it."""
+    rows, cols = getattr(known, f"{device}_shape")
+    # The axes of both rectified images lie along the baseline.
+    across = known.rotation.T @ known.translation / -known.baseline
+    down = np.cross([0, 0, 1], across) / np.linalg.norm(across[:2])
+    both = np.stack([across, down, np.cross(across, down)])
+    turn = both if device == "camera" else both @ known.rotation.T
+    shared = np.diag([700.0, 700, 1]) @ np.eye(3, 4)
+    if device == "projector":
+        shared[0, 3] = -700 * known.baseline
+    matrix, lens = getattr(known, f"{device}_intrinsics"), getattr(known, f"{device}_distortion")
+    if echoed:
+        parts = {"d": lens, "k": matrix, "r": turn, "p": shared}
+        text = f"header:\n  stamp:\n    sec: 3\nheight: {rows}\nwidth: {cols}\n"
+        for name, value in parts.items():
+            text += f"{name}:\n" + "".join(f"- {number}\n" for number in value.ravel().tolist())
+        return text + "roi:\n  x_offset: 0\n  height: 0\n"
+    parts = {"camera_matrix": matrix, "distortion_coefficients": lens[None]}
+    parts |= {"rectification_matrix": turn, "projection_matrix": shared}
+    head = {"image_width": cols, "image_height": rows, "camera_name": device}
+    return as_yaml({**head, **parts}, tag="")
+
+
+def as_matlab(known: lm.RigGeometry, *, old: bool) -> dict[str, Any]:
+    """What toStruct makes of stereoParameters."""
+    found: dict[str, Any] = {}
+    for number, device in ((1, "camera"), (2, "projector")):
+        k1, k2, p1, p2, k3 = getattr(known, f"{device}_distortion").tolist()
+        matrix = getattr(known, f"{device}_intrinsics").copy()
+        # MATLAB counts pixels from 1.
+        matrix[:2, 2] += 1
+        found[f"CameraParameters{number}"] = {
+            "RadialDistortion": [k1, k2, k3],
+            "TangentialDistortion": [p1, p2],
+            "ImageSize": getattr(known, f"{device}_shape"),
+            "WorldUnits": "millimeters",
+            "WorldPoints": np.zeros((300, 2)).tolist(),
+            **({"IntrinsicMatrix": matrix.T.tolist()} if old else {"K": matrix.tolist()}),
+        }
+    turn, shift = known.rotation, known.translation.tolist()
+    if old:
+        return {**found, "RotationOfCamera2": turn.T.tolist(), "TranslationOfCamera2": shift}
+    return {**found, "PoseCamera2": {"R": turn.tolist(), "Translation": shift}}
+
+
+def write_calibration(folder: Path, program: str, known: lm.RigGeometry) -> Path:
+    """A file, or a folder of two, as a program writes it."""
+    k1, k2 = known.camera_intrinsics, known.projector_intrinsics
+    d1, d2 = known.camera_distortion[None], known.projector_distortion[None]
+    turn, shift = known.rotation, known.translation[:, None]
+    more = {"E": np.eye(3), "corners": np.ones((400, 100)), "note": "left", "empty": "[]"}
+    width, height = known.camera_shape[::-1]
+    matrices = {"cam_K": k1, "cam_kc": d1, "proj_K": k2, "proj_kc": d2, "R": turn, "T": shift}
+    slstudio = {"Kc": k1, "kc": d1.T, "Kp": k2, "kp": d2.T, "Rp": turn, "Tp": shift}
+    slmaster = {"M1": k1, "D1": d1, "S": np.array([[width], [height]]), "M2": np.eye(3)}
+    slmaster |= {"M4": k2, "D4": d2, "R": np.eye(3), "Rlp": turn, "Tlp": shift}
+    kamino = {"img_shape": np.array([[height], [width]]), "rms": 0.25, "cam_int": k1}
+    kamino |= {"cam_dist": d1, "proj_int": k2, "proj_dist": d2, "roration": turn}
+    group = "settings:\n   name: left\n   M1: 3\n"
+    files: dict[str, Callable[[], str]] = {
+        "scan3d.yml": lambda: "%YAML:1.0\n---\n" + as_yaml({**matrices, "cam_error": 0.2, **more}),
+        "slstudio.xml": lambda: as_xml({**slstudio, **more}),
+        "slmaster.yml": lambda: "%YAML:1.0\n---\n" + group + as_yaml({**more, **slmaster}),
+        "kamino.xml": lambda: as_xml({**kamino, "translation": shift, **more}),
+        "stereo/intrinsics.yml": lambda: as_yaml({"M1": k1, "D1": d1, "M2": k2, "D2": d2}),
+        "stereo/extrinsics.yml": lambda: as_yaml({"R": turn, "T": shift, "R1": np.eye(3)}),
+        "ros/camera.yaml": lambda: as_ros(known, "camera"),
+        "ros/projector.yaml": lambda: as_ros(known, "projector"),
+        "ros2/right.yaml": lambda: as_ros(known, "projector", echoed=True),
+        "ros2/left.yaml": lambda: as_ros(known, "camera", echoed=True),
+        "matlab.json": lambda: json.dumps(as_matlab(known, old=False) | {"note": [1, "a"]}),
+        "old.json": lambda: json.dumps({"stereoParams": as_matlab(known, old=True)}),
+    }
+    if program.endswith(".mat"):
+        savemat(folder / program, {"s": as_matlab(known, old=program.startswith("old"))})
+    for name, text in files.items():
+        if name.split("/")[0] == program:
+            (folder / name).parent.mkdir(exist_ok=True)
+            (folder / name).write_text(text())
+    return folder / program
+
+
+@pytest.mark.parametrize(
+    ("program", "sizes"),
+    [
+        ("scan3d.yml", 0), ("slstudio.xml", 0), ("slmaster.yml", 1), ("kamino.xml", 1),
+        ("stereo", 0), ("ros", 2), ("ros2", 2), ("matlab.json", 2), ("old.json", 2),
+        ("stereo.mat", 2), ("old.mat", 2),
+    ],
+)  # fmt: skip
+def test_files_of_other_programs_are_read(tmp_path: Path, program: str, sizes: int) -> None:
+    """`sizes` devices of a file state the size of their images."""
+    known = rig(3)
+    file = write_calibration(tmp_path, program, known)
+    if sizes < 2:
+        with pytest.raises(lm.InputError, match=f"size of the {('camera', 'projector')[sizes]}"):
+            lm.RigGeometry.load(file)
+    # The images tell their sizes, before they were binned.
+    sides = known.camera_shape
+    matches = lm.Correspondence(
+        np.zeros((*sides, 2), np.int32),
+        np.zeros((*sides, 2), np.float32),
+        np.ones(sides, np.float32),
+        projector_shape=known.projector_shape,
+    )
+    read = lm.geometry_of(matches, file)
+    assert (read.camera_shape, read.projector_shape) == (sides, known.projector_shape)
+    for name in ("matrix", "distortion"):
+        for device in ("camera", "projector"):
+            one, other = (getattr(each, f"{device}_{name}") for each in (read, known))
+            np.testing.assert_allclose(one, other, rtol=1e-9, atol=1e-6)
+    assert read.units == ("mm" if "mat" in program or "old" in program else None)
+    assert read.rms == ({"stereo": 0.25} if program == "kamino.xml" else {})
+
+
+def test_one_file_of_two_and_other_saves_of_matlab_are_explained(tmp_path: Path) -> None:
+    write_calibration(tmp_path, "stereo", rig())
+    write_calibration(tmp_path, "ros", rig())
+    (tmp_path / "new.mat").write_bytes(b"MATLAB 7.3 MAT-file")
+    (tmp_path / "cut.mat").write_bytes(b"MATLAB 5.0 MAT-file")
+    (tmp_path / "half.json").write_text('{"CameraParameters1": {}}')
+    for name, words in {
+        "stereo/intrinsics.yml": "names no rotation and no translation",
+        "ros/camera.yaml": "the camera_info of one device",
+        ".": "holds 1 files",
+        "new.mat": "version 7.3",
+        "cut.mat": "cannot be read",
+        "half.json": "stereoParameters lack 'IntrinsicMatrix'",
+    }.items():
+        with pytest.raises(lm.InputError, match=words):
+            lm.RigGeometry.load(tmp_path / name)
+
+
+@pytest.mark.parametrize("ending", ["xml", "yml"])
+def test_opencv_reads_what_is_written(tmp_path: Path, ending: str) -> None:
+    cv2: Any = pytest.importorskip("cv2")
+    geometry, file = rig(2), tmp_path / f"rig.{ending}"
+    geometry.save(file)
+    storage = cv2.FileStorage(str(file), cv2.FILE_STORAGE_READ)
+    parts = {name: storage.getNode(name).mat() for name in ("M1", "D1", "M2", "D2", "R", "T")}
+    storage.release()
+    points = points_before(geometry, 2)
+    turn = cv2.Rodrigues(parts["R"])[0]
+    seen = cv2.projectPoints(points, np.zeros(3), np.zeros(3), parts["M1"], parts["D1"])[0][:, 0]
+    lit = cv2.projectPoints(points, turn, parts["T"], parts["M2"], parts["D2"])[0][:, 0]
+    np.testing.assert_allclose(seen, geometry.project_camera(points), atol=1e-6)
+    np.testing.assert_allclose(lit, geometry.project_projector(points), atol=1e-6)
+    again = lm.RigGeometry.load(file)
+    assert again.projector_shape == geometry.projector_shape
+    np.testing.assert_allclose(again.projector_matrix, geometry.projector_matrix, atol=1e-9)
+    geometry.save(file, overwrite=True)
+    with pytest.raises(lm.OutputError, match="cannot state a mirrored projector"):
+        replace(geometry, projector_mirrored=True).save(file, overwrite=True)
+
+
+def test_a_colmap_model_has_the_same_projections(tmp_path: Path) -> None:
     cv2: Any = pytest.importorskip("cv2")
     geometry = rig(2)
-    file = tmp_path / f"calibration.{ending}"
-    storage = cv2.FileStorage(str(file), cv2.FILE_STORAGE_WRITE)
-    for name, value in (
-        ("cam_K", geometry.camera_intrinsics),
-        ("cam_kc", geometry.camera_distortion[None]),
-        ("proj_K", geometry.projector_intrinsics),
-        ("proj_kc", geometry.projector_distortion[None]),
-        ("R", geometry.rotation),
-        ("T", geometry.translation[:, None]),
-        ("rms", 0.25),
-    ):
-        storage.write(name, value)
-    storage.release()
-    with pytest.raises(lm.InputError, match="image size of the camera"):
-        lm.RigGeometry.load(file)
-    again = lm.RigGeometry.load(file, camera_shape=(480, 640), projector_shape=(600, 800))
-    np.testing.assert_allclose(again.camera_matrix, geometry.camera_matrix)
-    np.testing.assert_allclose(again.projector_matrix, geometry.projector_matrix, atol=1e-9)
-    np.testing.assert_allclose(again.projector_distortion, geometry.projector_distortion)
-    assert again.rms == {"stereo": 0.25}
+    geometry.save(tmp_path / "rig.colmap")
+    lines = {
+        name: (tmp_path / "rig.colmap" / f"{name}.txt").read_text().splitlines()[1:]
+        for name in ("cameras", "images", "points3D")
+    }
+    # The second line of an image holds its points.
+    assert (lines["points3D"], lines["images"][1::2]) == ([], ["", ""])
+    points = points_before(geometry, 2)
+    expected = geometry.project_camera(points), geometry.project_projector(points)
+    for camera, image, pixels in zip(lines["cameras"], lines["images"][::2], expected, strict=True):
+        number, model, width, _, *numbers = camera.split()
+        fx, fy, cx, cy, *lens = map(float, numbers)
+        _, *pose, owner, _ = image.split()
+        w, x, y, z, *shift = map(float, pose)
+        assert (model, owner) == ("FULL_OPENCV", number)
+        assert int(width) == (640 if number == "1" else 800)
+        turn = Rotation.from_quat([x, y, z, w]).as_rotvec()
+        matrix = np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]])
+        shown = cv2.projectPoints(points, turn, np.array(shift), matrix, np.array(lens))[0][:, 0]
+        # COLMAP counts pixels from the corner of the first one.
+        np.testing.assert_allclose(shown - 0.5, pixels, atol=1e-6)
+    skewed = lm.RigGeometry(
+        np.array([[900.0, 5, 300, 0], [0, 900, 200, 0], [0, 0, 1, 0]]),
+        geometry.projector_matrix, (480, 640), (600, 800),
+    )  # fmt: skip
+    with pytest.raises(lm.OutputError, match="cannot state skewed pixels"):
+        skewed.save(tmp_path / "other.colmap")
 
 
 def stored(**changes: object) -> str:
@@ -233,7 +423,7 @@ def stored(**changes: object) -> str:
         ('{"format": "lightmatrix-geometry", "version": 2}', "format version 2"),
         ('{"format": "lightmatrix-geometry", "version": 1}', "lacks camera_distortion"),
         ('{"cam_K": [[1, 0, 0], [0, 1, 0], [0, 0, 1]]}', "names no projector intrinsics"),
-        ("<?xml version='1.0'?><opencv_storage>", "holds no geometry|cannot read"),
+        ("<?xml version='1.0'?><opencv_storage>", "cannot be read"),
         ("%YAML:1.0\n---\nalpha: 1\n", "holds no geometry"),
     ],
 )
@@ -291,38 +481,3 @@ def test_a_geometry_of_other_images_needs_a_stated_bin() -> None:
         lm.geometry_of(transport, geometry)
     stated = {"capture_description": {"bin_camera": [16, 20]}}
     assert lm.geometry_of(replace(transport, provenance=stated), geometry).camera_shape == (64, 64)
-
-
-def test_files_of_slstudio_and_slmaster(tmp_path: Path) -> None:
-    cv2: Any = pytest.importorskip("cv2")
-    known = rig(3)
-    names = {
-        "slstudio.xml": ("Kc", "kc", "Kp", "kp", "Rp", "Tp"),
-        "slmaster.yml": ("M1", "D1", "M4", "D4", "Rlp", "Tlp"),
-    }
-    values = (
-        known.camera_intrinsics,
-        known.camera_distortion.reshape(5, 1),
-        known.projector_intrinsics,
-        known.projector_distortion.reshape(5, 1),
-        known.rotation,
-        known.translation.reshape(3, 1),
-    )
-    for file, keys in names.items():
-        storage = cv2.FileStorage(str(tmp_path / file), cv2.FILE_STORAGE_WRITE)
-        for key, value in zip(keys, values, strict=True):
-            storage.write(key, value)
-        if file == "slmaster.yml":
-            # Those of its second camera, and what else it keeps.
-            for key, value in (("M2", np.eye(3)), ("R", np.eye(3)), ("T", np.ones((3, 1)))):
-                storage.write(key, value)
-            storage.startWriteStruct("settings", cv2.FileNode_MAP)
-            storage.write("name", "left")
-            storage.endWriteStruct()
-        storage.release()
-        sizes = {"camera_shape": (480, 640), "projector_shape": (600, 800)}
-        read = lm.RigGeometry.load(tmp_path / file, **sizes)
-        np.testing.assert_allclose(read.camera_matrix, known.camera_matrix, rtol=1e-6, atol=1e-6)
-        np.testing.assert_allclose(read.camera_distortion, known.camera_distortion, atol=1e-9)
-        np.testing.assert_allclose(read.rotation, known.rotation, atol=1e-6)
-        np.testing.assert_allclose(read.translation, known.translation, atol=1e-4)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -16,6 +17,7 @@ from lightmatrix.geometry.matches import fit_fundamental, fit_homography, moved,
 from lightmatrix.shape import calibrate
 from lightmatrix.shape.calibrate import (
     BoardCorners,
+    BoardKind,
     RigCalibration,
     board_points,
     find_corners,
@@ -27,7 +29,7 @@ from lightmatrix.simulation.simulate import SimulatedCapture
 
 from ..helpers.board import BOARD, POSES, SQUARE, board_capture, board_rig
 
-pytest.importorskip("cv2")
+cv2: Any = pytest.importorskip("cv2")
 DATA = Path(__file__).parents[1] / "data" / "graycode-board"
 CAMERA, PROJECTOR, SIDE = (1024, 1280), (768, 1024), 75.0
 
@@ -120,6 +122,101 @@ def test_a_shifted_lens_above_the_camera_is_found() -> None:
     found = fit.geometry.projector_intrinsics
     np.testing.assert_allclose(found, projector, rtol=0.01, atol=2)
     assert max(np.abs(each).max() for each in fit.projector_errors) < 0.05
+
+
+# Seen askew: where pixels of a drawing of 30 pixels a square appear in a photograph.
+TILT = np.array([[1.05, 0.12, 30], [-0.09, 0.96, 60], [1.5e-4, 3e-4, 1]])
+
+
+def drawing(kind: BoardKind, board: tuple[int, int]) -> tuple[np.ndarray, np.ndarray]:
+    """A photograph (rows, cols) of a board, and where its corners or circles are, (n, 2)."""
+    points = 30 * board_points(board, 1, kind)[:, :2] + 60
+    image = np.full((420, 460), 255, np.uint8)
+    if "circles" in kind:
+        for point in points:
+            cv2.circle(image, np.rint(point * 16).astype(int).tolist(), 160, 0, -1, cv2.LINE_AA, 4)
+    elif kind == "chessboard":
+        row, col = np.mgrid[: board[1] + 1, : board[0] + 1]
+        tiles = np.kron((row + col) % 2, np.ones((30, 30)))
+        image[30 : 30 + len(tiles), 30 : 30 + tiles.shape[1]] = 255 * tiles
+        points = points - 0.5
+    else:
+        markers = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_5X5_100)
+        size = board[0] + 1, board[1] + 1
+        known = cv2.aruco.CharucoBoard(size, 1.0, 0.8, markers)
+        tiles = known.generateImage((30 * size[0], 30 * size[1]))
+        image[30 : 30 + len(tiles), 30 : 30 + tiles.shape[1]] = tiles
+        points = points - 0.5
+    # Three times as large, so that markers are resolved.
+    enlarge = np.array([[3.0, 0, 1], [0, 3, 1], [0, 0, 1]])
+    shown = cv2.resize(image, None, fx=3, fy=3, interpolation=cv2.INTER_NEAREST)
+    seen = cv2.warpPerspective(shown, TILT, (1300, 1150), borderValue=255)
+    return seen / 255.0, moved(TILT, moved(enlarge, points))
+
+
+@pytest.mark.parametrize(
+    ("kind", "board"),
+    [
+        ("chessboard", (7, 5)),
+        ("charuco", (7, 5)),
+        ("circles", (7, 5)),
+        ("asymmetric-circles", (4, 7)),
+    ],
+)
+def test_boards_of_all_kinds_are_found(kind: BoardKind, board: tuple[int, int]) -> None:
+    white, expected = drawing(kind, board)
+    found = find_corners(white, board, kind)
+    assert found is not None
+    # A board that looks the same from two sides may be counted from the other end.
+    away = min(np.abs(each - expected).max() for each in (found, found[::-1]))
+    # The middle of a circle's image is not the image of its middle.
+    assert away < (1.5 if "circles" in kind else 0.3)
+    assert find_corners(np.full((200, 200), 0.5), board, kind) is None
+
+
+def test_a_part_of_a_charuco_board_suffices_and_so_does_a_part_that_is_lit() -> None:
+    board = (7, 5)
+    white, expected = drawing("charuco", board)
+    white[:, :420] = 0.5
+    found = find_corners(white, board, "charuco")
+    assert found is not None
+    seen = np.isfinite(found).all(axis=1)
+    assert 12 <= seen.sum() <= 25
+    np.testing.assert_allclose(found[seen], expected[seen], atol=0.3)
+    # The projector's pixels are the camera's, shifted.
+    row, col = np.mgrid[: white.shape[0], : white.shape[1]].astype(np.float32)
+    place = np.stack([row - 40, col - 100], axis=-1)
+    place[:300] = np.nan
+    pixel = np.nan_to_num(place, nan=-1).astype(np.int32)
+    matches = lm.Correspondence(pixel, place, np.ones(white.shape, np.float32))
+    lit = light_corners(found, matches, board)
+    assert (lit.lit <= seen).all()
+    assert 0 < lit.lit.sum() < seen.sum()
+    np.testing.assert_allclose(lit.projector[lit.lit], found[lit.lit] - [100, 40], atol=1e-2)
+
+
+@pytest.mark.parametrize("count", [6, 12])
+def test_poses_need_few_lit_corners_in_two_rows(
+    count: int, captures: list[SimulatedCapture], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    whole = light_corners
+
+    def in_part(corners: np.ndarray, matches: lm.Correspondence, board: tuple[int, int]) -> Any:
+        lit = whole(corners, matches, board)
+        lit.projector[count:] = np.nan
+        return lit
+
+    poses = [*captures, replace(captures[0])]
+    with monkeypatch.context() as patch:
+        patch.setattr(calibrate, "light_corners", in_part)
+        if count == 6:
+            with pytest.raises(lm.InputError, match="lights only 6 of its 35 corners"):
+                lm.calibrate_rig(poses, BOARD, SQUARE)
+        else:
+            found = calibrate._all_corners(poses, BOARD, "chessboard", None)[0]
+            assert [each.lit.sum() for each in found.values()] == [12] * 5
+    with pytest.raises(lm.InputError, match="a board of the kind 'squares'"):
+        lm.calibrate_rig(poses, BOARD, SQUARE, kind="squares")  # type: ignore[arg-type]
 
 
 def test_homographies_survive_wrong_matches() -> None:
@@ -269,8 +366,11 @@ def test_the_command(
     assert lm.RigGeometry.load(tmp_path / "rig.json").units == "mm"
     assert main(["calibrate", *folders, *words]) == 2
     assert "exists already" in capsys.readouterr().err
+    words[3] = "24,5 mm"
     assert main(["calibrate", *folders, *words, "--overwrite"]) == 0
     assert "25 mm" not in capsys.readouterr().out
+    rig = lm.RigGeometry.load(tmp_path / "rig.json")
+    assert rig.baseline == pytest.approx(24.5 / 25 * answer["baseline"], abs=1e-3)
     words[3] = "wide"
     assert main(["calibrate", *folders, *words, "--overwrite"]) == 2
     assert "--square wide" in capsys.readouterr().err
@@ -309,9 +409,10 @@ def test_rendered_scenes_give_the_rig(name: str) -> None:
     known = lm.truth(name)
     exact, transport = known.geometry, known.transport()
     assert exact is not None
-    for projector, most in ((None, 0.3), (exact.projector_intrinsics, 0.1)):
+    ways = ((transport, None, 0.3), (lm.correspondence(transport), exact.projector_intrinsics, 0.1))
+    for source, projector, most in ways:
         rig = lm.self_calibrate(
-            transport,
+            source,
             exact.camera_intrinsics,
             projector_intrinsics=projector,
             baseline=exact.baseline,
@@ -382,7 +483,7 @@ def test_an_axis_beside_the_middle_is_refused_unless_it_is_stated(name: str) -> 
 
 
 def test_a_mirrored_projector_gives_the_same_depth() -> None:
-    known = lm.truth("l_objects")
+    known = lm.truth("corner")
     assert known.geometry is not None
     plain = lm.correspondence(known.transport())
     place = (plain.place * [1, -1] + [0, 63]).astype(np.float32)

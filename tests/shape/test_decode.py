@@ -16,6 +16,7 @@ from lightmatrix.capture.sensor import Sensor
 from lightmatrix.check.frame_order import missing_places
 from lightmatrix.check.survey import Survey
 from lightmatrix.errors import InputError, LightMatrixWarning
+from lightmatrix.files.images import decode_image, encode_image
 from lightmatrix.patterns.pattern_set import ImagePatterns, PatternSet
 
 PROJECTOR, CAMERA = (40, 52), (34, 30)
@@ -222,15 +223,24 @@ def test_wrong_places_contradict_their_neighbours() -> None:
     assert wrong.confidence[15:, 15:].min() > 0.95
 
 
-def test_pixels_that_see_nothing_get_no_place() -> None:
-    for name in ("graycode", "microphase"):
-        patterns = code(name)
-        frames = photographs(patterns)
-        noise = 0.01 * np.random.default_rng(3).standard_normal((patterns.count, 34, 12))
-        frames[:, :, :12] = np.float32(0.2) + noise.astype(np.float32)
-        matches = lm.decode(capture(patterns, frames), check=False)
-        assert matches.valid[:, :12].mean() < 0.01
-        assert matches.valid[:, 12:].mean() > 0.99
+@pytest.mark.parametrize("name", ["graycode", "microphase"])
+@pytest.mark.parametrize("jpeg", [False, True])
+def test_pixels_that_see_nothing_get_no_place(name: str, jpeg: bool) -> None:
+    patterns = code(name)
+    frames = photographs(patterns)
+    noise = 0.01 * np.random.default_rng(3).standard_normal((patterns.count, 34, 12))
+    frames[:, :, :12] = np.float32(0.2) + noise.astype(np.float32)
+    shown = capture(patterns, frames)
+    if jpeg:
+        levels = np.rint(255 * frames.clip(0, 1)).astype(np.uint8)
+        files = [encode_image(each, "jpeg", quality=90) for each in levels]
+        shown = lm.Capture.from_arrays(
+            patterns, np.stack([decode_image(each) for each in files]), Sensor(bits=8)
+        )
+    matches = lm.decode(shown, check=False)
+    # Blocks of 8 x 8 pixels lie across the border, and ring.
+    assert matches.valid[:, : 8 if jpeg else 12].mean() < 0.01
+    assert matches.valid[:, 16:].mean() > 0.99
 
 
 def test_codes_of_blocks_place_pixels_to_blocks() -> None:

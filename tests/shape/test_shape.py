@@ -172,17 +172,64 @@ def test_files(tmp_path: Path) -> None:
     files = {"output": tmp_path / "cloud.ply", "depth": tmp_path / "depth.tif"}
     shape = lm.triangulate(tmp_path / "T.npz", tmp_path / "rig.json", mesh=True, **files)  # type: ignore[arg-type]
     np.testing.assert_array_equal(tifffile.imread(tmp_path / "depth.tif"), shape.depth)
+    points, faces = shape.points[shape.kept], surface_faces(shape.depth, shape.geometry)
+    shape.save(tmp_path / "cloud.xyz")
+    np.testing.assert_allclose(np.loadtxt(tmp_path / "cloud.xyz"), points, rtol=1e-6)
     trimesh = pytest.importorskip("trimesh")
-    read = trimesh.load(tmp_path / "cloud.ply", process=False)
-    np.testing.assert_allclose(read.vertices, shape.points[shape.kept])
-    assert len(read.faces) == len(surface_faces(shape.depth, shape.geometry))
-    # Triangles face the camera, as the normals do.
-    assert (read.face_normals[:, 2] > 0).mean() > 0.99
-    assert len(shape.mesh().faces) == len(read.faces)
-    with pytest.raises(OutputError, match="exists already"):
-        shape.save(tmp_path / "cloud.ply")
-    with pytest.raises(OutputError, match=r"ends in \.obj"):
-        shape.save(tmp_path / "cloud.obj")
+    shape.save(tmp_path / "cloud.obj", mesh=True)
+    for name in ("cloud.ply", "cloud.obj"):
+        read = trimesh.load(tmp_path / name, process=False)
+        # trimesh leaves out points of an OBJ file that are in no triangle.
+        used = np.unique(faces) if name.endswith("obj") else np.flatnonzero(shape.kept)
+        np.testing.assert_allclose(read.vertices, shape.points.reshape(-1, 3)[used], rtol=1e-6)
+        assert len(read.faces) == len(faces)
+        # Triangles face the camera, as the normals do.
+        assert (read.face_normals[:, 2] > 0).mean() > 0.99
+        grey = np.asarray(read.visual.vertex_colors)[:, 0]
+        assert np.corrcoef(grey, shape.albedo.ravel()[used] ** (1 / 2.2))[0, 1] > 0.99
+    cloud = trimesh.load(tmp_path / "cloud.xyz")
+    np.testing.assert_allclose(cloud.vertices, points, rtol=1e-6)
+    for name in ("cloud.ply", "cloud.obj", "cloud.xyz"):
+        with pytest.raises(OutputError, match="exists already"):
+            shape.save(tmp_path / name)
+        shape.save(tmp_path / name, overwrite=True)
+    with pytest.raises(OutputError, match=r"ends in \.stl"):
+        shape.save(tmp_path / "cloud.stl")
+
+
+def test_a_pcd_file_says_what_its_bytes_are(tmp_path: Path) -> None:
+    _, shape = triangulated("corner")
+    shape.save(tmp_path / "a.pcd")
+    header, _, data = (tmp_path / "a.pcd").read_bytes().partition(b"DATA binary\n")
+    lines = dict(each.split(" ", 1) for each in header.decode().splitlines())
+    columns = zip(*(lines[name].split() for name in ("FIELDS", "TYPE", "SIZE")), strict=True)
+    table = np.frombuffer(data, [(name, kind.lower() + size) for name, kind, size in columns])
+    assert len(table) == int(lines["POINTS"]) == int(lines["WIDTH"]) == shape.kept.sum()
+    points = np.stack([table["x"], table["y"], table["z"]], axis=1)
+    np.testing.assert_array_equal(points, shape.points[shape.kept])
+    np.testing.assert_array_equal(table["probability"], shape.probability[shape.kept])
+    normal = shape.normals[shape.kept][:, 2]
+    np.testing.assert_array_equal(table["normal_z"], np.nan_to_num(normal))
+    # Red, green and blue, as PCL unpacks them.
+    colour = table["rgb"].view(np.uint32)
+    assert ((colour >> 16 & 255) == (colour & 255)).all()
+    assert colour.max() == 0xFFFFFF
+
+
+def test_a_depth_image_is_in_millimetres(tmp_path: Path) -> None:
+    known, found = triangulated("corner")
+    shape = replace(found, geometry=replace(known.geometry, units="m"))
+    shape.save(tmp_path / "depth.png")
+    levels = lm.read_image(tmp_path / "depth.png")
+    assert levels.dtype == np.uint16
+    expected = np.where(shape.kept, 1000 * shape.depth, 0)
+    np.testing.assert_allclose(levels, expected, atol=0.51)
+    far = replace(shape, depth=20 * shape.depth)
+    with pytest.warns(lm.LightMatrixWarning, match=r"beyond 65\.5 m"):
+        far.save(tmp_path / "far.png")
+    assert lm.read_image(tmp_path / "far.png").max() < 65535
+    with pytest.raises(InputError, match="unit is unknown"):
+        replace(shape, geometry=known.geometry).save(tmp_path / "unknown.png")
 
 
 @pytest.mark.parametrize("view", ["depth", "normals"])

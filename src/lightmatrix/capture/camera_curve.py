@@ -59,9 +59,8 @@ def check_levels(
         raise InputError(f"a full scale of {top:g}", hint=hint)
     clips = real_numbers("clip levels", np.inf if clip is None else clip)
     if clip is not None and not ((clips > 0) & (clips <= top)).all():
-        raise InputError(
-            f"a clip level of {clips.min():g}", hint=f"use a raw level above 0 and at most {top:g}"
-        )
+        hint = f"use a raw level above 0 and at most {top:g}"
+        raise InputError(f"a clip level of {clips.min():g}", hint=hint)
     blacks = real_numbers("black levels", 0.0 if black_level is None else black_level)
     if blacks.ndim and clips.ndim and blacks.shape != clips.shape:
         hint = "give one number, or one for each frame"

@@ -341,9 +341,8 @@ class Capture(Reader):
         blocks = block_size(projector, "projector"), block_size(camera, "camera")
         for name, block in zip(("bin_projector", "bin_camera"), blocks, strict=True):
             if block != (1, 1) and getattr(self, name) != (1, 1):
-                raise InputError(
-                    f"the capture is binned already, {getattr(self, name)}", hint="bin it once"
-                )
+                hint = "bin it once"
+                raise InputError(f"the capture is binned already, {getattr(self, name)}", hint=hint)
         result = self
         if blocks[0] != (1, 1):
             coarse = self.patterns.coarse(blocks[0])

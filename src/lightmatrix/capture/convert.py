@@ -181,9 +181,8 @@ def convert(
             shown[file] = np.asarray(image / _top(file, image), np.float32)
     shapes = {image.shape for image in shown.values()}
     if len(shapes) > 1:
-        raise InputError(
-            f"{folder}: patterns of {len(shapes)} sizes", hint="give patterns of one size"
-        )
+        hint = "give patterns of one size"
+        raise InputError(f"{folder}: patterns of {len(shapes)} sizes", hint=hint)
     patterns = ImagePatterns(np.stack([shown[file] for file in layout.patterns]))
     first = _one_channel(read_image(layout.frames[0]), number)
     bits = 8 if _top(layout.frames[0], first) == np.iinfo(np.uint8).max else 16
@@ -210,7 +209,6 @@ def _one_channel(image: NDArray[Any], number: int) -> NDArray[Any]:
 def _top(file: Path, image: NDArray[Any]) -> int:
     """The highest level of an image of whole levels."""
     if image.dtype.kind != "u":
-        raise InputError(
-            f"{file}: holds {image.dtype} values", hint="convert images of 8 or 16 bits"
-        )
+        hint = "convert images of 8 or 16 bits"
+        raise InputError(f"{file}: holds {image.dtype} values", hint=hint)
     return int(np.iinfo(image.dtype).max)

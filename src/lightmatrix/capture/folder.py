@@ -198,9 +198,8 @@ def write_capture(
                 )
             fill_image(image, frame)
         if count != patterns.count:
-            raise InputError(
-                f"{count} frames for {patterns.count} patterns", hint="give one a pattern"
-            )
+            hint = "give one a pattern"
+            raise InputError(f"{count} frames for {patterns.count} patterns", hint=hint)
         decoder = sensor.decoder()
         if black is not None:
             decoder = replace(decoder, black_frame=black, black_exposure=black_exposure)
@@ -418,9 +417,8 @@ def _read_black(
             hint="save it with the bit depth of the images",
         )
     if float(np.median(image)) >= np.min(clip):
-        raise InputError(
-            f"{file}: the black frame is clipped", hint="take it with the projector showing black"
-        )
+        hint = "take it with the projector showing black"
+        raise InputError(f"{file}: the black frame is clipped", hint=hint)
     exposure = settings.black_exposure
     differs = exposure is not None and bool((np.asarray(settings.exposure) != exposure).any())
     if settings.black_level is None and differs:
@@ -522,9 +520,8 @@ def read_white_frame(path: str | Path, settings: ReadSettings) -> Samples:
     file = as_path(path)
     if not file.exists() or file.is_dir():
         problem = "is a folder" if file.is_dir() else "no such file"
-        raise InputError(
-            f"{file}: {problem}", hint="give a photograph of a white pattern, a scene, or a T.npz"
-        )
+        hint = "give a photograph of a white pattern, a scene, or a T.npz"
+        raise InputError(f"{file}: {problem}", hint=hint)
     stack = ImageStack.open([file])
     decoder = make_decoder(stack, replace(settings, response=settings.response or Response()))
     check_depth(stack, decoder)

@@ -134,9 +134,8 @@ def in_memory(frames: Any, mask: Any) -> tuple[ArrayStack, NDArray[np.bool_] | N
     """Frames and mask from anything array-like; an InputError says why they are none."""
     array = real_array("frames", frames)
     if array.ndim not in (3, 4) or array.size == 0:
-        raise InputError(
-            f"frames of shape {array.shape}", hint="give (K, rows, cols) or (K, rows, cols, 3)"
-        )
+        hint = "give (K, rows, cols) or (K, rows, cols, 3)"
+        raise InputError(f"frames of shape {array.shape}", hint=hint)
     if mask is None:
         return ArrayStack(array), None
     values = real_array("a mask", mask)

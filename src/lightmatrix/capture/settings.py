@@ -155,9 +155,8 @@ def read_description(file: Path, *, allow_outside: bool = False) -> Description:
             return None
         named = file.parent / name if allow_outside else within(file.parent, name, file)
         if named.is_dir():
-            raise InputError(
-                f"{file}: names {name!r}, which is a folder", hint="name a file of the folder"
-            )
+            hint = "name a file of the folder"
+            raise InputError(f"{file}: names {name!r}, which is a folder", hint=hint)
         return named
 
     response, projector = values["response"], values["projector_response"]

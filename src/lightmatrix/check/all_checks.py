@@ -61,9 +61,8 @@ def check_source(
     elif patterns is not None and images is not None:
         parts = read_folders(patterns, images, settings or ReadSettings(), counted=False)
     else:
-        raise InputError(
-            "there is nothing to check", hint="give a capture folder, or patterns and images"
-        )
+        hint = "give a capture folder, or patterns and images"
+        raise InputError("there is nothing to check", hint=hint)
     try:
         if parts.patterns.count != parts.frames.count:
             return _check_uncounted(parts), None

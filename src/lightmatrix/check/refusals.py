@@ -22,9 +22,8 @@ def refuse_unusable(capture: Capture) -> None:
     """
     patterns = capture.patterns
     if patterns.count == 1:
-        raise InputError(
-            "the capture has 1 frame only", hint="take at least 2 patterns, better 64 or more"
-        )
+        hint = "take at least 2 patterns, better 64 or more"
+        raise InputError("the capture has 1 frame only", hint=hint)
     if patterns.pixels == 1:
         hint = "use larger patterns, or bin them less"
         raise InputError("the projector has 1 x 1 pixels", hint=hint)
@@ -39,9 +38,8 @@ def refuse_unusable(capture: Capture) -> None:
     check_depth(capture.frames, capture.decoder)
     valid, decoder = int(capture.valid.sum()), capture.decoder
     if valid == 0:
-        raise InputError(
-            "all camera pixels are masked", hint="correct the mask, or take a darker black frame"
-        )
+        hint = "correct the mask, or take a darker black frame"
+        raise InputError("all camera pixels are masked", hint=hint)
     brightest, clipped, total = 0.0, 0, 0
     for _, tile in capture.tiles():
         level = np.broadcast_to(tile.clip_level, tile.values.shape)
@@ -68,9 +66,8 @@ def refuse_unordered(capture: Capture) -> list[Finding]:
     findings = check_capture(capture)
     for finding in findings:
         if finding.kind in ("order", "unrelated", "interchanged"):
-            raise InputError(
-                finding.message, hint=f"{finding.advice}; check=False takes them as they are"
-            )
+            hint = f"{finding.advice}; check=False takes them as they are"
+            raise InputError(finding.message, hint=hint)
     return findings
 
 

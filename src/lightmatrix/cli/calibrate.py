@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import re
 from pathlib import Path
+from typing import Any, Literal
 
 from typer import Argument, Option
 
 import lightmatrix as lm
 from lightmatrix.cli.options import Json, Overwrite, described, size
 from lightmatrix.cli.source import numbers
-from lightmatrix.cli.terminal import progress, say, show_json
+from lightmatrix.cli.terminal import answer, progress
 from lightmatrix.errors import InputError
 
 
@@ -20,8 +21,13 @@ from lightmatrix.errors import InputError
         help="A capture of each pose: patterns/ and images/. With --focal, one T or file of "
         "`decode`, of a scene that is not flat.",
     ),
-    board=Option(metavar="9x7", help="Inner corners of the board: squares less one."),
-    square=Option(metavar="24mm", help="Side of a square, with or without a unit."),
+    board=Option(metavar="9x7", help="Inner corners of the board (squares less one), or circles."),
+    square=Option(
+        metavar="24mm",
+        help="Side of a square, with or without a unit; or from circle to circle, of asymmetric "
+        "ones from row to row.",
+    ),
+    kind="What is printed on the board.",
     focal="Without a board: the camera's focal length in pixels.",
     principal=Option(
         metavar="COL,ROW",
@@ -29,12 +35,13 @@ from lightmatrix.errors import InputError
         show_default="the middle",
     ),
     baseline=Option(metavar="200mm", help="Without a board: from the camera to the projector."),
-    output="The geometry to write: .json.",
+    output="The geometry to write: .json, .yml or .xml (OpenCV), .colmap.",
 )
 def calibrate(
     poses: list[Path],
     board: str | None = None,
     square: str | None = None,
+    kind: Literal["chessboard", "charuco", "circles", "asymmetric-circles"] = "chessboard",
     focal: float | None = None,
     principal: str | None = None,
     baseline: str = "1",
@@ -44,40 +51,35 @@ def calibrate(
 ) -> None:
     """Calibrate camera and projector with a board.
 
-    Print a chessboard and mount it flat. Photograph it in 5 to 10 poses, each tilted differently,
+    Print a board and mount it flat. Photograph it in 5 to 10 poses, each tilted differently,
     under a Gray code (`patterns graycode`) or under random patterns. The camera's focal length,
     distortion and place are found, and those of the projector as if it were a second camera.
     Without a board, --focal finds the projector from one scene.
     """
+    written: dict[str, Any] = {"output": output, "overwrite": overwrite}
     if board is None or square is None:
-        _without_board(
-            poses, focal, principal, baseline, output, overwrite=overwrite, as_json=as_json
-        )
+        _without_board(poses, focal, principal, baseline, as_json, **written)
         return
     if focal is not None:
         raise InputError("--focal does not go with --board", hint="leave one of them out")
     side, units = _length("--square", square)
-    corners = size(board)
+    written |= {"kind": kind, "units": units}
     with progress("reading poses", "poses") as step:
-        measured = lm.calibrate_rig(
-            poses, corners, side, units=units, output=output, overwrite=overwrite, progress=step
-        )
-    if as_json:
-        show_json({"output": output, **measured.as_dict()})
-        return
-    for pose in measured.poses:
-        say(
+        measured = lm.calibrate_rig(poses, size(board), side, progress=step, **written)
+    rig, facts = measured.geometry, measured.as_dict()
+    answer(
+        as_json,
+        {"output": output, **facts},
+        *(
             f"{pose.name}: {pose.used.sum()} of {len(pose.used)} corners, off by "
             f"{pose.rms_camera:.2f} camera pixels, {pose.rms_projector:.2f} projector pixels"
-        )
-    count = sum(len(pose.used) for pose in measured.poses)
-    rig = measured.geometry
-    say(
-        f"{output}: {measured.corners} of {count} corners in {len(measured.poses)} poses, RMS "
-        f"{rig.rms['stereo']:.2f} pixels; camera and projector are {rig.baseline:.4g} "
-        f"{rig.units or 'units'} apart"
+            for pose in measured.poses
+        ),
+        f"{output}: {measured.corners} of {facts['of_corners']} corners in {len(measured.poses)} "
+        f"poses, RMS {rig.rms['stereo']:.2f} pixels; camera and projector are {rig.baseline:.4g} "
+        f"{rig.units or 'units'} apart",
+        f"use it with: lightmatrix triangulate scene.zarr --geometry {output}",
     )
-    say(f"use it with: lightmatrix triangulate scene.zarr --geometry {output}")
 
 
 def _without_board(
@@ -85,10 +87,8 @@ def _without_board(
     focal: float | None,
     principal: str | None,
     baseline: str,
-    output: Path,
-    *,
-    overwrite: bool,
     as_json: bool,
+    **written: Any,
 ) -> None:
     """Self-calibration from one scene."""
     if focal is None:
@@ -109,26 +109,25 @@ def _without_board(
             raise InputError(f"--principal {principal}", hint=hint)
         axis = given[0], given[1]
     rig = lm.self_calibrate(
-        poses[0], focal, principal=axis, baseline=length, units=units, output=output,
-        overwrite=overwrite,
-    )  # fmt: skip
+        poses[0], focal, principal=axis, baseline=length, units=units, **written
+    )
+    output = written["output"]
     projector = float(rig.projector_intrinsics[0, 0])
-    if as_json:
-        rms = {f"rms_{name}": value for name, value in rig.rms.items()}
-        show_json({"output": output, **rms, "projector_focal_length": projector})
-        return
-    say(
+    rms = {f"rms_{name}": value for name, value in rig.rms.items()}
+    answer(
+        as_json,
+        {"output": output, **rms, "projector_focal_length": projector},
         f"{output}: matches lie {rig.rms['epipolar']:.2f} pixels from their epipolar lines; the "
         f"projector's focal length is {projector:.5g} +- "
-        f"{rig.rms['projector_focal_length']:.2g} pixels"
+        f"{rig.rms['projector_focal_length']:.2g} pixels",
+        f"use it with: lightmatrix triangulate {poses[0]} --geometry {output} -o cloud.ply",
     )
-    say(f"use it with: lightmatrix triangulate {poses[0]} --geometry {output} -o cloud.ply")
 
 
 def _length(option: str, text: str) -> tuple[float, str | None]:
     """A length such as 24mm as number and unit."""
-    number = r"(?:\d+\.?\d*|\.\d+)(?:e-?\d+)?"
+    number = r"(?:\d+[.,]?\d*|[.,]\d+)(?:e-?\d+)?"
     match = re.fullmatch(rf"\s*({number})\s*([a-zA-Zµ]*)\s*", text, flags=re.ASCII)
     if match is None:
         raise InputError(f"{option} {text}", hint="give a length such as 24mm")
-    return float(match[1]), match[2] or None
+    return float(match[1].replace(",", ".")), match[2] or None

@@ -253,9 +253,8 @@ def _check_report(
             hint = "add --report; or run `lightmatrix view` or `triangulate` on the estimate"
             raise InputError(f"{name} without --report", hint=hint)
     if report is not None and output.absolute() in (report.absolute(), *report.absolute().parents):
-        raise InputError(
-            f"{report}: is where the estimate goes", hint="choose another folder for the report"
-        )
+        hint = "choose another folder for the report"
+        raise InputError(f"{report}: is where the estimate goes", hint=hint)
     if report is not None:
         check_output(report, REPORT, overwrite=overwrite)
 

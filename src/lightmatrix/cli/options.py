@@ -111,7 +111,6 @@ def size(text: str) -> tuple[int, int]:
     rows = int(match[1])
     cols = int(match[2] or rows)
     if rows < 1 or cols < 1 or rows * cols > MOST_PIXELS:
-        raise InputError(
-            f"a size of {text!r}", hint=f"use at least 1x1 and at most {MOST_PIXELS:,} pixels"
-        )
+        hint = f"use at least 1x1 and at most {MOST_PIXELS:,} pixels"
+        raise InputError(f"a size of {text!r}", hint=hint)
     return rows, cols

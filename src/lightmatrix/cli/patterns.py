@@ -89,9 +89,8 @@ def patterns(
         raise InputError(f"--mix for {kind} patterns", hint="write `lightmatrix patterns mix`")
     in_colour = primary == "rgb"
     if in_colour and kind != "bernoulli":
-        raise InputError(
-            f"{kind} patterns in rgb", hint="write `lightmatrix patterns bernoulli --primary rgb`"
-        )
+        hint = "write `lightmatrix patterns bernoulli --primary rgb`"
+        raise InputError(f"{kind} patterns in rgb", hint=hint)
     if grey is not None and not in_colour:
         raise InputError("--grey without --primary rgb", hint="all of these patterns are grey")
     made: PatternSet

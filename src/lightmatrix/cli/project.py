@@ -50,9 +50,8 @@ def project(
     """
     with_camera = rig is not None or camera is not None
     if not with_camera and projector is None:
-        raise InputError(
-            "no projector", hint="add --projector window:1; `lightmatrix rig list` names them"
-        )
+        hint = "add --projector window:1; `lightmatrix rig list` names them"
+        raise InputError("no projector", hint=hint)
     if rig is not None and photograph is None and seconds is None:
         raise InputError("nobody sees a virtual rig", hint="add -o PHOTOGRAPH.png")
     opened = (

@@ -107,9 +107,8 @@ def _amounts(faults: list[str]) -> dict[str, float]:
         try:
             number = float(amount)
         except ValueError:
-            raise InputError(
-                f"a fault of {text!r}", hint="write NAME=AMOUNT, with a number such as 0.1"
-            ) from None
+            hint = "write NAME=AMOUNT, with a number such as 0.1"
+            raise InputError(f"a fault of {text!r}", hint=hint) from None
         if amounts.setdefault(name, number) != number:
             raise InputError(f"{name} twice", hint="give each fault once")
     return amounts

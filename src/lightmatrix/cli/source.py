@@ -215,9 +215,8 @@ def read_source(
             )
         return Source(capture, None, None, None, region, find, find_projector)
     if patterns is None and images is None:
-        raise InputError(
-            "no capture is given", hint="give a capture folder, or --patterns and --images"
-        )
+        hint = "give a capture folder, or --patterns and --images"
+        raise InputError("no capture is given", hint=hint)
     if patterns is None or images is None:
         missing = "--patterns" if patterns is None else "--images"
         raise InputError(f"{missing} is missing", hint="give both, or a capture folder")

@@ -20,8 +20,8 @@ from lightmatrix.cli.terminal import answer
 
 @described(
     scene=Argument(metavar="SCENE", help="A store of `estimate`, a T.npz, or an npz of `decode`."),
-    output="Point cloud to write: .ply.",
-    depth="Depth map to write: .tif, .tiff or .npy.",
+    output="Point cloud to write: .ply, .pcd, .obj or .xyz.",
+    depth="Depth map to write: .tif, .tiff, .npy, or .png of 16 bits in millimetres.",
     picture="Maps of depth and normals to write: .png.",
     mesh="Write triangles between neighbouring points too.",
 )

@@ -45,6 +45,8 @@ from lightmatrix.solvers.loop import Progress
 from lightmatrix.transport.matrix import ColourTransport, LightTransport
 from lightmatrix.transport.store import save_colour
 
+Floats = NDArray[np.float64]
+
 PRIMARIES = len(COLOURS)
 # The mixing before any is measured: filters that pass a quarter of the next primary's light, and a
 # tenth of that after it. Chosen by hand. It needs not be right: the geometry that it gives is a
@@ -86,15 +88,13 @@ def light_of_primaries(geometry: LightTransport, patterns: ColourPatterns) -> ND
     return np.stack(light, axis=1).astype(np.float32)
 
 
-def usual_gains(pixels: int) -> NDArray[np.float64]:
+def usual_gains(pixels: int) -> Floats:
     """The usual mixing for all camera pixels, (n, 3, 3)."""
     usual = USUAL_MIXING * (_WHITE / USUAL_MIXING.sum())
     return np.broadcast_to(usual, (pixels, *usual.shape))
 
 
-def fit_gains(
-    samples: ColourSamples, light: NDArray[np.float32], trust: float
-) -> NDArray[np.float64]:
+def fit_gains(samples: ColourSamples, light: NDArray[np.float32], trust: float) -> Floats:
     """The gains (n, 3, 3) of channel by primary that explain the samples best.
 
     The least-squares gains of each channel are drawn to the mixing of the whole frame, times one
@@ -119,11 +119,11 @@ def fit_gains(
     return np.where(total > 0, gains * (_WHITE / np.where(total > 0, total, 1)), usual)
 
 
-def _solved(matrices: NDArray[np.float64], right: NDArray[np.float64]) -> NDArray[np.float64]:
+def _solved(matrices: Floats, right: Floats) -> Floats:
     return np.asarray(np.linalg.solve(matrices, right[..., None])[..., 0])
 
 
-def _of_frame(gains: NDArray[np.float64], light: NDArray[np.float32]) -> NDArray[np.float64]:
+def _of_frame(gains: Floats, light: NDArray[np.float32]) -> Floats:
     """The median share of each primary in what a channel sees, (3, 3), over pixels with light."""
     # Pixels darker than this share of the mean say nothing of the frame's mixing. Chosen by hand.
     bright = light > 0.1 * light.mean()
@@ -152,7 +152,7 @@ def grey_capture(samples: ColourSamples, camera_shape: tuple[int, ...], exposure
 
 def unmixed_capture(
     samples: ColourSamples,
-    gains: NDArray[np.float64],
+    gains: Floats,
     camera_shape: tuple[int, ...],
     exposure: float,
 ) -> Capture:
@@ -188,18 +188,14 @@ def unmixed_capture(
     return capture_of_samples(patterns, known, camera_shape, exposure)
 
 
-def _grey_samples(
-    samples: ColourSamples, shares: NDArray[np.float64], frames: NDArray[np.int64]
-) -> Samples:
+def _grey_samples(samples: ColourSamples, shares: Floats, frames: NDArray[np.int64]) -> Samples:
     """Sums of the three channels with shares (n, 3); of clipped ones a lower bound."""
     values = np.einsum("na,nak->nk", shares, samples.values[..., frames], optimize=True)
     clipped = np.any(samples.clipped[..., frames], axis=1)
     return _bounded(values, np.asarray(clipped), samples.weights[..., frames].min(axis=1))
 
 
-def _separated_samples(
-    samples: ColourSamples, gains: NDArray[np.float64], frames: NDArray[np.int64]
-) -> Samples:
+def _separated_samples(samples: ColourSamples, gains: Floats, frames: NDArray[np.int64]) -> Samples:
     """The light of red, then green, then blue in some frames, (n, 3 K).
 
     More light in a clipped channel would mean more of the primary that it sees most, and less of

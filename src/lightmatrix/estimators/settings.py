@@ -62,13 +62,11 @@ class EstimateSettings:
 
     def __post_init__(self) -> None:
         if self.solver not in SOLVERS:
-            raise InputError(
-                f"there is no solver {self.solver!r}", hint=f"use one of {', '.join(SOLVERS)}"
-            )
+            hint = f"use one of {', '.join(SOLVERS)}"
+            raise InputError(f"there is no solver {self.solver!r}", hint=hint)
         if self.fidelity is not None and self.fidelity not in list(Fidelity):
-            raise InputError(
-                f"there is no fidelity {self.fidelity!r}", hint=f"use one of {', '.join(Fidelity)}"
-            )
+            hint = f"use one of {', '.join(Fidelity)}"
+            raise InputError(f"there is no fidelity {self.fidelity!r}", hint=hint)
         if self.iterations is not None:
             hint = f"use 1 to {MOST_ITERATIONS}"
             check_whole("iterations", self.iterations, most=MOST_ITERATIONS, hint=hint)
@@ -98,9 +96,8 @@ class EstimateSettings:
                 hint="use auto or a positive number in units of camera sample, such as 0.3",
             )
         elif value != "auto":
-            raise InputError(
-                f"a regularization of {value!r}", hint="use auto or a number such as 0.3"
-            )
+            hint = "use auto or a number such as 0.3"
+            raise InputError(f"a regularization of {value!r}", hint=hint)
         reason = self._reason_against_coherent
         if self.coherent and reason is not None:
             raise InputError(f"the coherent estimate {reason}", hint="leave out one of the two")

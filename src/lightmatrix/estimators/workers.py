@@ -319,9 +319,8 @@ def _connected(address: str) -> Iterator[Client]:
         try:
             client.wait_for_workers(1, timeout=PATIENCE.first_worker)
         except TimeoutError as error:
-            raise ClusterError(
-                f"{address}: has no workers", hint=f"start some: dask worker {address}"
-            ) from error
+            hint = f"start some: dask worker {address}"
+            raise ClusterError(f"{address}: has no workers", hint=hint) from error
         yield client
 
 

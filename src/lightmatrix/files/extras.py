@@ -36,9 +36,8 @@ def load_extra(module: str, message: str, extra: str) -> Any:
     try:
         return importlib.import_module(module)
     except ImportError as error:
-        raise MissingExtraError(
-            message, hint=f'install the extra: pip install "lightmatrix[{extra}]"'
-        ) from error
+        hint = f'install the extra: pip install "lightmatrix[{extra}]"'
+        raise MissingExtraError(message, hint=hint) from error
 
 
 def read_exr(file: Path) -> NDArray[Any]:
@@ -46,9 +45,8 @@ def read_exr(file: Path) -> NDArray[Any]:
     library = load_extra("OpenEXR", "EXR files need the OpenEXR library", "exr")
     with library.File(str(file), header_only=True) as opened:
         if len(opened.parts) != 1:
-            raise InputError(
-                f"{file}: holds {len(opened.parts)} parts", hint="save one image a file"
-            )
+            hint = "save one image a file"
+            raise InputError(f"{file}: holds {len(opened.parts)} parts", hint=hint)
         header = opened.header()
         names = _channel_order(file, [str(channel.name) for channel in header["channels"]])
         first, last = header["dataWindow"]
@@ -96,9 +94,8 @@ def _channel_order(file: Path, names: list[str]) -> list[str]:
         return [*_EXR_COLOURS, *alpha]
     if len(colours) == 1:
         return [*colours, *alpha]
-    raise InputError(
-        f"{file}: has the channels {', '.join(names[:8])}", hint="save it in grey or RGB"
-    )
+    hint = "save it in grey or RGB"
+    raise InputError(f"{file}: has the channels {', '.join(names[:8])}", hint=hint)
 
 
 def read_raw(file: Path, *, mosaic: bool = False) -> NDArray[np.float32]:
@@ -112,9 +109,8 @@ def read_raw(file: Path, *, mosaic: bool = False) -> NDArray[np.float32]:
         check_image_size(file, (rows, cols, 3))
         flat = opened.raw_type == library.RawType.Flat
         if mosaic and not flat:
-            raise InputError(
-                f"{file}: holds colours already, no mosaic", hint="leave the option mosaic out"
-            )
+            hint = "leave the option mosaic out"
+            raise InputError(f"{file}: holds colours already, no mosaic", hint=hint)
         black, clip = _levels(file, opened)
         if mosaic:
             colour = np.asarray(opened.raw_colors_visible)
@@ -226,9 +222,8 @@ def _video(path: str | Path) -> Iterator[Any]:
         with library.open(str(path)) as opened:
             yield opened
     except (OSError, ValueError, IndexError) as error:
-        raise InputError(
-            f"{path}: cannot be read as a video ({error})", hint="export it again, such as to .mp4"
-        ) from error
+        hint = "export it again, such as to .mp4"
+        raise InputError(f"{path}: cannot be read as a video ({error})", hint=hint) from error
 
 
 def exposure_time(path: str | Path) -> float | None:

@@ -105,9 +105,8 @@ def as_image_error(name: str) -> Iterator[None]:
     except (LightMatrixError, MemoryError):
         raise
     except PermissionError as error:
-        raise InputError(
-            f"{name}: cannot be read ({error.strerror})", hint="check its permissions"
-        ) from error
+        hint = "check its permissions"
+        raise InputError(f"{name}: cannot be read ({error.strerror})", hint=hint) from error
     # Libraries raise nearly anything, among them SyntaxError.
     except Exception as error:
         # Their words do not help where the file ends early, or where no reader knows the format.
@@ -242,9 +241,8 @@ def fill_image(path: Path, image: NDArray[Any], *, bits: int = 8, missing: bool 
     if pixels.ndim == 3 and pixels.shape[-1] == 1:
         pixels = pixels[..., 0]
     if pixels.ndim not in (2, 3) or pixels.size == 0 or (pixels.ndim == 3 and len(pixels.T) != 3):
-        raise InputError(
-            f"an image of shape {pixels.shape}", hint="give (rows, cols) or (rows, cols, 3)"
-        )
+        hint = "give (rows, cols) or (rows, cols, 3)"
+        raise InputError(f"an image of shape {pixels.shape}", hint=hint)
     if pixels.dtype not in (np.uint8, np.uint16):
         pixels = as_float32(pixels)
         if not missing and not np.isfinite(pixels).all():
@@ -324,9 +322,8 @@ def _by_pillow(signature: bytes, kind: str) -> Callable[[Path], NDArray[Any]]:
             channels = 3 if opened.mode == "P" else len(opened.getbands())
             check_image_size(file, (rows, cols, channels))
             if opened.mode == "CMYK":
-                raise InputError(
-                    f"{file}: has printing colours (CMYK)", hint="save it in grey or RGB"
-                )
+                hint = "save it in grey or RGB"
+                raise InputError(f"{file}: has printing colours (CMYK)", hint=hint)
         return decode_image(data)
 
     return read
@@ -389,9 +386,8 @@ def check_page(file: Path, page: tifffile.TiffPage) -> None:
     if page.axes not in ("YX", "YXS", "SYX"):
         raise InputError(f"{file}: has axes {page.axes}", hint="save one image a file")
     if page.bitspersample not in _BITS:
-        raise InputError(
-            f"{file}: has {page.bitspersample} bits a value", hint="save it with 8 or 16 bits"
-        )
+        hint = "save it with 8 or 16 bits"
+        raise InputError(f"{file}: has {page.bitspersample} bits a value", hint=hint)
     counts, offsets = page.databytecounts, page.dataoffsets
     if not len(counts) == len(offsets) == math.prod(page.chunked):
         raise ValueError("strips are missing")
@@ -450,9 +446,8 @@ def as_stored(name: str, image: NDArray[Any]) -> NDArray[Any]:
     if image.ndim == 3 and image.shape[-1] in (2, 4):
         opaque = np.iinfo(image.dtype).max if image.dtype.kind == "u" else 1
         if (image[..., -1] != opaque).any():
-            raise InputError(
-                f"{name}: is partly transparent", hint="save the image without an alpha channel"
-            )
+            hint = "save the image without an alpha channel"
+            raise InputError(f"{name}: is partly transparent", hint=hint)
         image = image[..., :-1]
     if image.ndim == 3 and image.shape[-1] == 1:
         image = image[..., 0]
@@ -471,7 +466,6 @@ def as_stored(name: str, image: NDArray[Any]) -> NDArray[Any]:
         # Pillow and other programs keep some 16-bit images in other integers.
         return image.astype(np.uint16)
     if image.dtype.newbyteorder("=") not in (np.uint8, np.uint16):
-        raise InputError(
-            f"{name}: holds {image.dtype} values", hint="save it as uint8, uint16 or float32"
-        )
+        hint = "save it as uint8, uint16 or float32"
+        raise InputError(f"{name}: holds {image.dtype} values", hint=hint)
     return np.ascontiguousarray(image, image.dtype.newbyteorder("="))

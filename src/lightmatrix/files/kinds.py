@@ -39,8 +39,8 @@ MAT_MARK = "MATLAB 5.0 MAT-file, written by lightmatrix"
 PAGE_MARK = '<meta name="generator" content="lightmatrix viewer">'
 # How an MPCDI file tells that it is ours: the name of its first member.
 MPCDI_MARK = "lightmatrix.pfm"
-# How a point cloud tells that it is ours, in its header.
-PLY_MARK = "comment written by lightmatrix"
+# How point clouds and geometries of other programs tell that they are ours, in a comment.
+OUR_MARK = "written by lightmatrix"
 RIG_FORMAT, RESPONSE_FORMAT = "lightmatrix-rig", "lightmatrix-response"
 GEOMETRY_FORMAT = "lightmatrix-geometry"
 # The first bytes of PNG, npy, TIFF and EXR files.
@@ -89,9 +89,8 @@ class FolderKind:
             problem = f"holds {printable(name)}, which was not written by lightmatrix"
             if name in files:
                 problem = f"{printable(name)} in it was changed since lightmatrix wrote it"
-            raise OutputError(
-                f"{shown}: {problem}", hint=f"{ANOTHER_NAME}, or move that file elsewhere"
-            )
+            hint = f"{ANOTHER_NAME}, or move that file elsewhere"
+            raise OutputError(f"{shown}: {problem}", hint=hint)
         return True
 
     def mark(self, folder: Path) -> None:
@@ -124,7 +123,8 @@ class FileKind:
         with file.open("rb") as opened:
             start = opened.read(1024)
         if isinstance(self.mark, str):
-            return self.mark.encode() in start
+            # Bare coordinates have no place for a mark.
+            return self.mark.encode() in start or file.suffix.lower() == ".xyz"
         return start.startswith(self.mark)
 
     def check_replaceable(self, shown: Path, target: Path) -> bool:
@@ -214,18 +214,26 @@ NUMBERS = FileKind("numbers of a picture", (".npz",), f"{NUMBERS_MARK}.npy")
 RIG = FileKind("measurements of a rig", (".json",), f'"format": "{RIG_FORMAT}"')
 RESPONSE = FileKind("measured response", (".json",), f'"format": "{RESPONSE_FORMAT}"')
 GEOMETRY = FileKind("geometry of a rig", (".json",), f'"format": "{GEOMETRY_FORMAT}"')
+OPENCV_GEOMETRY = FileKind("geometry of a rig", (".yml", ".yaml", ".xml"), OUR_MARK)
+COLMAP = FolderKind("geometry of a rig", (".colmap",))
 PAGE = FileKind("page of the viewer", (".html",), PAGE_MARK)
 CORRESPONDENCE = FileKind("correspondence", (".npz",), f"{CORRESPONDENCE_MARK}.npy")
 MAP_FOLDER = FolderKind("projector map")
 MPCDI = FileKind("MPCDI file", (".mpcdi",), MPCDI_MARK)
-CLOUD = FileKind("point cloud", (".ply",), PLY_MARK)
+CLOUD = FileKind("point cloud", (".ply", ".obj", ".pcd", ".xyz"), OUR_MARK)
 # Depth maps do not say who wrote them, like images.
-DEPTH = FileKind("depth map", (".tif", ".tiff", ".npy"), _IMAGES)
+DEPTH = FileKind("depth map", (".tif", ".tiff", ".npy", ".png"), _IMAGES)
 NPZ = FileKind("exported matrix", (".npz",), f"{TRANSPORT_MARK}.npy")
 MAT = FileKind("exported matrix", (".mat",), MAT_MARK)
 # Images do not say who wrote them, so any image may be replaced by another.
 IMAGE = FileKind("image", (".png", ".tif", ".tiff", ".npy", ".exr"), _IMAGES)
 PICTURE = FileKind("picture", (".png",), _IMAGES[:1])
+
+
+def geometry_kind(path: str | Path) -> FileKind | FolderKind:
+    """The kind of geometry that is written at a path, by its ending."""
+    suffix = as_path(path).suffix.lower()
+    return next((kind for kind in (OPENCV_GEOMETRY, COLMAP) if suffix in kind.suffixes), GEOMETRY)
 
 
 def export_kind(path: str | Path) -> FileKind:

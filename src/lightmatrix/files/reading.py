@@ -32,9 +32,8 @@ def regular_file(path: str | Path) -> Path:
         mode = file.stat().st_mode
     except (OSError, ValueError) as error:
         if isinstance(error, FileNotFoundError) and file.is_symlink():
-            raise InputError(
-                f"{file}: is a link that leads nowhere", hint="restore what it led to, or remove it"
-            ) from error
+            hint = "restore what it led to, or remove it"
+            raise InputError(f"{file}: is a link that leads nowhere", hint=hint) from error
         if isinstance(error, FileNotFoundError | NotADirectoryError):
             raise InputError(f"{file}: no such file", hint="check the name") from error
         reason = error.strerror if isinstance(error, OSError) else error
@@ -42,9 +41,8 @@ def regular_file(path: str | Path) -> Path:
     if stat.S_ISDIR(mode):
         raise InputError(f"{file}: is a folder, not a file", hint="give a file")
     if not stat.S_ISREG(mode):
-        raise InputError(
-            f"{file}: is a pipe or device, not a file", hint="copy its content to a file"
-        )
+        hint = "copy its content to a file"
+        raise InputError(f"{file}: is a pipe or device, not a file", hint=hint)
     return file
 
 
@@ -61,9 +59,8 @@ def read_bytes(path: str | Path, most: int = MOST_TEXT) -> bytes:
             f"{file}: cannot be read ({error.strerror or error})", hint="check its permissions"
         ) from error
     if max(size, len(content)) > most:
-        raise InputError(
-            f"{file}: is larger than {most / 2**20:g} MiB", hint="check that it is the right file"
-        )
+        hint = "check that it is the right file"
+        raise InputError(f"{file}: is larger than {most / 2**20:g} MiB", hint=hint)
     return content
 
 
@@ -126,13 +123,11 @@ def parse_json(text: str, name: str, *, finite: bool = True) -> Any:
             text, parse_constant=_refuse_constant if finite else None, object_pairs_hook=_distinct
         )
     except RecursionError as error:
-        raise InputError(
-            f"{name}: cannot be read (nested too deeply)", hint="restore it, or remove it"
-        ) from error
+        hint = "restore it, or remove it"
+        raise InputError(f"{name}: cannot be read (nested too deeply)", hint=hint) from error
     except ValueError as error:
-        raise InputError(
-            f"{name}: cannot be read ({str(error)[:120]})", hint="restore it, or remove it"
-        ) from error
+        hint = "restore it, or remove it"
+        raise InputError(f"{name}: cannot be read ({str(error)[:120]})", hint=hint) from error
 
 
 @contextmanager

@@ -118,9 +118,8 @@ class RunningResults:
         with as_output_error(file):
             if name not in self._names:
                 if os.path.lexists(file):
-                    raise OutputError(
-                        f"{file}: was not written by lightmatrix", hint="move it elsewhere"
-                    )
+                    hint = "move it elsewhere"
+                    raise OutputError(f"{file}: was not written by lightmatrix", hint=hint)
                 with (self.path / MARKER).open("a", encoding="utf-8") as marker:
                     # The line break comes first, so that a line that a full disk cut off spoils no
                     # other.

@@ -17,9 +17,10 @@ import os
 import shutil
 import sys
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from collections.abc import Iterator, Mapping
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
+from typing import Any
 
 from filelock import FileLock, Timeout
 
@@ -183,14 +184,42 @@ def claimed(path: str | Path, kind: OutputKind, *, overwrite: bool = False) -> I
 @contextmanager
 def atomic_file(path: str | Path, kind: OutputKind, *, overwrite: bool = False) -> Iterator[Path]:
     """Write a file at a temporary path with the same ending, which becomes `path` on success."""
-    with claimed(path, kind, overwrite=overwrite) as target, temporary(path, target) as place:
-        # In lower case, for writers that choose the format by it or append their own.
-        part = place / f"new{Path(path).suffix.lower()}"
+    with atomic_files({path: kind}, overwrite=overwrite) as (part,):
         yield part
-        with part.open("rb+") as written:
-            os.fsync(written.fileno())
-        check_output(path, kind, overwrite=overwrite)
-        os.replace(part, target)
+
+
+@contextmanager
+def atomic_files(
+    kinds: Mapping[Any, OutputKind], *, overwrite: bool = False
+) -> Iterator[list[Path]]:
+    """Write files at temporary paths; all take their places, or none, which would be in the way."""
+    with ExitStack() as stack:
+        targets, parts = [], []
+        for path, kind in kinds.items():
+            target = stack.enter_context(claimed(path, kind, overwrite=overwrite))
+            place = stack.enter_context(temporary(path, target))
+            targets.append(target)
+            # In lower case, for writers that choose the format by it or append their own.
+            parts.append(place / f"new{Path(path).suffix.lower()}")
+        yield parts
+        for part in parts:
+            with part.open("rb+") as written:
+                os.fsync(written.fileno())
+        for path, kind in kinds.items():
+            check_output(path, kind, overwrite=overwrite)
+        placed: list[Path] = []
+        try:
+            for target, part in zip(targets, parts, strict=True):
+                # Of several, old ones come back if this is stopped; see `_remove_temporary`.
+                if len(parts) > 1:
+                    if os.path.lexists(target):
+                        os.rename(target, part.with_name("old"))
+                    placed.append(target)
+                os.replace(part, target)
+        except BaseException:
+            for target in placed:
+                target.unlink(missing_ok=True)
+            raise
 
 
 @contextmanager

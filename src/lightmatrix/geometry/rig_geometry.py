@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable, Mapping
-from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Self
@@ -14,10 +12,10 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.linalg import rq
 
 from lightmatrix.errors import InputError
-from lightmatrix.files.extras import load_opencv
-from lightmatrix.files.kinds import GEOMETRY, GEOMETRY_FORMAT
-from lightmatrix.files.reading import parse_json, read_json, read_text
-from lightmatrix.files.writing import atomic_file
+from lightmatrix.files.kinds import FolderKind, geometry_kind
+from lightmatrix.files.reading import errors_naming
+from lightmatrix.files.writing import atomic_file, atomic_folder
+from lightmatrix.geometry.rig_files import read_rig, write_rig
 from lightmatrix.paths import as_path
 from lightmatrix.ranges import check_sides
 from lightmatrix.regions import Region
@@ -29,18 +27,17 @@ Array = NDArray[np.float64]
 # Checks of the numbers that a geometry is made of.
 
 
-def points_of(points: ArrayLike, size: int) -> NDArray[np.float64]:
+def points_of(points: ArrayLike, size: int) -> Array:
     """Points as (n, size) float64."""
     array = np.asarray(points, np.float64)
     if array.ndim != 2 or array.shape[1] != size:
         names = "(col, row)" if size == 2 else "(X, Y, Z)"
-        raise InputError(
-            f"points of shape {array.shape}", hint=f"give an array (n, {size}) of {names}"
-        )
+        hint = f"give an array (n, {size}) of {names}"
+        raise InputError(f"points of shape {array.shape}", hint=hint)
     return array
 
 
-def numbers(values: ArrayLike, shape: tuple[int, ...], what: str) -> NDArray[np.float64]:
+def numbers(values: ArrayLike, shape: tuple[int, ...], what: str) -> Array:
     """An array of finite float64 of a shape."""
     size = " x ".join(map(str, shape))
     try:
@@ -53,7 +50,7 @@ def numbers(values: ArrayLike, shape: tuple[int, ...], what: str) -> NDArray[np.
     return array
 
 
-def intrinsics_of(values: ArrayLike, shape: Shape, device: str) -> NDArray[np.float64]:
+def intrinsics_of(values: ArrayLike, shape: Shape, device: str) -> Array:
     """K (3, 3) of a device with images of `shape`; other conventions of K are refused."""
     matrix = numbers(values, (3, 3), f"{device}'s K")
     if not np.allclose(matrix[[1, 2, 2], [0, 0, 1]], 0, atol=1e-6 * np.abs(matrix).max()):
@@ -73,7 +70,7 @@ def intrinsics_of(values: ArrayLike, shape: Shape, device: str) -> NDArray[np.fl
     return matrix
 
 
-def distortion(values: ArrayLike, device: str) -> NDArray[np.float64]:
+def distortion(values: ArrayLike, device: str) -> Array:
     """Five coefficients; OpenCV leaves out those at the end that are 0."""
     given = np.trim_zeros(np.ravel(np.asarray(values)), "b")
     if len(given) > 5:
@@ -91,14 +88,14 @@ def distortion(values: ArrayLike, device: str) -> NDArray[np.float64]:
 # y' = y (1 + k1 r^2 + k2 r^4 + k3 r^6) + p1 (r^2 + 2 y^2) + 2 p2 x y
 
 
-def distort(points: NDArray[np.float64], lens: NDArray[np.float64]) -> NDArray[np.float64]:
+def distort(points: Array, lens: Array) -> Array:
     """Where points (n, 2) as (x, y) on the plane of distance 1 are seen through the lens (5,)."""
     if not lens.any():
         return points
     return _seen(points, lens)[0]
 
 
-def undistort(points: NDArray[np.float64], lens: NDArray[np.float64]) -> NDArray[np.float64]:
+def undistort(points: Array, lens: Array) -> Array:
     """The points (n, 2) that the lens (5,) shows at `points`, by Newton's method.
 
     NaN where there is none, as beyond the field of view of a barrel distortion.
@@ -126,11 +123,8 @@ def undistort(points: NDArray[np.float64], lens: NDArray[np.float64]) -> NDArray
 
 
 def through_lens(
-    bend: Callable[[Array, Array], Array],
-    points: ArrayLike,
-    intrinsics: NDArray[np.float64],
-    lens: NDArray[np.float64],
-) -> NDArray[np.float64]:
+    bend: Callable[[Array, Array], Array], points: ArrayLike, intrinsics: Array, lens: Array
+) -> Array:
     """Pixels (n, 2) after a lens function that works on the plane of distance 1."""
     pixels = points_of(points, 2)
     if not lens.any():
@@ -140,9 +134,7 @@ def through_lens(
     return np.asarray(plane @ intrinsics[:2, :2].T + intrinsics[:2, 2])
 
 
-def _seen(
-    points: NDArray[np.float64], lens: NDArray[np.float64]
-) -> tuple[NDArray[np.float64], tuple[NDArray[np.float64], ...]]:
+def _seen(points: Array, lens: Array) -> tuple[Array, tuple[Array, ...]]:
     """Distorted points and the derivatives dx'/dx, dx'/dy = dy'/dx, dy'/dy."""
     k1, k2, p1, p2, k3 = lens
     x, y = points.T
@@ -150,38 +142,31 @@ def _seen(
     radial = 1 + square * (k1 + square * (k2 + square * k3))
     # Derivative of `radial` by the square of the radius.
     slope = k1 + square * (2 * k2 + square * 3 * k3)
-    seen = np.column_stack(
-        [
-            x * radial + 2 * p1 * x * y + p2 * (square + 2 * x * x),
-            y * radial + p1 * (square + 2 * y * y) + 2 * p2 * x * y,
-        ]
-    )
+    right = x * radial + 2 * p1 * x * y + p2 * (square + 2 * x * x)
+    down = y * radial + p1 * (square + 2 * y * y) + 2 * p2 * x * y
     mixed = 2 * x * y * slope + 2 * p1 * x + 2 * p2 * y
     xx = radial + 2 * x * x * slope + 2 * p1 * y + 6 * p2 * x
     yy = radial + 2 * y * y * slope + 6 * p1 * y + 2 * p2 * x
-    return seen, (xx, mixed, yy)
+    return np.column_stack([right, down]), (xx, mixed, yy)
 
 
 # Projection matrices: their scale, and the lens, rotation and place that they consist of.
 
 
-def normalised(matrix: ArrayLike, device: str) -> NDArray[np.float64]:
+def normalised(matrix: ArrayLike, device: str) -> Array:
     """A projection matrix (3, 4) scaled so that its third row gives the distance along the axis."""
     whole = numbers(matrix, (3, 4), f"{device}'s projection matrix")
     values = np.linalg.svd(whole[:, :3], compute_uv=False)
     # A device at an infinite distance has no depth.
     if not values[-1] > 1e-12 * values[0]:
-        raise InputError(
-            f"the {device}'s projection matrix has no centre: its left 3 x 3 part is singular",
-            hint="give the matrix of a perspective camera, K [R | t]",
-        )
+        hint = "give the matrix of a perspective camera, K [R | t]"
+        where = f"the {device}'s projection matrix has no centre: its left 3 x 3 part is singular"
+        raise InputError(where, hint=hint)
     # The determinant of K R is positive, so its sign tells front from back.
     return whole * (np.sign(np.linalg.det(whole[:, :3])) / np.linalg.norm(whole[2, :3]))
 
 
-def decomposed(
-    matrix: NDArray[np.float64],
-) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+def decomposed(matrix: Array) -> tuple[Array, Array, Array]:
     """K (3, 3), R (3, 3) and t (3,) of a normalised projection matrix K [R | t]."""
     intrinsics, rotation = rq(matrix[:, :3])
     signs = np.where(np.diag(intrinsics) < 0, -1.0, 1.0)
@@ -190,84 +175,28 @@ def decomposed(
     return intrinsics / intrinsics[2, 2], rotation, translation * intrinsics[2, 2]
 
 
-def centre_of(matrix: NDArray[np.float64]) -> NDArray[np.float64]:
+def centre_of(matrix: Array) -> Array:
     """The centre (3,) of a device: the point that it projects nowhere."""
     return np.asarray(np.linalg.solve(matrix[:, :3], -matrix[:, 3]))
 
 
-def binned_matrix(
-    matrix: NDArray[np.float64], block: tuple[float, float], corner: Shape = (0, 0)
-) -> NDArray[np.float64]:
+def binned_matrix(matrix: Array, block: tuple[float, float], corner: Shape = (0, 0)) -> Array:
     """The matrix (3, ...) for pixels cut from a corner (row, col), then binned by a block.
 
     The centre of the first block of b pixels lies at (b - 1) / 2, so that pixel centres stay at
     whole numbers. A block of 1 / n divides each pixel into n.
     """
     (down, across), (row, col) = block, corner
-    change = np.array(
-        [
-            [1 / across, 0, ((1 - across) / 2 - col) / across],
-            [0, 1 / down, ((1 - down) / 2 - row) / down],
-            [0, 0, 1],
-        ]
-    )
+    x, y = ((1 - across) / 2 - col) / across, ((1 - down) / 2 - row) / down
+    change = np.array([[1 / across, 0, x], [0, 1 / down, y], [0, 0, 1]])
     return change @ matrix
 
 
-def projected(matrix: NDArray[np.float64], points: ArrayLike) -> NDArray[np.float64]:
+def projected(matrix: Array, points: ArrayLike) -> Array:
     """Undistorted pixels (n, 2) as (col, row) of points (n, 3); NaN behind the device."""
     image = points_of(points, 3) @ matrix[:, :3].T + matrix[:, 3]
     with np.errstate(all="ignore"):
         return np.where(image[:, 2:] > 0, image[:, :2] / image[:, 2:], np.nan)
-
-
-# Files of a rig's geometry: our own, in JSON, and those of OpenCV's FileStorage.
-
-
-VERSION = 1
-# Names that calibration programs give to the same things, in lower case without "_" and "-". The
-# first of a line is ours.
-_NAMES = {
-    "camera_intrinsics": "cameraintrinsics camk camint cameramatrix1 cameramatrix k1 m1 kc kcam "
-    "intrinsicscamera cameraintrinsic mtx1 ",
-    # SLMaster's second camera has M2, R and T, and its projector M4, Rlp and Tlp.
-    "projector_intrinsics": "projectorintrinsics projk projint m4 cameramatrix2 projectormatrix k2 "
-    "m2 kp kproj intrinsicsprojector projectorintrinsic mtx2",
-    # SLStudio has Kc and kc, which differ in their size only.
-    "camera_distortion": "cameradistortion camkc camdist distcoeffs1 distcoeffs d1 dist1 distcam "
-    "cameradistcoeffs cameradistortioncoefficients kc",
-    "projector_distortion": "projectordistortion projkc projdist d4 distcoeffs2 d2 dist2 distproj "
-    "projectordistcoeffs projectordistortioncoefficients kp",
-    # One widely copied program misspells it.
-    "rotation": "rotation rlp rproj rp r rotationmatrix roration",
-    "translation": "translation tlp tproj tp t tvec",
-    "camera_shape": "camerashape",
-    "projector_shape": "projectorshape",
-    "camera_size": "camerasize cameraresolution camsize camres imagesize imagesize1",
-    "projector_size": "projectorsize projectorresolution projsize projres imagesize2",
-    "rms": "rms stereoerror stereorms rmsstereo",
-}
-_NEEDED = ("camera_intrinsics", "projector_intrinsics", "rotation", "translation")
-
-
-def read_geometry(
-    file: Path, camera_shape: Shape | None, projector_shape: Shape | None
-) -> dict[str, Any]:
-    """Arguments of `RigGeometry`, or with "rotation" those of `from_intrinsics`."""
-    text = read_text(file)
-    start = text.lstrip()[:64]
-    if start.startswith("{") and "opencv-matrix" not in text:
-        content = parse_json(text, str(file))
-        if not isinstance(content, dict) or "format" in content:
-            fields = checked_fields(read_json(file, GEOMETRY_FORMAT, VERSION), str(file))
-            given = {"camera_shape": camera_shape, "projector_shape": projector_shape}
-            return fields | {name: shape for name, shape in given.items() if shape is not None}
-        values = {name: _array(value) for name, value in content.items()}
-    elif start.startswith(("<?xml", "<opencv_storage", "%YAML", "---", "{")):
-        values = _opencv_values(file, text)
-    else:
-        values = {}
-    return _arguments(file, values, camera_shape, projector_shape)
 
 
 def checked_fields(content: Any, file: str) -> dict[str, Any]:
@@ -282,85 +211,6 @@ def checked_fields(content: Any, file: str) -> dict[str, Any]:
         wrong = f"lacks {', '.join(missing)}" if missing else "its units or rms are damaged"
         raise InputError(f"{file}: {wrong}", hint="write it again with `lightmatrix calibrate`")
     return fields
-
-
-def _array(value: Any) -> NDArray[Any] | None:
-    """A value as an array, or None if it holds anything but numbers."""
-    try:
-        array = np.array(value, np.float64)
-    except (TypeError, ValueError):
-        return None
-    return array if array.size else None
-
-
-def _opencv_values(file: Path, text: str) -> dict[str, NDArray[Any] | None]:
-    """All matrices and numbers at the top of a file of OpenCV's FileStorage."""
-    cv2 = load_opencv(f"{file}: a file of OpenCV", "shape")
-    values: dict[str, NDArray[Any] | None] = {}
-    try:
-        storage = cv2.FileStorage(text, cv2.FILE_STORAGE_READ | cv2.FILE_STORAGE_MEMORY)
-        root = storage.root()
-        for name in root.keys():  # noqa: SIM118 (a FileNode is no dict)
-            node = root.getNode(name)
-            if node.isReal() or node.isInt():
-                values[name] = _array(node.real())
-            elif node.isSeq() and node.size() <= 64:
-                values[name] = _array([node.at(k).real() for k in range(node.size())])
-            elif node.isMap():
-                # A map may be a group of anything.
-                with suppress(cv2.error, SystemError, TypeError):
-                    values[name] = _array(node.mat())
-        storage.release()
-    except (cv2.error, SystemError, UnicodeError, TypeError) as error:
-        raise InputError(f"{file}: OpenCV cannot read it", hint="is the file damaged?") from error
-    return values
-
-
-def _arguments(
-    file: Path,
-    values: dict[str, NDArray[Any] | None],
-    camera_shape: Shape | None,
-    projector_shape: Shape | None,
-) -> dict[str, Any]:
-    """Arguments of `from_intrinsics` from the values of a calibration program."""
-    plain: dict[str, list[str]] = {}
-    for name, value in values.items():
-        if value is not None:
-            plain.setdefault(name.lower().replace("_", "").replace("-", ""), []).append(name)
-    found: dict[str, Any] = {}
-    for name, others in _NAMES.items():
-        fitting: list[Any] = [
-            values[known] for other in others.split() for known in plain.get(other, ())
-        ]
-        # K has 3 x 3 numbers; a distortion that goes by the same name has not.
-        lens = name.endswith("distortion")
-        if name.endswith(("intrinsics", "distortion")):
-            fitting = [each for each in fitting if (each.shape == (3, 3)) != lens]
-        if fitting:
-            found[name] = fitting[0]
-    missing = [name.replace("_", " ") for name in _NEEDED if name not in found]
-    if len(missing) == len(_NEEDED):
-        raise InputError(
-            f"{file}: holds no geometry of a rig",
-            hint="give a file of `lightmatrix calibrate`, or of OpenCV with camera and projector "
-            "matrices, R and T",
-        )
-    if missing:
-        hint = "name the matrices cam_K, proj_K, R and T, and the distortions cam_kc and proj_kc"
-        raise InputError(f"{file}: names no {' and no '.join(missing)}", hint=hint)
-    rms = found.pop("rms", None)
-    if rms is not None and rms.size == 1:
-        found["rms"] = {"stereo": float(rms.ravel()[0])}
-    for device, given in (("camera", camera_shape), ("projector", projector_shape)):
-        # OpenCV states a size as width and height.
-        size = found.pop(f"{device}_size", None)
-        stated = found.get(f"{device}_shape", None if size is None else size.ravel()[::-1])
-        if stated is None and given is None:
-            hint = f"give {device}_shape, or write {device}_size: width, height into the file"
-            raise InputError(f"{file}: does not state the image size of the {device}", hint=hint)
-        sides: Any = [] if stated is None else np.ravel(stated)
-        found[f"{device}_shape"] = given or tuple(map(int, sides))
-    return found
 
 
 @dataclass(frozen=True, eq=False)
@@ -407,12 +257,12 @@ class RigGeometry:
     [[0.5, 0.0, 5.0]]
     """
 
-    camera_matrix: NDArray[np.float64]
-    projector_matrix: NDArray[np.float64]
+    camera_matrix: Array
+    projector_matrix: Array
     camera_shape: Shape
     projector_shape: Shape
-    camera_distortion: NDArray[np.float64] = field(default_factory=lambda: np.zeros(5))
-    projector_distortion: NDArray[np.float64] = field(default_factory=lambda: np.zeros(5))
+    camera_distortion: Array = field(default_factory=lambda: np.zeros(5))
+    projector_distortion: Array = field(default_factory=lambda: np.zeros(5))
     units: str | None = None
     rms: Mapping[str, float] = field(default_factory=dict)
     projector_mirrored: bool = False
@@ -431,26 +281,18 @@ class RigGeometry:
         # Less than 1e-9 of the distance to the origin is rounding.
         centres = np.stack([centre_of(self.camera_matrix), centre_of(self.projector_matrix)])
         if np.linalg.norm(centres[1] - centres[0]) <= 1e-9 * np.abs(centres).max():
-            raise InputError(
-                "camera and projector have the same centre, so depth cannot be measured",
-                hint="check that the two projection matrices differ and share one world frame",
-            )
+            hint = "check that the two projection matrices differ and share one world frame"
+            reason = "camera and projector have the same centre, so depth cannot be measured"
+            raise InputError(reason, hint=hint)
 
     @classmethod
     def from_intrinsics(
-        cls,
-        camera_intrinsics: ArrayLike,
-        projector_intrinsics: ArrayLike,
-        rotation: ArrayLike,
-        translation: ArrayLike,
-        camera_shape: Shape,
-        projector_shape: Shape,
-        *,
+        cls, camera_intrinsics: ArrayLike, projector_intrinsics: ArrayLike, rotation: ArrayLike,
+        translation: ArrayLike, camera_shape: Shape, projector_shape: Shape, *,
         camera_distortion: ArrayLike = (0, 0, 0, 0, 0),
         projector_distortion: ArrayLike = (0, 0, 0, 0, 0),
-        units: str | None = None,
-        rms: Mapping[str, float] | None = None,
-    ) -> Self:
+        units: str | None = None, rms: Mapping[str, float] | None = None,
+    ) -> Self:  # fmt: skip
         """The geometry in the camera's frame: x to the right, y down, z forwards.
 
         Parameters
@@ -460,12 +302,7 @@ class RigGeometry:
         rotation, translation : (3, 3) and (3,) array-like
             They lead from the camera's frame to the projector's: x_projector = R x_camera + t.
         camera_shape, projector_shape, camera_distortion, projector_distortion, units, rms
-            As in the class; coefficients of distortion that are left out are 0.
-
-        Returns
-        -------
-        RigGeometry
-            Errors are those of the class.
+            As in the class, and so are the errors; coefficients that are left out are 0.
         """
         turn = numbers(rotation, (3, 3), "rotation")
         moved = numbers(np.ravel(np.asarray(translation)), (3,), "translation")
@@ -474,40 +311,38 @@ class RigGeometry:
             raise InputError("the rotation is no rotation matrix", hint=hint)
         camera = intrinsics_of(camera_intrinsics, camera_shape, "camera")
         projector = intrinsics_of(projector_intrinsics, projector_shape, "projector")
-        return cls(
-            camera @ np.eye(3, 4), projector @ np.column_stack([turn, moved]), camera_shape,
-            projector_shape, np.asarray(camera_distortion), np.asarray(projector_distortion), units,
-            dict(rms or {}),
-        )  # fmt: skip
+        matrices = camera @ np.eye(3, 4), projector @ np.column_stack([turn, moved])
+        lenses = np.asarray(camera_distortion), np.asarray(projector_distortion)
+        return cls(*matrices, camera_shape, projector_shape, *lenses, units, dict(rms or {}))
 
     @property
-    def camera_intrinsics(self) -> NDArray[np.float64]:
+    def camera_intrinsics(self) -> Array:
         """K of the camera, (3, 3)."""
         return decomposed(self.camera_matrix)[0]
 
     @property
-    def projector_intrinsics(self) -> NDArray[np.float64]:
+    def projector_intrinsics(self) -> Array:
         """K of the projector, (3, 3)."""
         return decomposed(self.projector_matrix)[0]
 
     @property
-    def rotation(self) -> NDArray[np.float64]:
+    def rotation(self) -> Array:
         """R (3, 3) from the camera's frame to the projector's: x_projector = R x_camera + t."""
         return decomposed(self.projector_matrix)[1] @ decomposed(self.camera_matrix)[1].T
 
     @property
-    def translation(self) -> NDArray[np.float64]:
+    def translation(self) -> Array:
         """The translation t (3,) from the camera's frame to the projector's, in `units`."""
         at_camera = decomposed(self.camera_matrix)[2]
         return decomposed(self.projector_matrix)[2] - self.rotation @ at_camera
 
     @property
-    def camera_centre(self) -> NDArray[np.float64]:
+    def camera_centre(self) -> Array:
         """The camera's centre (3,) in the world."""
         return centre_of(self.camera_matrix)
 
     @property
-    def projector_centre(self) -> NDArray[np.float64]:
+    def projector_centre(self) -> Array:
         """The projector's centre (3,) in the world."""
         return centre_of(self.projector_matrix)
 
@@ -516,7 +351,7 @@ class RigGeometry:
         """Distance from the camera to the projector, in `units`."""
         return float(np.linalg.norm(self.projector_centre - self.camera_centre))
 
-    def fundamental_matrix(self) -> NDArray[np.float64]:
+    def fundamental_matrix(self) -> Array:
         """F (3, 3), of Frobenius norm 1, for undistorted pixels.
 
         F (col, row, 1) of a camera pixel is its epipolar line (a, b, c) on the projector: the
@@ -529,66 +364,53 @@ class RigGeometry:
         matrix = cross @ through
         return np.asarray(matrix / np.linalg.norm(matrix))
 
-    def undistort_camera(self, points: ArrayLike) -> NDArray[np.float64]:
+    def undistort_camera(self, points: ArrayLike) -> Array:
         """Where an ideal lens shows camera pixels (n, 2) as (col, row); NaN where it cannot."""
         return through_lens(undistort, points, self.camera_intrinsics, self.camera_distortion)
 
-    def undistort_projector(self, points: ArrayLike) -> NDArray[np.float64]:
+    def undistort_projector(self, points: ArrayLike) -> Array:
         """Where an ideal lens shows projector pixels (n, 2) as (col, row); NaN where it cannot."""
         seen = self._unmirrored(points_of(points, 2))
         return through_lens(undistort, seen, self.projector_intrinsics, self.projector_distortion)
 
-    def _unmirrored(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
+    def _unmirrored(self, points: Array) -> Array:
         """Projector pixels (n, 2) counted from the side of `projector_matrix`, or back."""
         if not self.projector_mirrored:
             return points
         return np.column_stack([self.projector_shape[1] - 1 - points[:, 0], points[:, 1]])
 
-    def project_camera(self, points: ArrayLike) -> NDArray[np.float64]:
+    def project_camera(self, points: ArrayLike) -> Array:
         """Where the camera sees points (n, 3) of the world: (n, 2) as (col, row), distorted."""
         ideal = projected(self.camera_matrix, points)
         return through_lens(distort, ideal, self.camera_intrinsics, self.camera_distortion)
 
-    def project_projector(self, points: ArrayLike) -> NDArray[np.float64]:
+    def project_projector(self, points: ArrayLike) -> Array:
         """The projector pixels (n, 2) as (col, row), distorted, that light points (n, 3)."""
         ideal = projected(self.projector_matrix, points)
         lit = through_lens(distort, ideal, self.projector_intrinsics, self.projector_distortion)
         return self._unmirrored(lit)
 
-    def camera_rays(self, points: ArrayLike) -> NDArray[np.float64]:
+    def camera_rays(self, points: ArrayLike) -> Array:
         """Where camera pixels (n, 2) as (col, row) look: (n, 3), of depth 1 along the axis."""
         ideal = self.undistort_camera(points)
         towards = np.linalg.inv(self.camera_matrix[:, :3])
         return np.asarray(ideal @ towards[:, :2].T + towards[:, 2])
 
-    def triangulate(
-        self, camera_points: ArrayLike, projector_points: ArrayLike
-    ) -> NDArray[np.float64]:
+    def triangulate(self, camera_points: ArrayLike, projector_points: ArrayLike) -> Array:
         """The points of the world that camera pixels see and projector pixels light.
 
         A point lies on the ray of its camera pixel, where its image on the projector comes nearest
         to the projector pixel: the foot of the perpendicular on the epipolar line.
 
-        Parameters
-        ----------
-        camera_points, projector_points : (n, 2) array-like
-            Pixels as (col, row), fractions allowed, as the devices show them.
-
-        Returns
-        -------
-        (n, 3) float64
-            Points of the world in `units`; NaN where a pixel is NaN or the rays are parallel.
-
-        Raises
-        ------
-        InputError
-            If the points are not two arrays (n, 2) of equal length.
+        `camera_points` and `projector_points` are pixels (n, 2) as (col, row), fractions allowed,
+        as the devices show them; anything else is an InputError. Returns points (n, 3) of the world
+        in `units`; NaN where a pixel is NaN or the rays are parallel.
         """
         seen, lit = points_of(camera_points, 2), self.undistort_projector(projector_points)
         if len(seen) != len(lit):
+            hint = "give one projector pixel for each camera pixel"
             raise InputError(
-                f"{len(seen)} camera pixels and {len(lit)} projector pixels",
-                hint="give one projector pixel for each camera pixel",
+                f"{len(seen)} camera pixels and {len(lit)} projector pixels", hint=hint
             )
         # The image of a ray on the projector is a + s b for the depth s.
         centre, rays, matrix = self.camera_centre, self.camera_rays(seen), self.projector_matrix
@@ -605,7 +427,7 @@ class RigGeometry:
             points = centre + depth[:, None] * rays
         return np.where(np.isfinite(points).all(axis=1, keepdims=True), points, np.nan)
 
-    def depth(self, points: ArrayLike) -> NDArray[np.float64]:
+    def depth(self, points: ArrayLike) -> Array:
         """Distance (n,) of points (n, 3) from the camera along its axis, in `units`."""
         axis = self.camera_matrix[2]
         return np.asarray(points_of(points, 3) @ axis[:3] + axis[3])
@@ -613,19 +435,8 @@ class RigGeometry:
     def scaled(self, camera: int | Shape = 1, projector: int | Shape = 1) -> RigGeometry:
         """The geometry for images that are binned by blocks of (rows, cols) pixels.
 
-        Parameters
-        ----------
-        camera, projector : int or (int, int)
-            Rows and columns of a block, as in `Capture.bin`; pixels that fill no block are cut off.
-
-        Returns
-        -------
-        RigGeometry
-
-        Raises
-        ------
-        InputError
-            If a block is smaller than 1 pixel or larger than the image.
+        `camera` and `projector` are rows and columns of a block, as in `Capture.bin`; pixels that
+        fill no block are cut off. An InputError refuses blocks that do not fit into the image.
         """
         changed: dict[str, Any] = {}
         for device, factor in (("camera", camera), ("projector", projector)):
@@ -652,52 +463,69 @@ class RigGeometry:
         return replace(self, camera_matrix=cut, camera_shape=shape)
 
     def save(self, path: str | Path, *, overwrite: bool = False) -> None:
-        """Write the geometry as JSON, which `load` reads.
+        """Write the geometry: .json, which keeps all of it, or a file of another program.
 
-        Raises
-        ------
-        OutputError
-            If the file exists and `overwrite` is not set, or cannot be written.
+        A file ending in .yml, .yaml or .xml is OpenCV's, with the names M1, D1, M2, D2, R and T of
+        its stereo sample; .colmap is a folder with COLMAP's cameras.txt and images.txt. An
+        OutputError refuses a file that exists, unless `overwrite` is set, that cannot be written,
+        or that cannot state a mirrored projector or, of COLMAP's, skewed pixels.
         """
-        content = {"format": GEOMETRY_FORMAT, "version": VERSION, **self.as_dict()}
-        with atomic_file(path, GEOMETRY, overwrite=overwrite) as part:
-            part.write_text(json.dumps(content, indent=2) + "\n", encoding="utf-8")
+        kind = geometry_kind(path)
+        if isinstance(kind, FolderKind):
+            with atomic_folder(path, kind, overwrite=overwrite) as folder:
+                write_rig(folder, self)
+        else:
+            with atomic_file(path, kind, overwrite=overwrite) as part:
+                write_rig(part, self)
 
-    @classmethod
+    @staticmethod
     def load(
-        cls,
         path: str | Path,
         *,
         camera_shape: Shape | None = None,
         projector_shape: Shape | None = None,
-    ) -> Self:
-        """Read a geometry that `save`, or a calibration with OpenCV, wrote.
+    ) -> RigGeometry:
+        """Read a geometry that `save`, or the calibration of another program, wrote.
 
         Parameters
         ----------
         path : str or Path
-            A JSON file of `save`, or an XML, YAML or JSON file of OpenCV's FileStorage.
+            A JSON file of `save`; an XML, YAML or JSON file of OpenCV, SLStudio, SLMaster and
+            others, with matrices by the usual names; MATLAB's stereoParameters as JSON or .mat; or
+            a folder with two files, as of OpenCV's stereo sample, or the camera_info of ROS.
         camera_shape, projector_shape : (rows, cols), optional
-            Image sizes, for files of OpenCV that do not state them.
-
-        Returns
-        -------
-        RigGeometry
+            Image sizes, for files that do not state them, or state others.
 
         Raises
         ------
         InputError
             If the file is missing, holds no geometry, or states no image size and none is given.
-        MissingExtraError
-            If a file of OpenCV is read and OpenCV is not installed.
         """
-        file = as_path(path)
-        content = read_geometry(file, camera_shape, projector_shape)
-        try:
-            return cls.from_intrinsics(**content) if "rotation" in content else cls(**content)
-        except InputError as error:
-            raise InputError(f"{file}: {error.message}", hint=error.hint) from error
+        return load_rig(path, (camera_shape, projector_shape))
 
     def as_dict(self) -> dict[str, Any]:
         """The fields by name, JSON-ready."""
         return {name: jsonable(getattr(self, name)) for name in self.__dataclass_fields__}
+
+
+def load_rig(
+    path: str | Path,
+    given: tuple[Shape | None, Shape | None] = (None, None),
+    usual: tuple[Shape | None, Shape | None] = (None, None),
+) -> RigGeometry:
+    """The geometry of a file, with sizes of camera and projector that are given, or else stated.
+
+    Those that are `usual` count if a file states none.
+    """
+    file = as_path(path)
+    content = read_rig(file)
+    for device, one, other in zip(("camera", "projector"), given, usual, strict=True):
+        if (shape := one or content.get(f"{device}_shape") or other) is not None:
+            content[f"{device}_shape"] = shape
+        elif "rotation" in content:
+            hint = f"give {device}_shape, or write {device}_size: width, height into the file"
+            raise InputError(f"{file}: does not state the image size of the {device}", hint=hint)
+    with errors_naming(file):
+        if "rotation" in content:
+            return RigGeometry.from_intrinsics(**content)
+        return RigGeometry(**checked_fields(content, str(file)))

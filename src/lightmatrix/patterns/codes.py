@@ -19,6 +19,9 @@ from lightmatrix.patterns.colour import ColourPatterns
 from lightmatrix.patterns.pattern_set import PatternSet
 from lightmatrix.patterns.stripes import COLUMNS, NOTHING, ROWS, Stripes, stripes_of
 
+Singles = NDArray[np.float32]
+Indices = NDArray[np.int64]
+
 # Grey values that differ by less than one level of 8 bits are the same.
 _LEVEL = 1 / 255
 # A place that the samples leave open is looked for within this many lines. Chosen by hand: a camera
@@ -36,17 +39,17 @@ class Code:
 
     axis: int
     # (k,): the patterns of the code; of a code without inverses, white and black too.
-    frames: NDArray[np.int64]
+    frames: Indices
     # (lines, k): the value of each line in each of these patterns.
-    values: NDArray[np.float32]
+    values: Singles
     # The first pixel of each line, and the number of all pixels, (lines + 1,).
-    starts: NDArray[np.int64]
+    starts: Indices
     # The patterns of each bit and of its inverse, as indices into `frames`; -1 where there is no
     # inverse. Empty if some value is grey.
     bits: tuple[tuple[int, int], ...]
 
     @cached_property
-    def centred(self) -> NDArray[np.float32]:
+    def centred(self) -> Singles:
         """The values of each line less their mean, (lines, k): without the constant light."""
         return np.asarray(self.values - self.values.mean(axis=1, keepdims=True), np.float32)
 
@@ -57,7 +60,7 @@ class Code:
         return np.maximum((self.centred.astype(np.float64) ** 2).sum(axis=1), 1e-12)
 
     @cached_property
-    def words(self) -> NDArray[np.int64]:
+    def words(self) -> Indices:
         """The line of each word of bits, (2^bits,); -1 where it does not occur."""
         lit = self.values[:, [frame for frame, _ in self.bits]] > 0.5
         lines = np.full(1 << len(self.bits), -1)
@@ -83,9 +86,7 @@ class Codes:
     white: int | None
     black: int | None
 
-    def lines(
-        self, code: Code, values: NDArray[np.float32], frames: NDArray[np.int64]
-    ) -> NDArray[np.int64]:
+    def lines(self, code: Code, values: Singles, frames: Indices) -> Indices:
         """The line of a code of bits that m camera pixels see, -1 for none, (m,).
 
         `values` (K, m) are samples, `frames` (patterns,) the one that shows each pattern.
@@ -164,7 +165,7 @@ def _code(stripes: Stripes, axis: int, ends: list[tuple[int, int]]) -> Code:
     return Code(axis, frames, values, starts, bits)
 
 
-def _bits(values: NDArray[np.float32]) -> tuple[tuple[int, int], ...]:
+def _bits(values: Singles) -> tuple[tuple[int, int], ...]:
     """Each bit with its inverse, once; none if a value is neither black nor white."""
     lit = values > 0.5
     if (np.abs(values - lit) > _LEVEL).any():
@@ -183,9 +184,7 @@ def _bits(values: NDArray[np.float32]) -> tuple[tuple[int, int], ...]:
     return tuple((first, second) for first, second in pairs)
 
 
-def best_code_pixels(
-    patterns: PatternSet, samples: NDArray[np.floating]
-) -> NDArray[np.int64] | None:
+def best_code_pixels(patterns: PatternSet, samples: NDArray[np.floating]) -> Indices | None:
     """The projector pixels that m rows (m, K) follow best, (m,); None if the patterns are no code.
 
     Columns and rows are looked for by themselves, which takes a thousandth of the time that all
@@ -220,9 +219,7 @@ class Reading:
     evidence: NDArray[np.float64]
 
 
-def correlate(
-    code: Code, samples: NDArray[np.float32]
-) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+def correlate(code: Code, samples: Singles) -> tuple[Indices, NDArray[np.float64]]:
     """The line whose values correlate best with each camera pixel's samples (m, k), and a rival.
 
     The most likely one under noise that is the same in all samples, whatever the surface and the
@@ -260,9 +257,7 @@ def correlate(
     return line, share
 
 
-def read_code(
-    codes: Codes, code: Code, values: NDArray[np.float32], clipped: NDArray[np.bool_]
-) -> Reading:
+def read_code(codes: Codes, code: Code, values: Singles, clipped: NDArray[np.bool_]) -> Reading:
     """What camera pixels with samples (m, K) see along the axis of a code.
 
     Where some sample is `clipped` (m,), samples fit badly, but bits are still right.
@@ -311,7 +306,7 @@ def read_code(
 
 
 def _mixture(
-    code: Code, own: NDArray[np.float32], line: NDArray[np.int64]
+    code: Code, own: Singles, line: Indices
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
     """The samples of mean 0, (m, k), as a mixture of their line's values and a neighbour's.
 
@@ -341,7 +336,7 @@ def _mixture(
 
 
 def _open_place(
-    code: Code, own: NDArray[np.float32], line: NDArray[np.int64], variance: NDArray[np.float64]
+    code: Code, own: Singles, line: Indices, variance: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Mean and standard deviation of the places around a line by their likelihoods, (m,).
 
@@ -362,7 +357,7 @@ def _open_place(
 
 
 def _evidence(
-    code: Code, own: NDArray[np.float32], line: NDArray[np.int64], explained: NDArray[np.float64]
+    code: Code, own: Singles, line: Indices, explained: NDArray[np.float64]
 ) -> NDArray[np.float64]:
     """How much likelier lines make samples of mean 0, (m, k), than chance, as a logarithm, (m,).
 

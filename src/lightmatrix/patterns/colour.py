@@ -179,9 +179,8 @@ def colour_bernoulli(
     # they show where each camera pixel looks; below 12 they often do not (docs/colour.md).
     alike = min(count // 2, 16) if grey is None else grey
     if not 0 <= (-1 if whole(alike) is None else alike) < count:
-        raise InputError(
-            f"{alike} grey patterns of {count}", hint="leave one at least that is in colour"
-        )
+        hint = "leave one at least that is in colour"
+        raise InputError(f"{alike} grey patterns of {count}", hint=hint)
     # The grey ones come first, so that they are those of a capture without colour.
     drawn = BernoulliPatterns(shape, alike + 3 * (count - alike), density, seed).bits
     first, others = drawn[:alike], drawn[alike:]

@@ -85,9 +85,8 @@ def write_patterns(
     if colour is not None and colour not in COLOURS:
         raise InputError(f"patterns in {colour!r}", hint=f"use {', '.join(COLOURS)}")
     if colour is not None and isinstance(patterns, ColourPatterns):
-        raise InputError(
-            f"patterns in colour, to be written in {colour}", hint="leave out one of the two"
-        )
+        hint = "leave out one of the two"
+        raise InputError(f"patterns in colour, to be written in {colour}", hint=hint)
     if bit_planes is not None:
         check_order(patterns, bit_planes)
     with atomic_folder(folder, PATTERNS, overwrite=overwrite) as part:

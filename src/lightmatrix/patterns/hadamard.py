@@ -52,9 +52,8 @@ class HadamardPatterns(PatternSet):
         check_geometry(self.shape, self.count)
         check_seed(self.seed)
         if self.order not in HADAMARD_ORDERS:
-            raise InputError(
-                f"an order called {self.order!r}", hint=f"use one of {', '.join(HADAMARD_ORDERS)}"
-            )
+            hint = f"use one of {', '.join(HADAMARD_ORDERS)}"
+            raise InputError(f"an order called {self.order!r}", hint=hint)
         if self.count > self.transform_size:
             raise InputError(
                 f"{self.count} Hadamard patterns for a projector of "

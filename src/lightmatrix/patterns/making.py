@@ -159,9 +159,8 @@ def _code(
     if kind == "phase":
         code = PhasePatterns(shape, inverse=inverse, **given)
     if count is not None and count != code.count:
-        raise InputError(
-            f"{count} {kind} patterns", hint=f"leave the number out: this code has {code.count}"
-        )
+        hint = f"leave the number out: this code has {code.count}"
+        raise InputError(f"{count} {kind} patterns", hint=hint)
     return code
 
 
@@ -170,8 +169,7 @@ def _some(whole: BlockPatterns, count: int | None, kind: str, seed: int) -> Bloc
     if count is None or count == whole.count:
         return whole
     if not 1 <= count <= whole.count:
-        raise InputError(
-            f"{count} {kind} patterns", hint=f"there are {whole.count}; ask for fewer, or for all"
-        )
+        hint = f"there are {whole.count}; ask for fewer, or for all"
+        raise InputError(f"{count} {kind} patterns", hint=hint)
     chosen = np.sort(np.random.default_rng(seed).permutation(whole.count)[:count])
     return BlockPatterns(whole.shape, whole.block, chosen)

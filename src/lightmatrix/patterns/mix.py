@@ -103,16 +103,14 @@ class MixedPatterns(BinaryPatterns):
         try:
             mix = tuple(((int(grid[0]), int(grid[1])), float(share)) for grid, share in self.mix)
         except (TypeError, ValueError, LookupError) as error:
-            raise InputError(
-                f"a mix of {self.mix!r:.100}", hint="give ((rows, cols), share) for each grid"
-            ) from error
+            hint = "give ((rows, cols), share) for each grid"
+            raise InputError(f"a mix of {self.mix!r:.100}", hint=hint) from error
         object.__setattr__(self, "mix", mix)
         check_random(self.shape, self.count, self.density, self.seed)
         shares = [share for _, share in mix]
         if not mix or min(shares) <= 0 or abs(sum(shares) - 1) > 1e-3:
-            raise InputError(
-                f"a mix with shares {shares}", hint=f"let them sum to 1, such as {MIX_EXAMPLE}"
-            )
+            hint = f"let them sum to 1, such as {MIX_EXAMPLE}"
+            raise InputError(f"a mix with shares {shares}", hint=hint)
         if len({grid for grid, _ in mix}) < len(mix):
             raise InputError("a mix that names one grid twice", hint="add their shares")
         for grid, _ in mix:
@@ -152,8 +150,7 @@ def parse_mix(text: str, shape: tuple[int, int]) -> Mix:
     for name, share in parse_shares(text, "a mix", MIX_EXAMPLE):
         rows, _, cols = name.lower().partition("x")
         if name != "fine" and not (rows.isdecimal() and cols.isdecimal()):
-            raise InputError(
-                f"a grid called {name!r} in a mix", hint=f"write for example {MIX_EXAMPLE}"
-            )
+            hint = f"write for example {MIX_EXAMPLE}"
+            raise InputError(f"a grid called {name!r} in a mix", hint=hint)
         mix.append((shape if name == "fine" else (int(rows), int(cols)), share))
     return tuple(mix)

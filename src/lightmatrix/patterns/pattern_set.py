@@ -328,9 +328,8 @@ class PatternSet(ABC):
         Blocks at the border may be smaller.
         """
         if min(block) < 1:
-            raise InputError(
-                f"a block of {block[0]} x {block[1]} pixels", hint="use at least 1 x 1"
-            )
+            hint = "use at least 1 x 1"
+            raise InputError(f"a block of {block[0]} x {block[1]} pixels", hint=hint)
         parts = [
             block_mean(part.reshape(-1, *self.shape), block).astype(np.float32)
             for _, part in self.chunks()
@@ -439,14 +438,12 @@ class ImagePatterns(PatternSet):
     def __post_init__(self) -> None:
         stack = real_array("patterns", self.stack)
         if stack.ndim != 3:
-            raise InputError(
-                f"patterns of shape {stack.shape}", hint="give grey images as (K, rows, cols)"
-            )
+            hint = "give grey images as (K, rows, cols)"
+            raise InputError(f"patterns of shape {stack.shape}", hint=hint)
         check_geometry(stack.shape[1:], len(stack))
         if not np.isfinite(stack).all() or stack.min() < 0 or stack.max() > 1:
-            raise InputError(
-                "pattern values are not all within 0 and 1", hint="scale the patterns to [0, 1]"
-            )
+            hint = "scale the patterns to [0, 1]"
+            raise InputError("pattern values are not all within 0 and 1", hint=hint)
         object.__setattr__(self, "stack", np.ascontiguousarray(stack, np.float32))
 
     @property

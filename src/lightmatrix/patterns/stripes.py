@@ -129,9 +129,8 @@ def check_code_shape(shape: tuple[int, int]) -> None:
     """Refuse projectors of one pixel, which nothing can encode."""
     check_geometry(shape, 1)
     if max(shape) < 2:
-        raise InputError(
-            f"a code for a projector of shape {shape}", hint="give (rows, cols), one above 1"
-        )
+        hint = "give (rows, cols), one above 1"
+        raise InputError(f"a code for a projector of shape {shape}", hint=hint)
 
 
 def both_axes(shape: tuple[int, int]) -> tuple[tuple[int, int], ...]:
@@ -243,9 +242,8 @@ def sinusoid(phase: NDArray[np.float64]) -> NDArray[np.float32]:
 def check_period(period: float) -> None:
     """Refuse periods that pixels cannot show."""
     if not 3 <= as_float(period) < np.inf:
-        raise InputError(
-            f"a period of {period} projector pixels", hint="use at least 3, such as 8 or 16"
-        )
+        hint = "use at least 3, such as 8 or 16"
+        raise InputError(f"a period of {period} projector pixels", hint=hint)
 
 
 # Periods lie within this share of their mean, as in the paper: all are then short, which is what

@@ -98,9 +98,8 @@ def relight(
     sources: list[Any] = [*transport] if several else [transport]  # type: ignore[misc]
     matrices = [_opened(source) for source in sources]
     if len(matrices) not in (1, 3):
-        raise InputError(
-            f"{len(matrices)} matrices", hint="give one, or those of red, green and blue"
-        )
+        hint = "give one, or those of red, green and blue"
+        raise InputError(f"{len(matrices)} matrices", hint=hint)
     for name in ("camera_shape", "projector_shape"):
         first, *others = (getattr(matrix, name) for matrix in matrices)
         for shape in others:

@@ -159,9 +159,8 @@ def show(
     if output is not None:
         suffix = Path(output).suffix.lower()
         if view in ("correspondence", "spectrum") and suffix not in (".png", ".npz"):
-            raise InputError(
-                f"a {view} in {output}", hint="end the output in .png (a picture) or .npz (numbers)"
-            )
+            hint = "end the output in .png (a picture) or .npz (numbers)"
+            raise InputError(f"a {view} in {output}", hint=hint)
         kind = NUMBERS if suffix == ".npz" else IMAGE
         check_output(output, kind, overwrite=overwrite)
     # A colour projector has one view.

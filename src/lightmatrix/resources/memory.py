@@ -31,9 +31,8 @@ def memory_bytes(text: str) -> int:
     unit = UNITS.get(match[2].lower()) if match else None
     amount = float(match[1]) * unit if match and unit else math.inf
     if math.isinf(amount):
-        raise InputError(
-            f"an amount of memory of {text!r:.100}", hint="write one such as 4GiB or 800MB"
-        )
+        hint = "write one such as 4GiB or 800MB"
+        raise InputError(f"an amount of memory of {text!r:.100}", hint=hint)
     return int(amount)
 
 

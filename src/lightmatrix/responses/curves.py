@@ -59,9 +59,8 @@ def exposures_of(frames: Frames, stated: float | NDArray[Any] | None) -> NDArray
         hint = "give one for each, in the order of the photographs"
         raise InputError(f"{exposures.size} exposures for {frames.count} photographs", hint=hint)
     if not (np.isfinite(exposures).all() and (exposures > 0).all()):
-        raise InputError(
-            f"an exposure of {exposures.min():g}", hint="use positive numbers, in any unit"
-        )
+        hint = "use positive numbers, in any unit"
+        raise InputError(f"an exposure of {exposures.min():g}", hint=hint)
     return exposures
 
 

@@ -95,9 +95,8 @@ class Photographer:
             # Times are rounded to microseconds.
             if frame.timestamp - actual >= earliest - 1e-6:
                 return Shot(frame, actual)
-        raise UntrustedFrameError(
-            "32 frames came, all of before the pattern", hint="are the camera's timestamps right?"
-        )
+        hint = "are the camera's timestamps right?"
+        raise UntrustedFrameError("32 frames came, all of before the pattern", hint=hint)
 
 
 @dataclass(frozen=True, eq=False)

@@ -375,9 +375,8 @@ class RigMeasurements:
             }
             return cls(dict(content["projector"]), dict(content["camera"]), **parts)
         except (AttributeError, KeyError, TypeError, ValueError) as error:
-            raise InputError(
-                f"{file}: is damaged ({error})", hint="remove it; the rig is measured again"
-            ) from error
+            hint = "remove it; the rig is measured again"
+            raise InputError(f"{file}: is damaged ({error})", hint=hint) from error
 
     def of_rig(self, rig: Rig) -> bool:
         """Whether it was measured of this projector and this camera with these settings."""
@@ -454,9 +453,8 @@ def measure_rig(
     """
     unknown = [part for part in parts if part not in PARTS]
     if unknown:
-        raise InputError(
-            f"nothing is known of measuring {unknown[0]!r}", hint=f"use {', '.join(PARTS)}"
-        )
+        hint = f"use {', '.join(PARTS)}"
+        raise InputError(f"nothing is known of measuring {unknown[0]!r}", hint=hint)
     if settle is not None:
         check_number("a settle time", settle, most=60, hint="give seconds, such as 0.1")
     before, camera = kept_measurements(rig, keep), Response.parse(response)

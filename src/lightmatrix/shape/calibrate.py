@@ -13,10 +13,11 @@ and so the size of the scene, cannot be known.
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -27,10 +28,10 @@ from lightmatrix.capture.capture import Capture, open_capture
 from lightmatrix.errors import InputError, warn
 from lightmatrix.estimators.estimate import estimate
 from lightmatrix.files.extras import load_opencv
-from lightmatrix.files.kinds import GEOMETRY
+from lightmatrix.files.kinds import geometry_kind
 from lightmatrix.files.writing import check_output
 from lightmatrix.geometry.matches import fit_fundamental, fit_homography, moved, sampson
-from lightmatrix.geometry.rig_geometry import RigGeometry, decomposed, normalised
+from lightmatrix.geometry.rig_geometry import Array, RigGeometry, decomposed, normalised
 from lightmatrix.patterns.codes import find_codes
 from lightmatrix.patterns.stripes import stripes_of
 from lightmatrix.ranges import check_list, check_number
@@ -42,6 +43,9 @@ from lightmatrix.transport.store import open_matches
 
 Shape = tuple[int, int]
 Progress = Callable[[int, int], None]
+BoardKind = Literal["chessboard", "charuco", "circles", "asymmetric-circles"]
+# A homography takes four corners; twice as many show whether they fit.
+_FEWEST = 8
 
 
 # The corners of a board in the camera's image, and the projector pixels that light them.
@@ -52,9 +56,9 @@ class BoardCorners:
     """The inner corners (n, 2) of a board, in the order of its rows, as (col, row)."""
 
     # In the camera's image.
-    camera: NDArray[np.float64]
+    camera: Array
     # The projector pixels that light them; NaN where too few pixels around a corner see them.
-    projector: NDArray[np.float64]
+    projector: Array
     # The share of the lit corners around which the projector's image is mirrored.
     mirrored: float = 0.0
 
@@ -64,43 +68,81 @@ class BoardCorners:
         return np.asarray(np.isfinite(self.projector).all(axis=1))
 
 
-def find_corners(white: NDArray[np.float64], board: Shape) -> NDArray[np.float64] | None:
-    """The inner corners (n, 2) of a board of (corners across, down) in a white image, or None."""
+def find_corners(white: Array, board: Shape, kind: BoardKind = "chessboard") -> Array | None:
+    """The inner corners (n, 2) of a board of (corners across, down) in a white image, or None.
+
+    Corners of ChArUco boards that are not seen are NaN; all of other boards must be.
+    """
     cv2 = load_opencv("finding a board", "shape")
     # This quantile becomes white, so that glare does not make the board dark.
     level = max(float(np.quantile(white, 0.98)), 1e-12)
     image = np.rint(255 * np.clip(white / level, 0, 1)).astype(np.uint8)
-    flags = cv2.CALIB_CB_ADAPTIVE_THRESH | cv2.CALIB_CB_NORMALIZE_IMAGE
     try:
-        good, corners = cv2.findChessboardCorners(image, board, flags=flags)
-        if not good:
-            # Slower, and finds boards that are blurred or unevenly lit.
-            flags = cv2.CALIB_CB_NORMALIZE_IMAGE | cv2.CALIB_CB_EXHAUSTIVE
-            good, corners = cv2.findChessboardCornersSB(image, board, flags=flags)
+        find = _charuco_corners if kind == "charuco" else _all_of_grid
+        places = find(cv2, image, board, kind)
     except cv2.error:
         # Images of a few pixels are too small for OpenCV's thresholds.
         return None
-    if not good:
-        return None
-    places = np.asarray(corners, np.float32).reshape(-1, 1, 2)
+    if places is None or "circles" in kind:
+        return places
     # The window in which a corner is refined reaches a seventh of a square: larger ones average the
     # bend of the lens, smaller ones the camera's noise.
-    reach = int(np.clip(0.14 * _side_of(places[:, 0], board), 2, 11))
+    reach = int(np.clip(0.14 * _side_of(places, board), 2, 11))
     criteria = (cv2.TERM_CRITERIA_COUNT + cv2.TERM_CRITERIA_EPS, 100, 1e-3)
-    refined = cv2.cornerSubPix(image, places, (reach, reach), (-1, -1), criteria)
-    return np.asarray(refined, np.float64).reshape(-1, 2)
+    seen = np.isfinite(places).all(axis=1)
+    corners = places[seen].astype(np.float32).reshape(-1, 1, 2)
+    refined = cv2.cornerSubPix(image, corners, (reach, reach), (-1, -1), criteria)
+    places[seen] = np.asarray(refined).reshape(-1, 2)
+    return places
+
+
+def _all_of_grid(cv2: Any, image: NDArray[np.uint8], board: Shape, kind: BoardKind) -> Array | None:
+    """The corners of a chessboard or the centres of circles, all of them or None."""
+    if kind == "chessboard":
+        flags = cv2.CALIB_CB_ADAPTIVE_THRESH | cv2.CALIB_CB_NORMALIZE_IMAGE
+        good, found = cv2.findChessboardCorners(image, board, flags=flags)
+        if not good:
+            # Slower, and finds boards that are blurred or unevenly lit.
+            flags = cv2.CALIB_CB_NORMALIZE_IMAGE | cv2.CALIB_CB_EXHAUSTIVE
+            good, found = cv2.findChessboardCornersSB(image, board, flags=flags)
+    else:
+        even = cv2.CALIB_CB_SYMMETRIC_GRID
+        grid = even if kind == "circles" else cv2.CALIB_CB_ASYMMETRIC_GRID
+        good, found = cv2.findCirclesGrid(image, board, flags=grid)
+        if not good:
+            # Copes with steeper views.
+            good, found = cv2.findCirclesGrid(image, board, flags=grid | cv2.CALIB_CB_CLUSTERING)
+    return np.asarray(found, np.float64).reshape(-1, 2) if good else None
+
+
+def _charuco_corners(
+    cv2: Any, image: NDArray[np.uint8], board: Shape, _: BoardKind
+) -> Array | None:
+    """The corners of a ChArUco board that are seen, of whatever markers it has."""
+    places = np.full((board[0] * board[1], 2), np.nan)
+    # Older versions of OpenCV began boards of an even number of rows with a white square.
+    for bits, legacy in itertools.product((4, 5, 6, 7), (False, True)):
+        # Smaller dictionaries are the beginning of these, and markers of half and of nine tenths of
+        # a square are found as well as of 0.7.
+        name = getattr(cv2.aruco, f"DICT_{bits}X{bits}_1000")
+        markers = cv2.aruco.getPredefinedDictionary(name)
+        known = cv2.aruco.CharucoBoard((board[0] + 1, board[1] + 1), 1.0, 0.7, markers)
+        known.setLegacyPattern(legacy)
+        corners, numbers, *_ = cv2.aruco.CharucoDetector(known).detectBoard(image)
+        if numbers is not None and len(numbers) >= _FEWEST:
+            places[np.ravel(numbers)] = np.reshape(corners, (-1, 2))
+            return places
+    return None
 
 
 def _side_of(corners: NDArray[np.floating], board: Shape) -> float:
     """Median side of the board's squares in the image, in pixels."""
     across, down = board
     grid = corners.reshape(down, across, 2)
-    return float(np.median(np.linalg.norm(np.diff(grid, axis=1), axis=2)))
+    return float(np.nanmedian(np.linalg.norm(np.diff(grid, axis=1), axis=2)))
 
 
-def light_corners(
-    corners: NDArray[np.float64], matches: Correspondence, board: Shape
-) -> BoardCorners:
+def light_corners(corners: Array, matches: Correspondence, board: Shape) -> BoardCorners:
     """The projector pixels of corners (n, 2), by a homography around each."""
     # On the five poses of a real board, windows from 12 to 30 pixels gave the same corners to 0.01
     # pixels.
@@ -112,7 +154,8 @@ def light_corners(
             weight = np.where(known, 1 / (matches.uncertainty**2).sum(axis=2), 0)
     projector = np.full_like(corners, np.nan)
     mirrored: list[bool] = []
-    for number, corner in enumerate(corners):
+    for number in np.flatnonzero(np.isfinite(corners).all(axis=1)):
+        corner = corners[number]
         col, row = np.rint(corner).astype(int)
         rows = slice(max(row - reach, 0), row + reach + 1)
         cols = slice(max(col - reach, 0), col + reach + 1)
@@ -131,7 +174,7 @@ def light_corners(
     return BoardCorners(corners, projector, float(np.mean(mirrored)) if mirrored else 0.0)
 
 
-def pose_images(capture: Capture) -> tuple[NDArray[np.float64], Correspondence]:
+def pose_images(capture: Capture) -> tuple[Array, Correspondence]:
     """The image (rows, cols) under white light, and the correspondence.
 
     Stripes are decoded; of other patterns, T is estimated.
@@ -162,26 +205,25 @@ class StereoFit:
 
     geometry: RigGeometry
     # (poses, 3): the normal of each board in the camera's frame.
-    normals: NDArray[np.float64]
+    normals: Array
     # (poses, n, 2) in pixels; NaN where a corner has no projector pixel.
-    camera_errors: NDArray[np.float64]
-    projector_errors: NDArray[np.float64]
+    camera_errors: Array
+    projector_errors: Array
     # (poses, n): the corners that count.
     used: NDArray[np.bool_]
 
 
-def board_points(board: Shape, square: float) -> NDArray[np.float64]:
+def board_points(board: Shape, square: float, kind: BoardKind = "chessboard") -> Array:
     """The inner corners (n, 3) of a board of (corners across, down), on the plane z = 0."""
     across, down = board
     row, col = np.mgrid[:down, :across]
+    if kind == "asymmetric-circles":
+        col = 2 * col + row % 2
     return np.column_stack([col.ravel(), row.ravel(), np.zeros(across * down)]) * float(square)
 
 
 def fit_stereo(
-    poses: Sequence[BoardCorners],
-    points: NDArray[np.float64],
-    camera_shape: Shape,
-    projector_shape: Shape,
+    poses: Sequence[BoardCorners], points: Array, camera_shape: Shape, projector_shape: Shape
 ) -> StereoFit:
     """Fit both devices to all poses, and leave out corners that are far off."""
     used = np.stack([pose.lit for pose in poses])
@@ -204,12 +246,9 @@ def fit_stereo(
 
 
 def _fit(
-    poses: Sequence[BoardCorners],
-    points: NDArray[np.float64],
-    used: NDArray[np.bool_],
-    camera_shape: Shape,
+    poses: Sequence[BoardCorners], points: Array, used: NDArray[np.bool_], camera_shape: Shape,
     projector_shape: Shape,
-) -> StereoFit:
+) -> StereoFit:  # fmt: skip
     """One fit to the corners that count."""
     cv2 = load_opencv("calibrating a rig", "shape")
     # Five poses do not support more than two coefficients of radial distortion, so tangential terms
@@ -237,17 +276,16 @@ def _fit(
     if start is not None and (start[:2, 2] > 0).all() and (start[:2, 2] < wide).all():
         guess = flags | cv2.CALIB_USE_INTRINSIC_GUESS
         fits.append(cv2.calibrateCamera(objects, lit, wide, start, None, flags=guess))
+    known = *camera_start, *min(fits, key=lambda fit: float(fit[0]))[1:3]
+    flags |= cv2.CALIB_USE_INTRINSIC_GUESS
+    end = cv2.TERM_CRITERIA_COUNT + cv2.TERM_CRITERIA_EPS, 200, 1e-9
     answer = cv2.stereoCalibrateExtended(
-        objects, seen, lit, *camera_start, *min(fits, key=lambda fit: float(fit[0]))[1:3],
-        camera_shape[::-1], None, None, flags=flags | cv2.CALIB_USE_INTRINSIC_GUESS,
-        criteria=(cv2.TERM_CRITERIA_COUNT + cv2.TERM_CRITERIA_EPS, 200, 1e-9),
-    )  # fmt: skip
+        objects, seen, lit, *known, camera_shape[::-1], None, None, flags=flags, criteria=end
+    )
     camera, camera_lens, projector, projector_lens, turn, shift = answer[1:7]
     projector[:2, 2] -= border
 
-    def errors(
-        rotation: Any, translation: Any, intrinsics: Any, lens: Any, places: NDArray[np.float64]
-    ) -> NDArray[np.float64]:
+    def errors(rotation: Any, translation: Any, intrinsics: Any, lens: Any, places: Array) -> Array:
         """How far a device shows the points of the board from where they were found, (n, 2)."""
         vector = cv2.Rodrigues(rotation)[0]
         image = cv2.projectPoints(points, vector, translation, intrinsics, lens)[0]
@@ -267,9 +305,7 @@ def _fit(
     return StereoFit(geometry, np.array(normals), *residuals, used)
 
 
-def projector_start(
-    points: NDArray[np.floating], places: NDArray[np.floating]
-) -> NDArray[np.float64] | None:
+def projector_start(points: NDArray[np.floating], places: NDArray[np.floating]) -> Array | None:
     """K of a device that shows points (n, 3) at places (n, 2), by its projection matrix.
 
     The direct linear transformation (Hartley & Zisserman 2004, chapter 7), without skew; None if
@@ -280,49 +316,27 @@ def projector_start(
     space = np.column_stack([(points - middle) / scale, np.ones(len(points))])
     col, row = (places - centre).T / size
     zero = np.zeros_like(space)
-    rows = np.concatenate(
-        [
-            np.hstack([space, zero, -col[:, None] * space]),
-            np.hstack([zero, space, -row[:, None] * space]),
-        ]
-    )
+    parts = [[space, zero, -col[:, None] * space], [zero, space, -row[:, None] * space]]
+    rows = np.concatenate([np.hstack(part) for part in parts])
     matrix = np.linalg.eigh(rows.T @ rows)[1][:, 0].reshape(3, 4)
-    intrinsics = decomposed(normalised(matrix, "projector"))[0]
     back = np.array([[size, 0, centre[0]], [0, size, centre[1]], [0, 0, 1]])
-    result = back @ intrinsics
+    result = back @ decomposed(normalised(matrix, "projector"))[0]
     result[0, 1] = 0
     return result if 0.2 < result[0, 0] / result[1, 1] < 5 else None
 
 
 @dataclass(frozen=True, eq=False)
 class BoardPose:
-    """One pose of the board.
-
-    Parameters
-    ----------
-    name : str
-        Its folder.
-    camera, projector : (n, 2) float64
-        The board's corners in the camera's image and on the projector as (col, row); NaN where the
-        projector pixel is not known.
-    used : (n,) bool
-        The corners that count. Others are not lit, or off by more than 5 times the median, as where
-        a board is bent.
-    rms_camera, rms_projector : float
-        Root mean square of the distances of corners that count from where the geometry puts them,
-        in pixels.
-
-    Examples
-    --------
-    >>> import lightmatrix as lm
-    >>> measured = lm.calibrate_rig(["pose_0", "pose_1", "pose_2"])  # doctest: +SKIP
-    >>> {pose.name: pose.rms_projector for pose in measured.poses}  # doctest: +SKIP
-    """
+    """One pose of the board, by the name of its folder."""
 
     name: str
-    camera: NDArray[np.float64]
-    projector: NDArray[np.float64]
+    # Its corners (n, 2) in the camera's image and on the projector, as (col, row); NaN where they
+    # are not seen or not lit.
+    camera: Array
+    projector: Array
+    # The corners that count; others are not lit, or off by more than 5 times the median.
     used: NDArray[np.bool_]
+    # Root mean square of the distances of those from where the geometry puts them, in pixels.
     rms_camera: float
     rms_projector: float
 
@@ -331,28 +345,14 @@ class BoardPose:
 
 @dataclass(frozen=True, eq=False)
 class RigCalibration:
-    """A calibrated rig, and how well it explains the board.
+    """A calibrated rig, and how well it explains the board."""
 
-    Parameters
-    ----------
-    geometry : RigGeometry
-        In the camera's frame; its `rms` holds "stereo" (both images), "camera" and "projector".
-    poses : tuple of BoardPose
-        The poses that were used.
-    left_out : mapping of str to str
-        Poses that were not, with the reason.
-    turn : float
-        The largest angle between two poses of the board, in degrees.
-
-    Examples
-    --------
-    >>> import lightmatrix as lm
-    >>> measured = lm.calibrate_rig(["pose_0", "pose_1", "pose_2"])  # doctest: +SKIP
-    """
-
+    # In the camera's frame; its `rms` holds "stereo" (both images), "camera" and "projector".
     geometry: RigGeometry
+    # The poses that were used, and why others were not.
     poses: tuple[BoardPose, ...]
     left_out: dict[str, str]
+    # The largest angle between two poses of the board, in degrees.
     turn: float
 
     __repr__ = short_repr
@@ -364,24 +364,18 @@ class RigCalibration:
 
     def as_dict(self) -> dict[str, Any]:
         """The residuals, JSON-ready."""
+        poses = [
+            {"pose": pose.name, "corners": int(pose.used.sum()),
+             "rms_camera": round(pose.rms_camera, 4), "rms_projector": round(pose.rms_projector, 4)}
+            for pose in self.poses
+        ]  # fmt: skip
+        rms = {f"rms_{name}": round(value, 4) for name, value in self.geometry.rms.items()}
+        total = sum(len(pose.used) for pose in self.poses)
         return {
-            **{f"rms_{name}": round(value, 4) for name, value in self.geometry.rms.items()},
-            "corners": self.corners,
-            "of_corners": sum(len(pose.used) for pose in self.poses),
-            "largest_turn": round(self.turn, 1),
-            "baseline": round(self.geometry.baseline, 4),
-            "units": self.geometry.units,
-            "poses": [
-                {
-                    "pose": pose.name,
-                    "corners": int(pose.used.sum()),
-                    "rms_camera": round(pose.rms_camera, 4),
-                    "rms_projector": round(pose.rms_projector, 4),
-                }
-                for pose in self.poses
-            ],
-            "left_out": dict(self.left_out),
-        }
+            **rms, "corners": self.corners, "of_corners": total, "poses": poses,
+            "largest_turn": round(self.turn, 1), "baseline": round(self.geometry.baseline, 4),
+            "units": self.geometry.units, "left_out": dict(self.left_out),
+        }  # fmt: skip
 
 
 def calibrate_rig(
@@ -389,12 +383,13 @@ def calibrate_rig(
     board: tuple[int, int] = (9, 7),
     square: float = 1.0,
     *,
+    kind: BoardKind = "chessboard",
     units: str | None = None,
     output: str | Path | None = None,
     overwrite: bool = False,
     progress: Progress | None = None,
 ) -> RigCalibration:
-    """Calibrate a projector and a camera with a printed chessboard.
+    """Calibrate a projector and a camera with a printed board.
 
     Show the board in at least three poses, better five to ten: tilted to all sides by 20 to 40
     degrees, each filling much of the image that both camera and projector cover. Photograph each
@@ -406,13 +401,18 @@ def calibrate_rig(
     poses : sequence of Capture, str or Path
         A capture of each pose, or its folder.
     board : (int, int)
-        Inner corners along the rows and the columns of the board: squares less one.
+        Inner corners along the rows and the columns of the board: squares less one. Or circles.
     square : float
-        Side of a square in `units`.
+        Side of a square, or distance of neighbouring circles, in `units`; of asymmetric circles,
+        the distance of neighbouring rows.
+    kind : {"chessboard", "charuco", "circles", "asymmetric-circles"}
+        What is printed. The markers of a ChArUco board may be of any dictionary of 4 x 4 to 7 x 7
+        bits; only a part of such a board need be seen. Of any board, 8 corners in two rows and two
+        columns must be lit.
     units : str, optional
         Unit of length, such as "mm".
     output : str or Path, optional
-        A .json file of the geometry to write.
+        The geometry to write, as `RigGeometry.save` does: .json, or of another program.
     overwrite : bool
         Whether an existing geometry may be replaced.
     progress : callable, optional
@@ -429,10 +429,8 @@ def calibrate_rig(
     InputError
         If fewer than three poses show a board that both devices see, if the poses are parallel, or
         if they have different image sizes.
-    MissingExtraError
-        Without OpenCV, the extra `shape`.
-    OutputError
-        If the file exists or cannot be written.
+    MissingExtraError, OutputError
+        Without OpenCV, the extra `shape`; if the file exists or cannot be written.
 
     References
     ----------
@@ -446,16 +444,18 @@ def calibrate_rig(
     """
     load_opencv("calibrating a rig", "shape")
     if output is not None:
-        check_output(output, GEOMETRY, overwrite=overwrite)
+        check_output(output, geometry_kind(output), overwrite=overwrite)
     check_number("a square", square, above=True, hint="give its side, such as 24")
     if min(board) < 3:
-        raise InputError(
-            f"a board of {board[0]} x {board[1]} inner corners", hint="use at least 3 x 3"
-        )
+        hint = "use at least 3 x 3"
+        raise InputError(f"a board of {board[0]} x {board[1]} inner corners", hint=hint)
+    if kind not in get_args(BoardKind):
+        hint = f"use one of {', '.join(get_args(BoardKind))}"
+        raise InputError(f"a board of the kind {kind!r}", hint=hint)
     check_list(poses, hint="give a capture for each pose of the board")
     _check_count(len(poses), {})
-    corners, shapes, left_out = _all_corners(poses, board, progress)
-    points = board_points(board, square)
+    corners, shapes, left_out = _all_corners(poses, board, kind, progress)
+    points = board_points(board, square, kind)
     mirrored = bool(np.mean([pose.mirrored for pose in corners.values()]) > 0.5)
     if mirrored:
         warn(
@@ -471,8 +471,8 @@ def calibrate_rig(
     fit = fitted()
     badly = {
         name: f"only {use.sum()} of {len(use)} corners fit the other poses; did the board move?"
-        for name, use in zip(corners, fit.used, strict=True)
-        if use.sum() < 0.5 * len(use)
+        for (name, pose), use in zip(corners.items(), fit.used, strict=True)
+        if use.sum() < 0.5 * pose.lit.sum()
     }
     if badly:
         left_out |= badly
@@ -522,7 +522,7 @@ def calibrate_rig(
 
 
 def _all_corners(
-    poses: Sequence[Capture | str | Path], board: tuple[int, int], progress: Progress | None
+    poses: Sequence[Capture | str | Path], board: Shape, kind: BoardKind, progress: Progress | None
 ) -> tuple[dict[str, BoardCorners], tuple[Shape, Shape], dict[str, str]]:
     """The corners of usable poses by name, the image sizes, and why other poses are not usable."""
     found: dict[str, BoardCorners] = {}
@@ -543,11 +543,11 @@ def _all_corners(
             # Frames out of order, or no light of the projector.
             left_out[name] = error.message
             continue
-        places = find_corners(white, board)
+        places = find_corners(white, board, kind)
         corners = None if places is None else light_corners(places, matches, board)
         if corners is None:
             left_out[name] = f"no board of {board[0]} x {board[1]} inner corners is found"
-        elif corners.lit.mean() < 0.5:
+        elif not _suffice(corners.lit, board):
             left_out[name] = (
                 f"the camera sees the board, but the projector lights only {corners.lit.sum()} of "
                 f"its {len(corners.lit)} corners"
@@ -559,6 +559,12 @@ def _all_corners(
     _check_count(len(found), left_out)
     assert shapes is not None
     return found, shapes, left_out
+
+
+def _suffice(lit: NDArray[np.bool_], board: Shape) -> bool:
+    """Whether enough corners of a board are lit, in two of its rows and columns at least."""
+    grid = lit.reshape(board[1], board[0])
+    return lit.sum() >= _FEWEST and min(grid.any(axis=1).sum(), grid.any(axis=0).sum()) >= 2
 
 
 def _check_count(usable: int, left_out: dict[str, str]) -> None:
@@ -574,7 +580,7 @@ def _check_count(usable: int, left_out: dict[str, str]) -> None:
     )
 
 
-def _rms(errors: NDArray[np.float64]) -> float:
+def _rms(errors: Array) -> float:
     """Root mean square of the lengths of errors (n, 2)."""
     return float(np.sqrt((errors**2).sum(axis=1).mean()))
 
@@ -616,12 +622,8 @@ def self_calibrate(
     baseline : float
         Distance from the camera to the projector, in `units`. The matches do not tell it: all
         lengths are proportional to it.
-    units : str, optional
-        Unit of length.
-    output : str or Path, optional
-        A .json file of the geometry to write.
-    overwrite : bool
-        Whether an existing geometry may be replaced.
+    units, output, overwrite
+        As in `calibrate_rig`.
 
     Returns
     -------
@@ -662,22 +664,18 @@ def self_calibrate(
         )
     check_number("a baseline", baseline, above=True, hint="give a length above 0, such as 1")
     if output is not None:
-        check_output(output, GEOMETRY, overwrite=overwrite)
+        check_output(output, geometry_kind(output), overwrite=overwrite)
     opened = open_matches(matches)
     found = correspondence(opened) if isinstance(opened, LightTransport) else opened
     projector_shape = found.projector_shape
     if projector_shape is None:
-        raise InputError(
-            "the correspondence does not say the projector's size", hint="set projector_shape"
-        )
+        hint = "set projector_shape"
+        raise InputError("the correspondence does not say the projector's size", hint=hint)
     # Matches of less confidence come from several places at once; chosen by hand.
     at = np.argwhere(np.isfinite(found.place).all(axis=2) & (found.confidence >= 0.3))
     if len(at) < 50:
-        raise InputError(
-            f"{len(at)} camera pixels see one place of the projector",
-            hint="at least 50 are needed, better thousands, with stripes or patterns along both "
-            "axes",
-        )
+        hint = "50 are needed, better thousands, with stripes or patterns along both axes"
+        raise InputError(f"{len(at)} camera pixels see one place of the projector", hint=hint)
     # More matches than these cost time and change nothing.
     at = at[np.random.default_rng(0).permutation(len(at))[:20_000]]
     seen = at[:, ::-1].astype(np.float64)
@@ -690,10 +688,10 @@ def self_calibrate(
         camera_intrinsics = _centred(focal, (rows, cols))
         if principal is not None:
             camera_intrinsics[:2, 2] = principal
+    own, sizes = _centred(max(projector_shape), projector_shape), ((rows, cols), projector_shape)
     camera = RigGeometry.from_intrinsics(
-        camera_intrinsics, _centred(max(projector_shape), projector_shape), np.eye(3), (1, 0, 0),
-        (rows, cols), projector_shape, camera_distortion=camera_distortion,
-    )  # fmt: skip
+        camera_intrinsics, own, np.eye(3), (1, 0, 0), *sizes, camera_distortion=camera_distortion
+    )
     seen = camera.undistort_camera(seen)
     finite = np.isfinite(seen).all(axis=1)
     seen, lit = seen[finite], lit[finite]
@@ -706,10 +704,9 @@ def self_calibrate(
     noise = max(0.5, 10 * float(np.median(distance)))
     share = float((np.linalg.norm(plane - lit, axis=1) > noise).mean())
     if share < 0.05:
-        raise InputError(
-            f"the scene is flat: only {100 * share:.1f} % of the matches show parallax",
-            hint="put objects of different depth into the scene, or calibrate with a board",
-        )
+        hint = "put objects of different depth into the scene, or calibrate with a board"
+        shown = f"only {100 * share:.1f} % of the matches show parallax"
+        raise InputError(f"the scene is flat: {shown}", hint=hint)
     fits = distance < max(4.4 * float(np.median(distance)), 0.1)
     seen, lit = seen[fits], lit[fits]
     free = float(np.sqrt((distance[fits] ** 2).mean()))
@@ -719,13 +716,11 @@ def self_calibrate(
         own = lit * (-1, 1) + (projector_shape[1] - 1, 0) if mirrored else lit
         known = None if projector_intrinsics is None else np.asarray(projector_intrinsics, float)
         matrix = fit_fundamental(seen, own) if mirrored else fundamental
-        pose, deviation = _pose(
-            matrix, seen, own, camera.camera_intrinsics, known, projector_shape, free
-        )
+        lens = camera.camera_intrinsics
+        pose, deviation = _pose(matrix, seen, own, lens, known, projector_shape, free)
         rig = RigGeometry.from_intrinsics(
-            camera.camera_intrinsics, *pose[:2], pose[2] * baseline, (rows, cols), projector_shape,
-            camera_distortion=camera_distortion, units=units,
-        )  # fmt: skip
+            lens, *pose[:2], pose[2] * baseline, *sizes, camera_distortion=camera_distortion
+        )
         away = sampson(rig.fundamental_matrix(), seen, own)
         rms = {"epipolar": float(np.sqrt((away**2).mean()))}
         if known is None:
@@ -738,7 +733,7 @@ def self_calibrate(
         parallax = rig.projector_intrinsics[0, 0] * baseline / np.maximum(ahead, 1e-12)
         ahead = (rig.depth(points) > 0) & (ahead > 0) & (parallax > 3 * rms["epipolar"])
         behind = float(1 - ahead.mean())
-        return replace(rig, rms=rms, projector_mirrored=mirrored), behind
+        return replace(rig, rms=rms, units=units, projector_mirrored=mirrored), behind
 
     rig, behind = fitted(mirrored=False)
     # Right geometries have no match behind a device, and wrong ones a quarter at least.
@@ -765,21 +760,16 @@ def self_calibrate(
     return rig
 
 
-def _centred(focal: float, shape: tuple[int, int]) -> NDArray[np.float64]:
+def _centred(focal: float, shape: tuple[int, int]) -> Array:
     """K of square pixels and an axis through the middle of an image of (rows, cols)."""
     rows, cols = shape
     return np.array([[focal, 0, (cols - 1) / 2], [0, focal, (rows - 1) / 2], [0, 0, 1]])
 
 
 def _pose(
-    fundamental: NDArray[np.float64],
-    seen: NDArray[np.float64],
-    lit: NDArray[np.float64],
-    camera: NDArray[np.float64],
-    projector: NDArray[np.float64] | None,
-    projector_shape: tuple[int, int],
-    free: float,
-) -> tuple[tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]], float]:
+    fundamental: Array, seen: Array, lit: Array, camera: Array, projector: Array | None,
+    projector_shape: Shape, free: float,
+) -> tuple[tuple[Array, Array, Array], float]:  # fmt: skip
     """K of the projector, R and t of length 1, that bring the matches nearest to their lines.
 
     `free` is how near those of the fundamental matrix come. The standard error of the projector's
@@ -805,11 +795,8 @@ def _pose(
         turn, shift = _decomposed(start.T @ fundamental @ camera, camera, start, seen, lit)
 
         def parts(
-            numbers: NDArray[np.float64],
-            start: NDArray[np.float64] = start,
-            turn: NDArray[np.float64] = turn,
-            shift: NDArray[np.float64] = shift,
-        ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+            numbers: Array, start: Array = start, turn: Array = turn, shift: Array = shift
+        ) -> tuple[Array, Array, Array]:
             own = start.copy()
             if len(numbers) > 6:
                 own[[0, 1], [0, 1]] *= np.exp(numbers[6])
@@ -819,7 +806,7 @@ def _pose(
             rotation = Rotation.from_rotvec(numbers[:3]).as_matrix() @ turn
             return own, rotation, moved_shift / np.linalg.norm(moved_shift)
 
-        def distances(numbers: NDArray[np.float64], parts: Any = parts) -> NDArray[np.float64]:
+        def distances(numbers: Array, parts: Any = parts) -> Array:
             own, rotation, (x, y, z) = parts(numbers)
             cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
             matrix = np.linalg.inv(own).T @ cross @ rotation @ np.linalg.inv(camera)
@@ -840,19 +827,15 @@ def _pose(
 
 
 def _decomposed(
-    essential: NDArray[np.float64],
-    camera: NDArray[np.float64],
-    projector: NDArray[np.float64],
-    seen: NDArray[np.float64],
-    lit: NDArray[np.float64],
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    essential: Array, camera: Array, projector: Array, seen: Array, lit: Array
+) -> tuple[Array, Array]:
     """R and t of an essential matrix, of the four solutions the one with most points in front."""
     left, _, right = np.linalg.svd(essential)
     left, right = left * np.linalg.det(left), right * np.linalg.det(right)
     quarter = np.array([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]])
     turns, shifts = (left @ quarter @ right, left @ quarter.T @ right), (left[:, 2], -left[:, 2])
 
-    def in_front(pose: tuple[NDArray[np.float64], NDArray[np.float64]]) -> int:
+    def in_front(pose: tuple[Array, Array]) -> int:
         matrices = camera @ np.eye(3, 4), projector @ np.column_stack(pose)
         rig = RigGeometry(*matrices, (1, 1), (1, 1))
         points = rig.triangulate(seen, lit)

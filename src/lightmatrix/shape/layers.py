@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -14,13 +13,13 @@ from numpy.typing import NDArray
 from lightmatrix.errors import InputError
 from lightmatrix.files.extras import write_exr
 from lightmatrix.files.kinds import CLOUD, IMAGE, PICTURE
-from lightmatrix.files.writing import atomic_file, check_output
+from lightmatrix.files.writing import atomic_files, check_output
 from lightmatrix.geometry.rig_geometry import RigGeometry
 from lightmatrix.paths import as_path
 from lightmatrix.pictures.style import STYLE, display, panel, white_level
 from lightmatrix.pictures.transport import Picture, draw_into
 from lightmatrix.reprs import short_repr
-from lightmatrix.shape.shape import depth_map, write_ply
+from lightmatrix.shape.shape import depth_map, write_cloud
 from lightmatrix.shape.spots import check_thresholds, seen_by, surface_probability
 from lightmatrix.shape.triangulation import geometry_of
 from lightmatrix.uses.loading import Transport, loaded
@@ -65,10 +64,10 @@ class Layers:
         return {**counts, "mirrored_pixels": int(self.mirrored.any(axis=-1).sum())}
 
     def write(self, part: Path) -> None:
-        """Write points with the number of their layer (.ply), or an image of all layers (.exr)."""
-        if part.suffix.lower() == ".ply":
+        """Write points with the number of their layer, or an image of all layers (.exr)."""
+        if part.suffix != ".exr":
             number = np.broadcast_to(np.arange(1, 4, dtype=np.uint8), self.depth.shape)
-            write_ply(
+            write_cloud(
                 part, self.points, self.light, {"probability": self.probability, "layer": number}
             )
         else:
@@ -114,8 +113,8 @@ def layers(
     geometry, tolerance, least_probability, picture, overwrite
         As in `triangulate`.
     output : str or Path, optional
-        The file to write: a point cloud with the number of each layer (.ply), or an image (.exr)
-        with the channels Z, Y (light) and probability of layer1 to layer3.
+        The file to write: a point cloud (.ply, .pcd) with the number of each layer, or an image
+        (.exr) with the channels Z, Y (light) and probability of layer1 to layer3.
 
     Returns
     -------
@@ -164,8 +163,7 @@ def layers(
     light, place, width = (mapped(v, some) for v in (seen.light, seen.place, seen.width))
     by_mirror = np.isfinite(light) & np.isnan(depth)
     found = Layers(depth, light, probable, points, place, width, by_mirror, rig)
-    with ExitStack() as files:
-        for path, kind in outputs.items():
-            part = files.enter_context(atomic_file(path, kind, overwrite=overwrite))
+    with atomic_files(outputs, overwrite=overwrite) as parts:
+        for kind, part in zip(outputs.values(), parts, strict=True):
             found.show().draw_file(part) if kind is PICTURE else found.write(part)
     return found

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
 from enum import IntEnum
 from pathlib import Path
@@ -13,10 +14,11 @@ import tifffile
 from matplotlib.colors import BoundaryNorm, ListedColormap
 from numpy.typing import NDArray
 
-from lightmatrix.files.extras import load_extra
-from lightmatrix.files.kinds import CLOUD, DEPTH, PLY_MARK
+from lightmatrix.errors import InputError, warn
+from lightmatrix.files.images import fill_image
+from lightmatrix.files.kinds import CLOUD, DEPTH, OUR_MARK
 from lightmatrix.files.writing import atomic_file
-from lightmatrix.geometry.rig_geometry import RigGeometry, decomposed
+from lightmatrix.geometry.rig_geometry import Array, RigGeometry, decomposed
 from lightmatrix.paths import as_path
 from lightmatrix.pictures.maps import UNKNOWN, Map
 from lightmatrix.pictures.style import COLOURS, STYLE, panel
@@ -24,10 +26,12 @@ from lightmatrix.pictures.transport import Picture, draw_into
 from lightmatrix.reprs import short_repr
 from lightmatrix.uses.separation import shifted
 
+MILLIMETRES = {"mm": 1.0, "cm": 10.0, "m": 1000.0, "in": 25.4}
+
 # Normals and triangles of a surface of which the depth of each camera pixel is known.
 
 
-def _steepest_step(depth: NDArray[np.floating], geometry: RigGeometry) -> NDArray[np.float64]:
+def _steepest_step(depth: NDArray[np.floating], geometry: RigGeometry) -> Array:
     """The largest change of depth from a pixel to the next on one surface, (rows, cols)."""
     focal = float(np.sqrt(np.prod(np.diag(geometry.camera_intrinsics)[:2])))
     # Surfaces inclined by more than 70 degrees to the image plane reflect little of the projector's
@@ -94,42 +98,64 @@ def surface_faces(depth: NDArray[np.float32], geometry: RigGeometry) -> NDArray[
     return np.concatenate(faces)
 
 
-def write_ply(
-    part: Path,
-    points: NDArray[np.float32],
-    light: NDArray[np.float32],
-    more: dict[str, NDArray[Any]],
-    faces: NDArray[np.int64] | None = None,
-) -> None:
-    """Write the finite ones of points (..., 3) as binary PLY (Turk 1994), with grey values.
+def write_cloud(
+    part: Path, points: NDArray[np.float32], light: NDArray[np.float32],
+    more: dict[str, NDArray[Any]], faces: NDArray[np.int64] | None = None,
+) -> None:  # fmt: skip
+    """Write the finite ones of points (..., 3), in the format of a file's ending.
 
-    `light` (...) becomes the grey values, `more` names further columns (...), and `faces` (n, 3)
-    are numbers of points.
+    `light` (...) becomes grey values, `more` names further columns (...), and `faces` (n, 3) are
+    numbers of points. Binary PLY (Turk 1994) holds all of it, binary PCD (of the Point Cloud
+    Library) all but faces, OBJ points, colours and faces, and XYZ bare coordinates.
     """
     known = np.isfinite(points).all(axis=-1)
     # Light at this quantile is shown white, and bent for screens, which undo it.
     bright = float(np.nanquantile(light, 0.99)) if np.isfinite(light).any() else 0.0
-    level = 255 * np.clip(np.nan_to_num(light) / max(bright, 1e-12), 0, 1) ** (1 / 2.2)
-    columns: dict[str, NDArray[Any]] = {
-        **dict(zip(("x", "y", "z"), np.moveaxis(points, -1, 0), strict=True)),
-        **dict.fromkeys(("red", "green", "blue"), np.rint(level).astype(np.uint8)),
-        **more,
-    }
-    kinds = [(name, "u1" if each.dtype == np.uint8 else "<f4") for name, each in columns.items()]
-    table = np.empty(int(known.sum()), kinds)
-    for name, values in columns.items():
-        table[name] = np.nan_to_num(values[known])
-    lines = ["ply", "format binary_little_endian 1.0", PLY_MARK, f"element vertex {len(table)}"]
-    lines += [f"property {'uchar' if kind == 'u1' else 'float'} {name}" for name, kind in kinds]
-    if faces is not None:
-        lines += [f"element face {len(faces)}", "property list uchar int vertex_indices"]
+    level = np.clip(np.nan_to_num(light[known]) / max(bright, 1e-12), 0, 1) ** (1 / 2.2)
+    grey = np.rint(255 * level).astype(np.uint8)
+    colours: dict[str, NDArray[Any]] = dict.fromkeys(("red", "green", "blue"), grey)
+    further = {name: np.nan_to_num(values[known]) for name, values in more.items()}
+    corners = None if faces is None else (np.cumsum(known.ravel()) - 1)[faces]
     with part.open("wb") as stream:
-        stream.write(("\n".join([*lines, "end_header"]) + "\n").encode("ascii"))
+        if part.suffix == ".xyz":
+            np.savetxt(stream, points[known], "%.7g")
+            return
+        if part.suffix == ".obj":
+            stream.write(f"# {OUR_MARK}\n".encode())
+            shown = np.column_stack([points[known], *[grey / 255] * 3])
+            np.savetxt(stream, shown, "v %.7g %.7g %.7g %.3g %.3g %.3g")
+            if corners is not None:
+                np.savetxt(stream, corners + 1, "f %d %d %d")
+            return
+        if part.suffix == ".pcd":
+            # PCL keeps a colour in the bits of a float, and has names of its own for normals.
+            colours = {"rgb": (grey.astype(np.uint32) * 0x10101).view(np.float32)}
+            further = {re.sub("^n([xyz])$", r"normal_\1", name): v for name, v in further.items()}
+        columns = {**dict(zip("xyz", points[known].T, strict=True)), **colours, **further}
+        small = {name: each.dtype == np.uint8 for name, each in columns.items()}
+        table = np.empty(len(grey), [(name, "u1" if small[name] else "<f4") for name in columns])
+        for name, values in columns.items():
+            table[name] = values
+        if part.suffix == ".pcd":
+            lines = [f"# {OUR_MARK}", "VERSION 0.7", f"FIELDS {' '.join(columns)}"]
+            lines += [f"SIZE {' '.join('1' if small[name] else '4' for name in columns)}"]
+            lines += [f"TYPE {' '.join('U' if small[name] else 'F' for name in columns)}"]
+            lines += [f"COUNT {' '.join('1' for _ in columns)}", f"WIDTH {len(table)}", "HEIGHT 1"]
+            lines += ["VIEWPOINT 0 0 0 1 0 0 0", f"POINTS {len(table)}", "DATA binary"]
+        else:
+            lines = ["ply", "format binary_little_endian 1.0", f"comment {OUR_MARK}"]
+            lines += [f"element vertex {len(table)}"] + [
+                f"property {'uchar' if small[name] else 'float'} {name}" for name in columns
+            ]
+            if corners is not None:
+                of_faces = "property list uchar int vertex_indices"
+                lines += [f"element face {len(corners)}", of_faces]
+            lines += ["end_header"]
+        stream.write(("\n".join(lines) + "\n").encode("ascii"))
         stream.write(table.tobytes())
-        if faces is not None:
-            triangles = np.empty(len(faces), [("count", "u1"), ("corners", "<i4", 3)])
-            triangles["count"] = 3
-            triangles["corners"] = (np.cumsum(known.ravel()) - 1)[faces]
+        if part.suffix == ".ply" and corners is not None:
+            triangles = np.empty(len(corners), [("count", "u1"), ("corners", "<i4", 3)])
+            triangles["count"], triangles["corners"] = 3, corners
             stream.write(triangles.tobytes())
 
 
@@ -146,13 +172,11 @@ def depth_map(depth: NDArray[np.floating], units: str | None) -> Map:
     low, high = np.quantile(known, [0.02, 0.98]).tolist() if known.size else (0.0, 1.0)
     # A plane that faces the camera has one depth only.
     high = max(high, low + 1e-6 * max(1.0, abs(low)))
-    return Map(
-        "Depth along the camera's axis", units or "unit of the geometry", depth.astype(np.float64),
-        low, high, "viridis_r",
-    )  # fmt: skip
+    title, values = "Depth along the camera's axis", depth.astype(np.float64)
+    return Map(title, units or "unit of the geometry", values, low, high, "viridis_r")
 
 
-def normal_colours(normals: NDArray[np.floating]) -> NDArray[np.float64]:
+def normal_colours(normals: NDArray[np.floating]) -> Array:
     """Normals (rows, cols, 3) in the camera's frame as colours in [0, 1].
 
     Right, up and towards the camera are red, green and blue; pixels without a normal are grey.
@@ -257,12 +281,15 @@ class Shape:
         }
 
     def save(self, path: str | Path, *, mesh: bool = False, overwrite: bool = False) -> None:
-        """Write the points as PLY, or the depth as float32: .tif, .tiff or .npy.
+        """Write points or the depth, in the format of the file's ending.
 
-        Points come with normals, grey values, uncertainty and probability, and with triangles
-        between neighbouring pixels on one surface if `mesh` is set. Depth is NaN where there is
-        none. An OutputError refuses a file that exists, unless `overwrite` is set, or that cannot
-        be written.
+        Points: .ply with normals, grey values, uncertainty and probability, and with triangles
+        between neighbouring pixels on one surface if `mesh` is set; .pcd without triangles; .obj
+        with grey values and triangles; .xyz with coordinates alone. Depth: .tif, .tiff and .npy as
+        float32, NaN where there is none, or .png of 16 bits in millimetres, 0 where there is none.
+
+        An OutputError refuses a file that exists, unless `overwrite` is set, or that cannot be
+        written, an InputError millimetres of a geometry in unknown units.
         """
         kind = DEPTH if as_path(path).suffix.lower() in DEPTH.suffixes else CLOUD
         with atomic_file(path, kind, overwrite=overwrite) as part:
@@ -270,18 +297,26 @@ class Shape:
 
     def write(self, part: Path, *, mesh: bool = False) -> None:
         """Write points or depth as `save` does, but in place."""
-        if part.suffix.lower() == ".npy":
+        if part.suffix == ".npy":
             np.save(part, self.depth)
-        elif part.suffix.lower() != ".ply":
+        elif part.suffix == ".png":
+            factor = MILLIMETRES.get(self.geometry.units or "")
+            if factor is None:
+                raise InputError(
+                    "a depth in millimetres of a geometry whose unit is unknown",
+                    hint='calibrate with a unit, such as units="mm", or write the depth as .tif',
+                )
+            level = np.rint(np.nan_to_num(self.depth * factor))
+            if far := int((level > 65535).sum()):
+                warn(f"{far} depths beyond 65.5 m are 0 in 16 bits of millimetres")
+            fill_image(part, np.where(level > 65535, 0, level).astype(np.uint16))
+        elif part.suffix in DEPTH.suffixes:
             tifffile.imwrite(part, self.depth)
         else:
-            columns = {
-                **dict(zip(("nx", "ny", "nz"), np.moveaxis(self.normals, -1, 0), strict=True)),
-                "uncertainty": self.uncertainty,
-                "probability": self.probability,
-            }
+            columns = dict(zip(("nx", "ny", "nz"), np.moveaxis(self.normals, -1, 0), strict=True))
+            columns |= {"uncertainty": self.uncertainty, "probability": self.probability}
             faces = surface_faces(self.depth, self.geometry) if mesh else None
-            write_ply(part, self.points, self.albedo, columns, faces)
+            write_cloud(part, self.points, self.albedo, columns, faces)
 
     def show(self) -> Picture:
         """A Matplotlib figure: maps of depth, normals, probability and failed tests."""
@@ -302,17 +337,3 @@ class Shape:
             bar = drawing.colorbar(image, cax=scale, ticks=range(count))
             bar.set_ticklabels([test.name.lower().replace("_", " ") for test in ShapeTest])
         return drawing
-
-    def mesh(self) -> Any:
-        """The surface as a `trimesh.Trimesh`, which writes STL, OBJ and GLB and measures meshes.
-
-        Raises
-        ------
-        MissingExtraError
-            If trimesh is not installed.
-        """
-        trimesh = load_extra("trimesh", "meshes need trimesh", "shape")
-        faces = surface_faces(self.depth, self.geometry)
-        used, corners = np.unique(faces, return_inverse=True)
-        points = self.points.reshape(-1, 3)[used]
-        return trimesh.Trimesh(points, corners.reshape(-1, 3), process=False)

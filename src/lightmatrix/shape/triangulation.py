@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
 
@@ -13,8 +12,8 @@ from scipy.ndimage import uniform_filter
 from lightmatrix.capture.capture import Capture
 from lightmatrix.errors import InputError
 from lightmatrix.files.kinds import CLOUD, DEPTH, PICTURE
-from lightmatrix.files.writing import atomic_file, check_output
-from lightmatrix.geometry.rig_geometry import RigGeometry
+from lightmatrix.files.writing import atomic_files, check_output
+from lightmatrix.geometry.rig_geometry import Array, RigGeometry, load_rig
 from lightmatrix.shape.shape import Shape, ShapeTest, surface_normals
 from lightmatrix.shape.spots import check_thresholds, seen_by, surface_probability
 from lightmatrix.transport.correspondence import Correspondence
@@ -44,7 +43,7 @@ def triangulate(
     Parameters
     ----------
     transport : LightTransport, Correspondence, str or Path
-        T, or the correspondence of `decode`; or where `open` or `read_correspondence` find it.
+        T, or a correspondence; or where `open` or `read_correspondence` find it.
     geometry : RigGeometry, str or Path
         Where camera and projector stand, or its file. If its images are larger by whole factors, it
         is scaled to those of T, as after `Capture.bin`.
@@ -54,9 +53,9 @@ def triangulate(
         How probably a point is right to be kept, in [0, 1]; 0.99 keeps fewer points, of which
         hardly any is wrong.
     output : str or Path, optional
-        The point cloud to write: .ply, with normals, grey values and uncertainties.
+        The point cloud to write: .ply, .pcd, .obj or .xyz, see `Shape.save`.
     depth : str or Path, optional
-        The depth map to write: .tif, .tiff or .npy, NaN where there is no depth.
+        The depth map to write: .tif, .tiff or .npy, or .png of 16 bits in millimetres.
     picture : str or Path, optional
         The picture to write: .png, maps of depth and normals.
     mesh : bool
@@ -111,7 +110,7 @@ def triangulate(
     spread = np.sqrt(np.maximum(sums[0] / np.maximum(sums[1], 0.02), 0.01**2)).ravel()
     uncertainty = seen.slope[chosen] * spread
 
-    def mapped(values: NDArray[np.float64]) -> NDArray[np.float32]:
+    def mapped(values: Array) -> NDArray[np.float32]:
         shown = np.where(kept if values.ndim == 1 else kept[:, None], values, np.nan)
         return shown.astype(np.float32).reshape(*grid, *values.shape[1:])
 
@@ -129,10 +128,8 @@ def triangulate(
             hint="OFF_LINE and BEHIND: is this the geometry of this rig, and of images that are "
             "neither binned nor cropped? NO_LIGHT: is the scene lit?",
         )
-    # The files take their places together, since one alone would stand in the way of the next run.
-    with ExitStack() as files:
-        for path, kind in outputs.items():
-            part = files.enter_context(atomic_file(path, kind, overwrite=overwrite))
+    with atomic_files(outputs, overwrite=overwrite) as parts:
+        for kind, part in zip(outputs.values(), parts, strict=True):
             if kind is PICTURE:
                 shape.show().draw_file(part)
             else:
@@ -170,11 +167,26 @@ def geometry_of(
     >>> lm.geometry_of(capture, known.geometry).camera_shape
     (32, 32)
     """
-    rig = geometry if isinstance(geometry, RigGeometry) else RigGeometry.load(geometry)
     if isinstance(source, Correspondence):
         camera_shape, projector_shape = source.confidence.shape, source.projector_shape
     else:
         camera_shape, projector_shape = source.camera_shape[:2], source.projector_shape
+    # The stated blocks of pixels that are averaged.
+    stated = {"camera": (1, 1), "projector": (1, 1)}
+    if isinstance(source, LightTransport):
+        capture = source.provenance.get("capture_description") or {}
+        stated = {name: tuple(capture.get(f"bin_{name}", (1, 1))) for name in stated}
+    elif isinstance(source, Capture):
+        stated = {"camera": source.bin_camera, "projector": source.bin_projector}
+    if isinstance(geometry, RigGeometry):
+        rig = geometry
+    else:
+        # Files that state no image sizes belong to these images, before they were binned.
+        whole = [
+            shape and (shape[0] * stated[name][0], shape[1] * stated[name][1])
+            for name, shape in (("camera", camera_shape), ("projector", projector_shape))
+        ]
+        rig = load_rig(geometry, usual=(whole[0], whole[1]))
     shapes = {
         "camera": (camera_shape[0], camera_shape[1]),
         "projector": projector_shape or rig.projector_shape,
@@ -183,16 +195,10 @@ def geometry_of(
     for device, shape in shapes.items():
         whole = getattr(rig, f"{device}_shape")
         block = tuple(max(1, round(w / s)) for w, s in zip(whole, shape, strict=True))
-        # Oblong blocks are no accident if they are stated.
-        stated = (1, 1)
-        if isinstance(source, LightTransport):
-            capture = source.provenance.get("capture_description") or {}
-            stated = tuple(capture.get(f"bin_{device}", (1, 1)))
-        elif isinstance(source, Capture):
-            stated = getattr(source, f"bin_{device}")
         # Blocks at the border may be smaller.
         fits = tuple(-(-w // b) for w, b in zip(whole, block, strict=True)) == tuple(shape)
-        if not fits or (block[0] != block[1] and block != stated):
+        # Oblong blocks are no accident if they are stated.
+        if not fits or (block[0] != block[1] and block != stated[device]):
             raise InputError(
                 f"the geometry is of {device} images of {whole[0]} x {whole[1]} pixels, but these "
                 f"are of {shape[0]} x {shape[1]}",

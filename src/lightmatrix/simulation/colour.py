@@ -25,9 +25,8 @@ FILTERS.setflags(write=False)
 def in_primary(truth: Truth, primary: str) -> Truth:
     """T of a scene lit by one primary, with three rows a camera pixel scaled by `FILTERS`."""
     if primary not in COLOURS:
-        raise InputError(
-            f"there is no primary {primary!r}", hint=f"use one of {', '.join(COLOURS)}"
-        )
+        hint = f"use one of {', '.join(COLOURS)}"
+        raise InputError(f"there is no primary {primary!r}", hint=hint)
     number = COLOURS.index(primary)
     band = slice(number, None, 3) if len(truth.camera_shape) == 3 else slice(None)
     rows = np.repeat(np.arange(truth.matrix.shape[0])[band], 3)

@@ -202,9 +202,8 @@ class Faults:
     def __init__(self, amounts: Mapping[str, float], seed: int) -> None:
         for name, amount in amounts.items():
             if name not in FAULTS:
-                raise InputError(
-                    f"there is no fault called {name!r}", hint=f"use one of {', '.join(FAULTS)}"
-                )
+                hint = f"use one of {', '.join(FAULTS)}"
+                raise InputError(f"there is no fault called {name!r}", hint=hint)
             fault = FAULTS[name]
             check_number(
                 f"a fault {name}", amount, least=fault.least, most=fault.most,

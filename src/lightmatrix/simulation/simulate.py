@@ -216,9 +216,8 @@ def simulate(
     if not isinstance(patterns, PatternSet):
         patterns = read_patterns(patterns)
     if primary is not None and isinstance(patterns, ColourPatterns):
-        raise InputError(
-            f"the primary {primary} for patterns in colour", hint="leave out one of the two"
-        )
+        hint = "leave out one of the two"
+        raise InputError(f"the primary {primary} for patterns in colour", hint=hint)
     exposures = parse_exposures(exposure if isinstance(exposure, str) else repr(as_float(exposure)))
     if full_well is not None:
         if shot_noise:
@@ -235,9 +234,8 @@ def simulate(
     )  # fmt: skip
     wrong = Faults(faults or {}, seed)
     if wrong.black_exposure != 1 and not (leak or ambient):
-        raise InputError(
-            "a fault black without a black frame", hint="add room light too, such as ambient=0.05"
-        )
+        hint = "add room light too, such as ambient=0.05"
+        raise InputError("a fault black without a black frame", hint=hint)
     shape = patterns.primary_shape if isinstance(patterns, ColourPatterns) else patterns.shape
     several = 1 if isinstance(scene, Truth) else library.devices_of(scene).projectors
     if shape[0] % several:

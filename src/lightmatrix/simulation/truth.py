@@ -336,9 +336,8 @@ class Truth:
             if geometry and (geometry.camera_shape, geometry.projector_shape) != sizes:
                 raise ValueError("its geometry has other image sizes")
         except ValueError as error:
-            raise InputError(
-                f"{path}: contradicts itself: {error}", hint="the file is damaged; write it again"
-            ) from error
+            hint = "the file is damaged; write it again"
+            raise InputError(f"{path}: contradicts itself: {error}", hint=hint) from error
         shapes = known.camera_shape, known.projector_shape
         return cls(matrix, direct, *shapes, dict(known.provenance), geometry)
 

@@ -79,9 +79,8 @@ class ActiveSet:
                 hint="use one-sided, or the solver saturation-admm",
             )
         if not 0 < as_float(self.tolerance) < 1:
-            raise InputError(
-                f"a tolerance of {self.tolerance}", hint="use a relative gap such as 1e-4"
-            )
+            hint = "use a relative gap such as 1e-4"
+            raise InputError(f"a tolerance of {self.tolerance}", hint=hint)
         check_at_least_one(max_passes=self.max_passes, threads=self.threads)
 
     def solve(self, problem: Problem, progress: Progress | None = None) -> Result:

@@ -193,9 +193,8 @@ class Fidelity(StrEnum):
 
     @classmethod
     def _missing_(cls, value: object) -> NoReturn:
-        raise InputError(
-            f"a fidelity called {value!r}", hint=f"use one of {', '.join(sorted(cls))}"
-        )
+        hint = f"use one of {', '.join(sorted(cls))}"
+        raise InputError(f"a fidelity called {value!r}", hint=hint)
 
     @property
     def term(self) -> DataTerm:

@@ -22,6 +22,8 @@ from lightmatrix.reprs import short_repr
 from lightmatrix.solvers.fidelity import DataTerm, Fidelity, Observed
 from lightmatrix.transport.sparse_rows import SparseRows
 
+Floats = NDArray[np.float64]
+
 
 class Status(StrEnum):
     """Why a row stopped, and the remedy."""
@@ -97,7 +99,7 @@ class Problem:
         return self.samples.count
 
     @property
-    def column(self) -> NDArray[np.float64]:
+    def column(self) -> Floats:
         """m, (K,) float64: the column of the background."""
         if self.background_column is None:
             return self.patterns.means
@@ -176,12 +178,12 @@ class Result:
         return self.rows.diagnostics["converged"]
 
     @property
-    def gap(self) -> NDArray[np.float64]:
+    def gap(self) -> Floats:
         """Relative duality gap (P - D) / max(P, 1e-6 ||y||^2 / 2), (M,); NaN if not convex."""
         return self.rows.diagnostics["gap"]
 
     @property
-    def objective(self) -> NDArray[np.float64]:
+    def objective(self) -> Floats:
         """The objective with the solver's fidelity, (M,)."""
         return self.rows.diagnostics["objective"]
 
@@ -192,8 +194,8 @@ def solved_rows(
     *,
     iterations: NDArray[np.int32],
     converged: NDArray[np.bool_],
-    gap: NDArray[np.float64],
-    objective: NDArray[np.float64],
+    gap: Floats,
+    objective: Floats,
 ) -> SparseRows:
     """The rows of a `Result`; the background is (m,) or (m, 1 + C), diagnostics are (m,)."""
     diagnostics = {
@@ -223,9 +225,7 @@ def no_rows(problem: Problem) -> SparseRows:
 CHUNK_BYTES = 128 << 20
 
 
-def predictions(
-    problem: Problem, coefficients: csr_array, background: NDArray[Any]
-) -> NDArray[np.float64]:
+def predictions(problem: Problem, coefficients: csr_array, background: NDArray[Any]) -> Floats:
     """A x + b m for every row, (M, K) float64."""
     result = np.empty(problem.samples.values.shape)
     for chunk in _chunks(problem):
@@ -238,7 +238,7 @@ def predictions(
 
 def objective(
     problem: Problem, coefficients: csr_array, background: NDArray[Any], fidelity: Fidelity | str
-) -> NDArray[np.float64]:
+) -> Floats:
     """The problem's objective for each row, (M,) float64."""
     u = predictions(problem, coefficients, background)
     term, observed = Fidelity(fidelity).term, problem.observed.astype(np.float64)
@@ -247,7 +247,7 @@ def objective(
 
 def relative_gap(
     problem: Problem, coefficients: csr_array, background: NDArray[Any], fidelity: Fidelity | str
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+) -> tuple[Floats, Floats]:
     """Objective P and relative duality gap (P - D) / max(P, 1e-6 ||y||^2 / 2), each (M,) float64.
 
     The dual of min lambda ||x||_1 + sum w f(A x + b m) is: maximise sum y theta - theta^2 / (2 w),
@@ -276,18 +276,16 @@ def _chunks(problem: Problem) -> Iterator[slice]:
         yield slice(start, start + size)
 
 
-def _norm(problem: Problem, coefficients: csr_array) -> NDArray[np.float64]:
+def _norm(problem: Problem, coefficients: csr_array) -> Floats:
     sums = np.abs(coefficients).sum(axis=1, dtype=np.float64)
     return problem.regularization * np.asarray(sums).ravel()
 
 
-def _data_term(observed: Observed, u: NDArray[np.float64], term: DataTerm) -> NDArray[np.float64]:
+def _data_term(observed: Observed, u: Floats, term: DataTerm) -> Floats:
     return np.asarray((observed.weights * term.value(u, observed)).sum(axis=1))
 
 
-def _dual_value(
-    problem: Problem, observed: Observed, u: NDArray[np.float64], term: DataTerm
-) -> NDArray[np.float64]:
+def _dual_value(problem: Problem, observed: Observed, u: Floats, term: DataTerm) -> Floats:
     theta = observed.weights * term.residual(u, observed)
     if problem.background:
         theta = _orthogonal_to_column(
@@ -314,9 +312,7 @@ def _dual_value(
     return np.asarray(scaling * linear - scaling**2 * quadratic / 2)
 
 
-def _orthogonal_to_column(
-    problem: Problem, theta: NDArray[np.float64], two_sided: NDArray[np.bool_]
-) -> NDArray[np.float64]:
+def _orthogonal_to_column(problem: Problem, theta: Floats, two_sided: NDArray[np.bool_]) -> Floats:
     """Shift theta on the two-sided samples until m' theta <= 0, or = 0 if b may be negative."""
     column = problem.column
     excess = theta @ column

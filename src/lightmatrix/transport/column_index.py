@@ -219,9 +219,8 @@ class ColumnIndex:
         """
         pixels, change = np.asarray(pixels, np.int64), np.asarray(values, np.float64)
         if pixels.ndim != 1 or pixels.shape != change.shape:
-            raise InputError(
-                f"{change.shape} values for {pixels.shape} pixels", hint="give one for each"
-            )
+            hint = "give one for each"
+            raise InputError(f"{change.shape} values for {pixels.shape} pixels", hint=hint)
         if len(pixels) and not (pixels.min() >= 0 and pixels.max() < self.matrix.shape[1]):
             raise InputError(
                 f"pixels up to {pixels.max()} of a projector of {self.matrix.shape[1]}",

@@ -124,9 +124,8 @@ class LightTransport(TransportOperator):
             rows, cols = checked_shape(self.projector_shape, (2,), "projector_shape")
             high, wide = checked_shape(self.background_grid, (2,), "background_grid")
         except ValueError as error:
-            raise InputError(
-                f"{error}", hint="give whole numbers from 1, such as (480, 640)"
-            ) from error
+            hint = "give whole numbers from 1, such as (480, 640)"
+            raise InputError(f"{error}", hint=hint) from error
         expected = (math.prod(camera), rows * cols)
         if sparse.shape != expected:
             raise InputError(
@@ -156,9 +155,8 @@ class LightTransport(TransportOperator):
                 raise InputError(f"diagnostic {name!r} has shape {values.shape}", hint=hint)
             # Names become those of folders.
             if not name.isidentifier():
-                raise InputError(
-                    f"a diagnostic called {name!r}", hint="use letters, digits and underscores"
-                )
+                hint = "use letters, digits and underscores"
+                raise InputError(f"a diagnostic called {name!r}", hint=hint)
         checked = (sparse, background, camera, (rows, cols), (high, wide), diagnostics)
         for part, value in zip(fields(self), checked, strict=False):
             object.__setattr__(self, part.name, value)

@@ -159,9 +159,8 @@ def read_transport(path: str | Path) -> tuple[LightTransport, dict[str, NDArray[
         tall, wide = checked_shape(content["projector_shape"], (2,), "projector_shape")
         grid = checked_shape(content.get("background_grid", np.ones(2, int)), (2,), "grid")
     except ValueError as error:
-        raise InputError(
-            f"{file}: contradicts itself: {error}", hint="the file is damaged; write it again"
-        ) from error
+        hint = "the file is damaged; write it again"
+        raise InputError(f"{file}: contradicts itself: {error}", hint=hint) from error
     background = content.get("background", np.zeros((rows, 1), np.float32))
     cells = (grid[0], grid[1])
     with errors_naming(file):
@@ -226,9 +225,8 @@ def read_correspondence(path: str | Path) -> Correspondence:
     file = as_path(path)
     content = read_npz(file)
     if kinds.CORRESPONDENCE_MARK not in content:
-        raise InputError(
-            f"{file}: is no correspondence", hint="give a file that `lightmatrix decode` wrote"
-        )
+        hint = "give a file that `lightmatrix decode` wrote"
+        raise InputError(f"{file}: is no correspondence", hint=hint)
     _check_version(file, content[kinds.CORRESPONDENCE_MARK])
     shape = content.get("projector_shape")
     try:
@@ -243,6 +241,5 @@ def read_correspondence(path: str | Path) -> Correspondence:
         return Correspondence(**values, projector_shape=size)
     except (KeyError, IndexError, TypeError, ValueError, InputError) as error:
         words = error.message if isinstance(error, InputError) else str(error)
-        raise InputError(
-            f"{file}: is damaged ({words})", hint="make it again with `lightmatrix decode`"
-        ) from error
+        hint = "make it again with `lightmatrix decode`"
+        raise InputError(f"{file}: is damaged ({words})", hint=hint) from error

@@ -33,6 +33,8 @@ from lightmatrix.uses.loading import Transport, loaded
 from lightmatrix.uses.separation import pattern_or_white, separate
 from lightmatrix.uses.wanted import Picture, ambient_samples, mask_samples, wanted_samples
 
+Singles = NDArray[np.float32]
+
 # Iterations of the solver. Against 300, 25 lose at most 0.2 dB on the bundled scenes at 64 x 64.
 USUAL_ITERATIONS = 25
 
@@ -46,7 +48,7 @@ class JointLight:
     # One projector each, or one primary of a colour projector.
     matrices: tuple[LightTransport, ...]
     # (N,): 1 for projector pixels that may give light, 0 for those that stay black; None: all may.
-    usable: NDArray[np.float32] | None = None
+    usable: Singles | None = None
 
     @property
     def camera_shape(self) -> tuple[int, ...]:
@@ -59,7 +61,7 @@ class JointLight:
             hint = "single pictures are compensated with several projectors, or in colour"
             raise InputError(f"{len(self.matrices)} matrices, for a use that takes one", hint=hint)
 
-    def split(self, light: NDArray[np.float32]) -> tuple[NDArray[np.float32], ...]:
+    def split(self, light: Singles) -> tuple[Singles, ...]:
         """The patterns, (rows, cols) each, of a vector (N,)."""
         ends = np.cumsum([matrix.shape[1] for matrix in self.matrices])
         parts = np.split(light, ends[:-1])
@@ -79,7 +81,7 @@ class JointLight:
         ]
         return replace(self, matrices=tuple(magnitudes))
 
-    def forward(self, light: NDArray[np.float32]) -> NDArray[np.float32]:
+    def forward(self, light: Singles) -> Singles:
         """T p: camera samples (M,) of patterns (N,)."""
         result = np.zeros(self.matrices[0].shape[0], np.float32)
         for pattern, matrix in zip(self.split(light), self.matrices, strict=True):
@@ -88,7 +90,7 @@ class JointLight:
             result += matrix.background @ (matrix.pooling @ flat)
         return result
 
-    def adjoint(self, samples: NDArray[np.float32]) -> NDArray[np.float32]:
+    def adjoint(self, samples: Singles) -> Singles:
         """T' c: projector pixels (N,) of camera samples (M,)."""
         parts = [
             matrix.sparse.T @ samples + matrix.pooling.T @ (samples @ matrix.background)
@@ -97,12 +99,12 @@ class JointLight:
         return np.concatenate(parts)
 
     @cached_property
-    def white(self) -> NDArray[np.float32]:
+    def white(self) -> Singles:
         """The light of each camera sample under white of all projectors, (M,)."""
         return np.asarray(sum(self._whites))
 
     @cached_property
-    def errors(self) -> NDArray[np.float32]:
+    def errors(self) -> Singles:
         """Estimated relative error of what each camera sample sees under white, (M,).
 
         The errors of several matrices are independent. 0 where an estimate does not state one.
@@ -116,7 +118,7 @@ class JointLight:
         return np.divide(np.sqrt(squares), self.white, out=relative, where=self.white > 0)
 
     @cached_property
-    def _whites(self) -> list[NDArray[np.float32]]:
+    def _whites(self) -> list[Singles]:
         """The light of each camera sample under white of each projector, of its usable pixels."""
         usable = self.usable
         if usable is None:
@@ -155,7 +157,7 @@ def joint_light(transport: Transport | Sequence[Transport]) -> JointLight:
 
 
 def write_shown(
-    output: str | Path, patterns: Sequence[NDArray[np.float32]], *, overwrite: bool = False
+    output: str | Path, patterns: Sequence[Singles], *, overwrite: bool = False
 ) -> None:
     """Write patterns as images: one, three in colour, or several with numbers."""
     path = Path(output)
@@ -211,10 +213,10 @@ class BoundedFit:
 
     light: JointLight
     # (M,) float32: weights W >= 0 of the camera samples.
-    weights: NDArray[np.float32]
+    weights: Singles
 
     @cached_property
-    def _bounds(self) -> NDArray[np.float32]:
+    def _bounds(self) -> Singles:
         """T' W T 1, (N,), of the magnitudes of T."""
         light = self.light.without_signs
         return light.adjoint(self.weights * light.white)
@@ -227,9 +229,7 @@ class BoundedFit:
         # 1e-2 costs up to 0.8 dB.
         return 1e-3 * float(np.median(seen)) if seen.size else 1.0
 
-    def gradient(
-        self, light: NDArray[np.float32], samples: NDArray[np.float32]
-    ) -> NDArray[np.float32]:
+    def gradient(self, light: Singles, samples: Singles) -> Singles:
         """The gradient of f, (N,), at patterns (N,) for the wanted samples y (M,)."""
         misfit = self.light.forward(light)
         misfit -= samples
@@ -238,9 +238,7 @@ class BoundedFit:
         gradient += np.float32(self.ridge) * light
         return gradient
 
-    def solve(
-        self, samples: NDArray[np.float32], start: NDArray[np.float32], iterations: int
-    ) -> NDArray[np.float32]:
+    def solve(self, samples: Singles, start: Singles, iterations: int) -> Singles:
         """The patterns (N,) float32 in [0, 1] after so many iterations from the start (N,)."""
         bounds = self._bounds + np.float32(self.ridge)
         most = 1 if self.light.usable is None else self.light.usable
@@ -300,9 +298,9 @@ class Compensation:
         What `psnr` would be, at its best brightness, if the picture were shown as it is.
     """
 
-    patterns: tuple[NDArray[np.float32], ...]
-    predicted: NDArray[np.float32]
-    target: NDArray[np.float32]
+    patterns: tuple[Singles, ...]
+    predicted: Singles
+    target: Singles
     scale: float
     brightness: float
     reach: NDArray[np.uint8]
@@ -312,7 +310,7 @@ class Compensation:
     __repr__ = short_repr
 
     @property
-    def encoded(self) -> tuple[NDArray[np.float32], ...]:
+    def encoded(self) -> tuple[Singles, ...]:
         """The patterns as grey values in [0, 1], by which the projectors show their light."""
         encoding = self.encoding or (None,) * len(self.patterns)
         return tuple(
@@ -321,7 +319,7 @@ class Compensation:
         )
 
     @property
-    def pattern(self) -> NDArray[np.float32]:
+    def pattern(self) -> Singles:
         """The pattern (rows, cols) of one projector; of several of one size (rows, cols, count)."""
         if len(self.patterns) == 1:
             return self.patterns[0]
@@ -344,7 +342,7 @@ class Compensation:
         """The predicted error on samples that are neither masked nor in shadow, in dB."""
         return self.psnr_of(self.predicted)
 
-    def psnr_of(self, photograph: NDArray[np.float32]) -> float:
+    def psnr_of(self, photograph: Singles) -> float:
         """How far a photograph is from the target, on the samples that `psnr` counts, in dB."""
         counted = (self.reach != Reach.MASKED) & (self.reach != Reach.SHADOW)
         missed = (photograph - self.target)[counted] / self.scale
@@ -370,7 +368,7 @@ class Compensator:
 
     light: JointLight
     # (M,): light without the projector, in camera full scale.
-    ambient: NDArray[np.float32]
+    ambient: Singles
     # (M,): samples that count.
     chosen: NDArray[np.bool_]
     # Whether samples count less whose row of T has a large estimated error.
@@ -390,7 +388,7 @@ class Compensator:
         return np.asarray(lit)
 
     @cached_property
-    def white_point(self) -> NDArray[np.float32]:
+    def white_point(self) -> Singles:
         """The light of wanted white at full brightness, (M,): a median, for each channel."""
         white, lit = self._by_channel(self.light.white), self._by_channel(self.lit)
         medians = [np.median(white[lit[:, c], c]) if lit[:, c].any() else 0 for c in self._channels]
@@ -416,7 +414,7 @@ class Compensator:
     def _by_channel(self, samples: NDArray[Any]) -> NDArray[Any]:
         return samples.reshape(-1, len(self._channels))
 
-    def automatic_brightness(self, wanted: NDArray[np.float32]) -> float:
+    def automatic_brightness(self, wanted: Singles) -> float:
         """The brightness at which one lit sample in 50 asks for more light than white gives it."""
         asked = wanted * self.white_point
         counted = self.lit & (asked > 0)
@@ -429,16 +427,14 @@ class Compensator:
         # On the bundled scenes half of this share costs 20 to 45 % of the brightness.
         return float(np.quantile(room, 0.02))
 
-    def uncompensated(
-        self, found: Compensation, wanted: NDArray[np.float32]
-    ) -> NDArray[np.float32]:
+    def uncompensated(self, found: Compensation, wanted: Singles) -> Singles:
         """The photograph of the wanted light (M,), shown as it is, as bright as suits best."""
         seen, aim = self.light.forward(self._means(self.lit * wanted)), found.target.ravel()
         factor = seen[self.lit] @ (aim - self.ambient)[self.lit] / max(seen @ seen, 1e-30)
         photograph = np.float32(max(factor, 0)) * seen + self.ambient
         return photograph.reshape(found.target.shape)
 
-    def start(self, target: NDArray[np.float32]) -> NDArray[np.float32]:
+    def start(self, target: Singles) -> Singles:
         """The pattern by gains of single pixels, (N,): what inverse methods without T do.
 
         Each camera sample asks for target / white.
@@ -447,7 +443,7 @@ class Compensator:
         np.divide(target - self.ambient, self.light.white, out=asked, where=self.lit)
         return self._means(np.clip(asked, 0, 1))
 
-    def _means(self, asked: NDArray[np.float32]) -> NDArray[np.float32]:
+    def _means(self, asked: Singles) -> Singles:
         """For each projector pixel the mean of what the samples ask (M,) that it lights."""
         weight = self.light.adjoint(self.lit.astype(np.float32))
         light = self.light.adjoint(asked)
@@ -455,10 +451,10 @@ class Compensator:
 
     def solve(
         self,
-        wanted: NDArray[np.float32],
+        wanted: Singles,
         brightness: float | None = None,
         *,
-        start: NDArray[np.float32] | None = None,
+        start: Singles | None = None,
         iterations: int = USUAL_ITERATIONS,
     ) -> Compensation:
         """Compensate for wanted light (M,) in [0, 1]; `start` is the pattern (N,) to begin with."""
@@ -469,11 +465,11 @@ class Compensator:
 
     def reaching(
         self,
-        target: NDArray[np.float32],
+        target: Singles,
         brightness: float,
         *,
-        start: NDArray[np.float32] | None = None,
-        asked: NDArray[np.float32] | None = None,
+        start: Singles | None = None,
+        asked: Singles | None = None,
         iterations: int = USUAL_ITERATIONS,
     ) -> Compensation:
         """The compensation for target light (M,), while the solver is asked for `asked` instead.
@@ -637,7 +633,7 @@ class CompensatedVideo:
         What the images that were written are encoded by; None: they are light.
     """
 
-    patterns: NDArray[np.float32]
+    patterns: Singles
     brightness: float
     scale: float
     predicted_psnr: NDArray[np.float64]
@@ -811,9 +807,8 @@ def cancel_global(
         )
     target = part.relight(shown)
     if not target.any():
-        raise InputError(
-            "the pattern gives no direct light", hint="give a pattern that lights the scene"
-        )
+        hint = "give a pattern that lights the scene"
+        raise InputError("the pattern gives no direct light", hint=hint)
     # The target is made from T, with the same errors, so that no row is trusted less. Twice the
     # usual iterations were chosen by hand.
     shared = replace(compensator(matrix), weigh_errors=False)

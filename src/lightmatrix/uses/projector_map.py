@@ -18,7 +18,7 @@ from lightmatrix.errors import InputError, OutputError
 from lightmatrix.files import kinds
 from lightmatrix.files.extras import write_exr
 from lightmatrix.files.images import fill_image
-from lightmatrix.files.writing import atomic_file, atomic_folder, check_output
+from lightmatrix.files.writing import atomic_files, atomic_folder, check_output
 from lightmatrix.geometry.rig_geometry import RigGeometry
 from lightmatrix.paths import as_path
 from lightmatrix.reprs import short_repr
@@ -125,10 +125,8 @@ class ProjectorMap:
                 self._fill_folder(folder, geometry)
             return
         files = map_files(output)
-        for place, kind in files.items():
-            check_output(place, kind, overwrite=overwrite)
-        for place, kind in files.items():
-            with atomic_file(place, kind, overwrite=overwrite) as part:
+        with atomic_files(files, overwrite=overwrite) as parts:
+            for place, part in zip(files, parts, strict=True):
                 _WRITERS[suffix](self, part, place)
 
     def _fill_folder(self, folder: Path, geometry: RigGeometry | None) -> None:

@@ -37,6 +37,8 @@ from lightmatrix.transport.operator import checked_patterns
 from lightmatrix.transport.sparse_rows import footprint_sizes, row_blocks
 from lightmatrix.uses.loading import Transport, loaded
 
+Floats = NDArray[np.float64]
+
 # The epipolar geometry of a projector and a camera, from where camera pixels see their light.
 
 
@@ -63,9 +65,9 @@ class EpipolarGeometry:
         The camera pixel for which `direction` is told: the mean of good rows.
     """
 
-    fundamental: NDArray[np.float64]
+    fundamental: Floats
     spread: float
-    surface: NDArray[np.float64]
+    surface: Floats
     parallax_range: tuple[float, float]
     middle: tuple[float, float]
 
@@ -82,35 +84,29 @@ class EpipolarGeometry:
             row, col = -row, -col
         return float(np.degrees(np.arctan2(row, col)))
 
-    def distance(
-        self, camera: NDArray[np.float64], projector: NDArray[np.float64]
-    ) -> NDArray[np.float64]:
+    def distance(self, camera: Floats, projector: Floats) -> Floats:
         """Signed distances of projector pixels (n, 2) to the lines of camera pixels (n, 2)."""
         line = self._lines(camera)
         row, col = projector.T
         return np.asarray(line[:, 0] * row + line[:, 1] * col + line[:, 2])
 
-    def parallax(
-        self, camera: NDArray[np.float64], projector: NDArray[np.float64]
-    ) -> NDArray[np.float64]:
+    def parallax(self, camera: Floats, projector: Floats) -> Floats:
         """Places of projector pixels (n, 2) along the line, relative to the mean surface."""
         away = projector - on_surface(self.surface, camera)
         return np.asarray((away * self._along(camera)).sum(axis=1))
 
-    def _lines(self, camera: NDArray[np.float64]) -> NDArray[np.float64]:
+    def _lines(self, camera: Floats) -> Floats:
         """Epipolar lines (n, 3) with normals of length 1."""
         line = np.column_stack([camera, np.ones(len(camera))]) @ self.fundamental.T
         return np.asarray(line / np.maximum(np.linalg.norm(line[:, :2], axis=1), 1e-12)[:, None])
 
-    def _along(self, camera: NDArray[np.float64]) -> NDArray[np.float64]:
+    def _along(self, camera: Floats) -> Floats:
         """The directions of epipolar lines (n, 2) as (row, col), of length 1."""
         line = self._lines(camera)
         return np.stack([-line[:, 1], line[:, 0]], axis=1)
 
 
-def mean_surface(
-    camera: NDArray[np.float64], projector: NDArray[np.float64]
-) -> NDArray[np.float64]:
+def mean_surface(camera: Floats, projector: Floats) -> Floats:
     """The polynomial (6, 2) from camera to projector, by reweighted least squares (Cauchy).
 
     Its second degree follows keystone, whose exact map, a homography, is less stable where the
@@ -120,7 +116,7 @@ def mean_surface(
     # Columns of one size, so that squares do not dominate.
     size = np.abs(design).max(axis=0).clip(1)
     weight = np.ones(len(camera))
-    surface: NDArray[np.float64] = np.zeros((6, 2))
+    surface: Floats = np.zeros((6, 2))
     for _ in range(ROBUST.rounds):
         root = np.sqrt(weight)[:, None]
         scaled = np.linalg.lstsq(design / size * root, projector * root, rcond=None)[0]
@@ -130,18 +126,16 @@ def mean_surface(
     return surface
 
 
-def on_surface(surface: NDArray[np.float64], camera: NDArray[np.float64]) -> NDArray[np.float64]:
+def on_surface(surface: Floats, camera: Floats) -> Floats:
     """The projector pixels (n, 2) of the mean surface at camera pixels (n, 2)."""
     return np.asarray(_monomials(camera) @ surface)
 
 
-def fit_epipolar(
-    camera: NDArray[np.float64], projector: NDArray[np.float64], surface: NDArray[np.float64]
-) -> EpipolarGeometry:
+def fit_epipolar(camera: Floats, projector: Floats, surface: Floats) -> EpipolarGeometry:
     """Fit parallel lines to matches (n, 2) each, n >= 4, or lines that meet where those miss."""
     row, col = camera.mean(axis=0)
 
-    def fitted(fundamental: NDArray[np.float64]) -> tuple[EpipolarGeometry, float]:
+    def fitted(fundamental: Floats) -> tuple[EpipolarGeometry, float]:
         """The geometry of lines, and the share of matches that lie close to them."""
         made = EpipolarGeometry(fundamental, 0.0, surface, (0.0, 0.0), (float(row), float(col)))
         distance = made.distance(camera, projector)
@@ -168,7 +162,7 @@ def fit_epipolar(
     return replace(geometry, parallax_range=(float(low), float(high)))
 
 
-def _monomials(points: NDArray[np.float64]) -> NDArray[np.float64]:
+def _monomials(points: Floats) -> Floats:
     row, col = points.T
     return np.stack([np.ones_like(row), row, col, row**2, row * col, col**2], axis=1)
 
@@ -245,7 +239,7 @@ class NearSpots(NamedTuple):
 
 
 def near_spots(
-    place: NDArray[np.float64], shape: tuple[int, int], *, reach: int, radius: float
+    place: Floats, shape: tuple[int, int], *, reach: int, radius: float
 ) -> Iterator[NearSpots]:
     """For each neighbour up to `reach` pixels away, the spots within `radius` of each other.
 
@@ -291,19 +285,17 @@ class Spots:
     included.
     """
 
-    place: NDArray[np.float64]
-    light: NDArray[np.float64]
-    total: NDArray[np.float64]
+    place: Floats
+    light: Floats
+    total: Floats
 
 
-def camera_pixels(shape: tuple[int, int]) -> NDArray[np.float64]:
+def camera_pixels(shape: tuple[int, int]) -> Floats:
     """Row and column of each camera pixel, (P, 2)."""
     return np.indices(shape, np.float64).reshape(2, -1).T
 
 
-def entries_of(
-    matrix: csr_array, width: int
-) -> tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.float64]]:
+def entries_of(matrix: csr_array, width: int) -> tuple[NDArray[np.int64], Floats, Floats]:
     """The row number of each entry; row and column of its projector pixel."""
     owner = np.repeat(np.arange(matrix.shape[0]), np.diff(matrix.indptr))
     row, col = np.divmod(matrix.indices, np.int32(width))
@@ -333,9 +325,7 @@ def spot_deviation(transport: LightTransport, matrix: csr_array) -> float:
     return float(np.sqrt(np.median(known) / (4 * np.pi))) if known.size else 0.0
 
 
-def _find_spots(
-    matrix: csr_array, background: NDArray[np.float64], width: int, radius: float
-) -> Spots:
+def _find_spots(matrix: csr_array, background: Floats, width: int, radius: float) -> Spots:
     """The strongest spots of each row; a spot is what lies within `radius` of its peak."""
     place = np.full((matrix.shape[0], SPOTS, 2), np.nan)
     light, total = np.zeros((matrix.shape[0], SPOTS)), np.zeros(matrix.shape[0])
@@ -372,8 +362,8 @@ def _find_spots(
 
 
 def crossing_spots(
-    relative: NDArray[np.float64],
-    light: NDArray[np.float64],
+    relative: Floats,
+    light: Floats,
     on_line: NDArray[np.bool_],
     shape: tuple[int, int],
     radius: float,
@@ -395,9 +385,9 @@ def crossing_spots(
 
 
 def outshone_spots(
-    place: NDArray[np.float64],
-    parallax: NDArray[np.float64],
-    light: NDArray[np.float64],
+    place: Floats,
+    parallax: Floats,
+    light: Floats,
     doubtful: NDArray[np.bool_],
 ) -> NDArray[np.bool_]:
     """Doubtful spots whose projector pixel lights another surface more brightly, (n,).
@@ -425,7 +415,7 @@ class _DirectSpots:
 
     spots: Spots
     direct: NDArray[np.bool_]
-    agreement: NDArray[np.float64]
+    agreement: Floats
     lit: NDArray[np.bool_]
     geometry: EpipolarGeometry
     deviation: float
@@ -507,7 +497,7 @@ def _direct_entries(
 
 def _voted(
     possible: NDArray[np.bool_], pairs: Sequence[NearSpots], shape: tuple[int, int]
-) -> tuple[NDArray[np.bool_], NDArray[np.float64]]:
+) -> tuple[NDArray[np.bool_], Floats]:
     """Possible spots that enough neighbours agree with, and the agreement, (P, SPOTS) each."""
     least = np.full(possible.shape[1], _TUNING.least_agreement[1])
     least[0] = _TUNING.least_agreement[0]
@@ -520,7 +510,7 @@ def _voted(
 
 def _agreement(
     pairs: Sequence[NearSpots], voters: NDArray[np.bool_], shape: tuple[int, int]
-) -> NDArray[np.float64]:
+) -> Floats:
     """The share of each spot's neighbours with a voting spot where the mean surface puts it."""
     votes = _as_images(voters, shape)
     agreeing, number_of = np.zeros(votes.shape, np.uint8), np.zeros(shape, np.uint8)

@@ -20,6 +20,8 @@ from lightmatrix.transport.operator import cell_means
 from lightmatrix.transport.sparse_rows import SparseRows, row_blocks
 from lightmatrix.transport.store import StoredTransport
 
+Singles = NDArray[np.float32]
+
 # Called with what is done, all there is, and a note.
 Progress = Callable[[int, int, str], None]
 # Bytes of rows that are kept once they were read: with the index, which keeps as much, and a few
@@ -37,9 +39,7 @@ class Light(ABC):
     matrix: LightTransport | StoredTransport
 
     @abstractmethod
-    def columns(
-        self, pixels: NDArray[np.integer], change: NDArray[np.floating]
-    ) -> NDArray[np.float32]:
+    def columns(self, pixels: NDArray[np.integer], change: NDArray[np.floating]) -> Singles:
         """The light of some projector pixels that get brighter, of the camera's shape."""
 
     @abstractmethod
@@ -51,7 +51,7 @@ class Light(ABC):
         """Samples of a camera pixel."""
         return math.prod(self.matrix.camera_shape[2:])
 
-    def row(self, row: int, col: int) -> NDArray[np.float32]:
+    def row(self, row: int, col: int) -> Singles:
         """The row of a camera pixel, its channels added, of the projector's shape."""
         first = (row * self.matrix.camera_shape[1] + col) * self.channels
         rows = self.matrix.some_rows(first, first + self.channels)
@@ -60,7 +60,7 @@ class Light(ABC):
         )
         return np.asarray(light, np.float32).reshape(self.matrix.projector_shape)
 
-    def white_samples(self) -> NDArray[np.float32]:
+    def white_samples(self) -> Singles:
         """What some camera samples, spread over the camera, see of a white pattern."""
         count = self.matrix.shape[0]
         starts = np.linspace(0, count, _SAMPLED_GROUPS, endpoint=False).astype(int).tolist()
@@ -99,9 +99,7 @@ class StoredLight(Light):
             matrix = StoredTransport.open(path, memory=_KEPT_BYTES)
         return cls(matrix)
 
-    def columns(
-        self, pixels: NDArray[np.integer], change: NDArray[np.floating]
-    ) -> NDArray[np.float32]:
+    def columns(self, pixels: NDArray[np.integer], change: NDArray[np.floating]) -> Singles:
         with self._lock:
             return self._index.light(pixels, change)
 
@@ -126,9 +124,7 @@ class MemoryLight(Light):
         self._cells = grid_cells(matrix.projector_shape, matrix.background_grid)
         self._cell_sizes = np.bincount(self._cells)
 
-    def columns(
-        self, pixels: NDArray[np.integer], change: NDArray[np.floating]
-    ) -> NDArray[np.float32]:
+    def columns(self, pixels: NDArray[np.integer], change: NDArray[np.floating]) -> Singles:
         cells = self._cells[pixels]
         means = np.bincount(cells, change / self._cell_sizes[cells], len(self._cell_sizes))
         light = self._by_columns[:, pixels] @ change.astype(np.float32)
@@ -191,13 +187,13 @@ class CoarseLight:
                 values = entries.data[part] / sizes[owner[part]].astype(np.float32)
                 self._matrix = self._matrix + coo_array((values, place), self._matrix.shape).tocsr()
 
-    def image(self, change: NDArray[np.float32]) -> NDArray[np.float32]:
+    def image(self, change: Singles) -> Singles:
         """The light of a change (N,) of the pattern, coarse: (rows, cols, channels)."""
         # A pattern that is constant in each cell gets exactly the means of its light.
         light = self._matrix @ (self._means @ change) + self._background @ (self._pooling @ change)
         return np.asarray(light, np.float32).reshape(self.shape)
 
-    def spread(self, image: NDArray[np.float32], rows: int, cols: int) -> NDArray[np.float32]:
+    def spread(self, image: Singles, rows: int, cols: int) -> Singles:
         """A coarse image with a value for each camera pixel."""
         wide = np.repeat(np.repeat(image, self.block, axis=0), self.block, axis=1)
         return wide[:rows, :cols]

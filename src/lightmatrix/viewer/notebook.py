@@ -149,9 +149,8 @@ def _widget_class() -> Any:
         def pattern(self, values: NDArray[Any]) -> None:
             pattern, shape = np.asarray(values, np.float64), self._transport.projector_shape
             if pattern.shape != shape:
-                raise InputError(
-                    f"a pattern of shape {pattern.shape}", hint=f"its shape must be {shape}"
-                )
+                hint = f"its shape must be {shape}"
+                raise InputError(f"a pattern of shape {pattern.shape}", hint=hint)
             check_finite("values of a pattern", pattern)
             if not (pattern.min() >= 0 and pattern.max() <= 1):
                 hint = "divide it by its maximum"

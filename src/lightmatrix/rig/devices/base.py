@@ -78,9 +78,8 @@ class Address:
         """The value of an option that must be one of a few words; the first one by default."""
         value = self.options.get(name, choices[0])
         if value not in choices:
-            raise InputError(
-                f"{self}: {name} is {value!r}", hint=f"{name} can be {' or '.join(choices)}"
-            )
+            hint = f"{name} can be {' or '.join(choices)}"
+            raise InputError(f"{self}: {name} is {value!r}", hint=hint)
         return value
 
     @property

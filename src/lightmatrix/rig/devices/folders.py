@@ -175,9 +175,8 @@ def open_watched(address: Address) -> WatchedFolder:
     clip = address.number("clip", 0.0) if "clip" in address.options else None
     folder = Path(address.argument)
     if not address.argument or not folder.is_dir():
-        raise InputError(
-            f"{address}: there is no such folder", hint="make it first, or check the name"
-        )
+        hint = "make it first, or check the name"
+        raise InputError(f"{address}: there is no such folder", hint=hint)
     return WatchedFolder(address, folder, exposure, clip)
 
 

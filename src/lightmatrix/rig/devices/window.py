@@ -107,9 +107,8 @@ class WindowProjector(Projector):
         shown = time.monotonic()
         self._glfw.poll_events()
         if self._glfw.window_should_close(self._window):
-            raise DeviceError(
-                "the projector window was closed", hint="run the same command again to go on"
-            )
+            hint = "run the same command again to go on"
+            raise DeviceError("the projector window was closed", hint=hint)
         if not self._glfw.get_window_monitor(self._window):
             hint = "plug it in again, then run the same command again to go on"
             raise DeviceError(f"monitor {self._number} ({self._info['name']}) is gone", hint=hint)
