@@ -97,8 +97,9 @@ class Tracker:
     ) -> None:
         # What the rig did to further photographs is not known.
         self._capture = replace(open_capture(capture), correction=None)
-        if isinstance(self._capture.patterns, ColourPatterns):
-            raise InputError("patterns in colour", hint="track photographs of one primary")
+        if isinstance(self._capture.patterns, ColourPatterns) or self._capture.projectors:
+            hint = "track photographs of one projector, in grey"
+            raise InputError("several projectors or colours at once", hint=hint)
         self._given = transport or estimate(capture, progress=False)
         if self._given.image_shapes != (self._capture.camera_shape, self._capture.projector_shape):
             hint = "give the matrix of these photographs"
