@@ -319,11 +319,9 @@ def estimate_colour(
     # The gains of the result are drawn less to the mixing of the whole frame.
     gains = fit_gains(samples, light_of_primaries(geometry, patterns), 0.003)
     provenance = {
-        **geometry.provenance,
-        **capture_provenance(capture),
-        "estimator": "colour",
+        **geometry.provenance, **capture_provenance(capture), "estimator": "colour",
         FINDINGS: [finding.as_dict() for finding in findings],
-    }
+    }  # fmt: skip
     # Of each primary the geometry, three times a camera pixel, times the gains (n, 3).
     pixel = np.repeat(np.arange(samples.pixels), PRIMARIES)
     diagnostics = {key: values[pixel] for key, values in geometry.diagnostics.items()}

@@ -84,12 +84,9 @@ class PlainEstimator(Estimator):
     def problem(self, patterns: PatternSet, samples: Samples, regularization: float) -> Problem:
         """The problem of some rows."""
         return Problem(
-            patterns,
-            samples,
-            regularization,
-            nonnegative=self.nonnegative,
+            patterns, samples, regularization, nonnegative=self.nonnegative,
             background=self.background,
-        )
+        )  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False)

@@ -78,13 +78,9 @@ class ResourceEstimate:
     def as_dict(self) -> dict[str, Any]:
         """The same, JSON-ready."""
         return {
-            "memory_bytes": self.memory,
-            "temporary_bytes": self.temporary,
-            "seconds": self.seconds,
-            "available_bytes": self.available,
-            "fits": self.fits,
-            "workers": self.workers,
-        }
+            "memory_bytes": self.memory, "temporary_bytes": self.temporary, "seconds": self.seconds,
+            "available_bytes": self.available, "fits": self.fits, "workers": self.workers,
+        }  # fmt: skip
 
 
 def estimate_resources(

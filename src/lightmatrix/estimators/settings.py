@@ -89,12 +89,9 @@ class EstimateSettings:
         value = self.regularization
         if not isinstance(value, str):
             check_number(
-                "a regularization",
-                value,
-                least=LEAST_REGULARIZATION,
-                most=MOST_REGULARIZATION,
+                "a regularization", value, least=LEAST_REGULARIZATION, most=MOST_REGULARIZATION,
                 hint="use auto or a positive number in units of camera sample, such as 0.3",
-            )
+            )  # fmt: skip
         elif value != "auto":
             hint = "use auto or a number such as 0.3"
             raise InputError(f"a regularization of {value!r}", hint=hint)

@@ -177,12 +177,10 @@ class Tracker:
             "unknown": unknown.astype(np.float32),
         }
         return replace(
-            self._given,
-            sparse=self._light.coefficients,
-            background=self._light.background,
+            self._given, sparse=self._light.coefficients, background=self._light.background,
             diagnostics=diagnostics,
             provenance={**self._given.provenance, "tracked_photographs": self.photographs},
-        )
+        )  # fmt: skip
 
     def _add(self, one: Capture) -> Update:
         self.photographs += 1

@@ -254,14 +254,11 @@ class _Search:
         # captures the gamma is off by up to that where the standard error is smaller.
         uncertainty = [max(2 * error, 0.005) for error in curves.errors]
         return FoundResponse(
-            curves.response,
-            gamma,
-            uncertainty[0] * gamma if self.camera else 0.0,
-            largest_difference(curves.response, stated),
-            self.estimates,
+            curves.response, gamma, uncertainty[0] * gamma if self.camera else 0.0,
+            largest_difference(curves.response, stated), self.estimates,
             None if projector is None else ProjectorResponse.of_gamma(projector),
             0.0 if projector is None else uncertainty[-1] * projector,
-        )
+        )  # fmt: skip
 
 
 def refined(

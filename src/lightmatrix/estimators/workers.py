@@ -368,11 +368,9 @@ def _rebuild(kind: type, values: dict[str, Any]) -> Any:
 def versions() -> dict[str, str]:
     """The versions that results depend on."""
     return {
-        "lightmatrix": __version__,
-        "python": ".".join(platform.python_version_tuple()[:2]),
-        "numpy": np.__version__,
-        "scipy": scipy.__version__,
-    }
+        "lightmatrix": __version__, "python": ".".join(platform.python_version_tuple()[:2]),
+        "numpy": np.__version__, "scipy": scipy.__version__,
+    }  # fmt: skip
 
 
 # ---- in a worker

@@ -95,13 +95,10 @@ class ActiveSet:
         """The settings for the core."""
         return _core.Settings(
             regularization=float(problem.regularization),
-            fidelity=Fidelity(self.fidelity).term.name,
-            nonnegative=problem.nonnegative,
-            background=problem.background,
-            tolerance=self.tolerance,
-            max_passes=self.max_passes,
+            fidelity=Fidelity(self.fidelity).term.name, nonnegative=problem.nonnegative,
+            background=problem.background, tolerance=self.tolerance, max_passes=self.max_passes,
             threads=self.threads,
-        )
+        )  # fmt: skip
 
     def row_bytes(self, patterns: int, pixels: int) -> int:
         """Bytes of one row: samples twice, 512 entries, a share of the scores of active rows."""
@@ -126,11 +123,9 @@ def as_result(
     rows = solved_rows(
         csr_array((solved.values, solved.indices, indptr), shape=shape),
         background if cells is None else np.column_stack([background, cells]),
-        iterations=solved.passes,
-        converged=solved.converged,
-        gap=solved.gap,
+        iterations=solved.passes, converged=solved.converged, gap=solved.gap,
         objective=solved.objective,
-    )
+    )  # fmt: skip
     return Result(rows, Status.CONVERGED if solved.converged.all() else Status.ITERATION_LIMIT)
 
 

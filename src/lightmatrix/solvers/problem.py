@@ -199,11 +199,8 @@ def solved_rows(
 ) -> SparseRows:
     """The rows of a `Result`; the background is (m,) or (m, 1 + C), diagnostics are (m,)."""
     diagnostics = {
-        "iterations": iterations,
-        "converged": converged,
-        "gap": gap,
-        "objective": objective,
-    }
+        "iterations": iterations, "converged": converged, "gap": gap, "objective": objective,
+    }  # fmt: skip
     columns = background if background.ndim == 2 else background[:, None]
     return SparseRows(coefficients, columns, diagnostics)
 
@@ -212,13 +209,10 @@ def no_rows(problem: Problem) -> SparseRows:
     """The solution of a problem without rows."""
     dtype = problem.samples.values.dtype
     return solved_rows(
-        csr_array((0, problem.patterns.pixels), dtype=dtype),
-        np.zeros((0, 1), dtype),
-        iterations=np.zeros(0, np.int32),
-        converged=np.zeros(0, bool),
-        gap=np.zeros(0),
+        csr_array((0, problem.patterns.pixels), dtype=dtype), np.zeros((0, 1), dtype),
+        iterations=np.zeros(0, np.int32), converged=np.zeros(0, bool), gap=np.zeros(0),
         objective=np.zeros(0),
-    )
+    )  # fmt: skip
 
 
 # Bytes of the dense rows that are handled at a time: little beside a tile, and few Python calls.

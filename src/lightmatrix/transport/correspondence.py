@@ -141,12 +141,9 @@ def _joined(
     """The correspondence of a device of `shape` from what `_strongest` found of its rows."""
     pixel, place, confidence, light = map(np.concatenate, zip(*parts, strict=True))
     return Correspondence(
-        pixel.reshape(*shape[:2], 2),
-        place.reshape(*shape[:2], 2),
-        confidence.reshape(shape[:2]),
-        light=light.reshape(shape[:2]),
-        projector_shape=(other_shape[0], other_shape[1]),
-    )
+        pixel.reshape(*shape[:2], 2), place.reshape(*shape[:2], 2), confidence.reshape(shape[:2]),
+        light=light.reshape(shape[:2]), projector_shape=(other_shape[0], other_shape[1]),
+    )  # fmt: skip
 
 
 def pixel_rows(transport: LightTransport) -> tuple[csr_array, NDArray[np.float64]]:

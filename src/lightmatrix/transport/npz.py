@@ -30,12 +30,9 @@ from lightmatrix.transport.sparse_rows import checked_matrix, checked_shape
 VERSION = 1
 # Arrays of a correspondence for each camera pixel: type, and whether every file has them.
 _MATCHES = {
-    "pixel": (np.int32, True),
-    "place": (np.float32, True),
-    "confidence": (np.float32, True),
-    "uncertainty": (np.float32, False),
-    "light": (np.float32, False),
-}
+    "pixel": (np.int32, True), "place": (np.float32, True), "confidence": (np.float32, True),
+    "uncertainty": (np.float32, False), "light": (np.float32, False),
+}  # fmt: skip
 
 
 def export(

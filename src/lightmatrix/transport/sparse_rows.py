@@ -77,13 +77,11 @@ class SparseRows:
     def arrays(self) -> dict[str, NDArray[Any]]:
         """The rows as named arrays, for `from_arrays`."""
         return {
-            "data": self.coefficients.data,
-            "indices": self.coefficients.indices,
-            "indptr": self.coefficients.indptr,
-            "shape": np.array(self.coefficients.shape),
+            "data": self.coefficients.data, "indices": self.coefficients.indices,
+            "indptr": self.coefficients.indptr, "shape": np.array(self.coefficients.shape),
             "background": self.background,
             **{_DIAGNOSTIC + name: values for name, values in self.diagnostics.items()},
-        }
+        }  # fmt: skip
 
     @classmethod
     def from_arrays(cls, arrays: Mapping[str, NDArray[Any]]) -> Self:

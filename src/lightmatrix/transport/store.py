@@ -392,11 +392,9 @@ class StoredTransport(TransportOperator):
                     raise ValueError(f"{name} holds {arrays[name].dtype}, not {np.dtype(dtype)}")
             samples = math.prod(camera)
             wanted = {
-                "indptr": (samples + 1,),
-                "indices": arrays["data"].shape,
-                "background": (samples, high * wide),
-                **dict.fromkeys(diagnostics, (samples,)),
-            }
+                "indptr": (samples + 1,), "indices": arrays["data"].shape,
+                "background": (samples, high * wide), **dict.fromkeys(diagnostics, (samples,)),
+            }  # fmt: skip
             for name, shape in wanted.items():
                 if arrays[name].shape != shape:
                     raise ValueError(f"{name} has shape {arrays[name].shape}, not {shape}")
@@ -440,11 +438,9 @@ class StoredTransport(TransportOperator):
         entries = slice(int(ends[0]), int(ends[-1]))
         with as_damage_error(self.place, self.remedy):
             return checked_matrix(
-                self.arrays["data"].read(entries),
-                self.arrays["indices"].read(entries),
-                ends - ends[0],
-                (stop - start, self.shape[1]),
-            )
+                self.arrays["data"].read(entries), self.arrays["indices"].read(entries),
+                ends - ends[0], (stop - start, self.shape[1]),
+            )  # fmt: skip
 
     def some_rows(self, start: int, stop: int) -> SparseRows:
         """Rows without their diagnostics, which images do not need."""

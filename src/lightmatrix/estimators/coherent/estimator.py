@@ -125,11 +125,9 @@ class CoherentEstimator(Estimator):
     def _provenance(self, capture: Capture, regularization: float) -> dict[str, object]:
         made_by = solver_provenance(self._solver)
         made_by["solver_parameters"] |= {
-            "trust": self.trust,
-            "windows": [list(pair) for pair in self.windows],
-            "candidates": self.candidates,
-            "sizes": list(self.sizes),
-        }
+            "trust": self.trust, "windows": [list(pair) for pair in self.windows],
+            "candidates": self.candidates, "sizes": list(self.sizes),
+        }  # fmt: skip
         certificate = (
             "the weighted problem of each row on its likeliest pixels, with expected samples"
         )

@@ -335,11 +335,9 @@ def residual_diagnostics(
     # times as bright as the rest clip in 0.77 to 1. Chosen on 180 small captures.
     many = 0.72 + 1.5 / samples.clipped.shape[1]
     return {
-        "only_bounded": bounded,
-        "glint": bounded & (clipped > many),
-        "constant_light": constant,
+        "only_bounded": bounded, "glint": bounded & (clipped > many), "constant_light": constant,
         "bend": bent,
-    }
+    }  # fmt: skip
 
 
 def squared_residual(samples: Samples, predicted: Predicted) -> NDArray[np.float32]:

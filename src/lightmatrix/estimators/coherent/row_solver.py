@@ -294,13 +294,10 @@ class RowSolver:
         if this_round.has_pseudo_samples:
             light = neighbours.rows.background[first:last]
             pseudo_samples = neighbours.pseudo_samples(
-                self.unseen,
-                samples,
+                self.unseen, samples,
                 samples.clipped & Fidelity(self.solver.fidelity).term.clip_aware,
-                self.capture.reference_level,
-                rows,
-                light * halos,
-            )
+                self.capture.reference_level, rows, light * halos,
+            )  # fmt: skip
         unseen = pseudo_samples is not None
         cells = Cells.none(self.capture.patterns, self.unseen if unseen else None)
         # Cells join in the last round, when it is clear where most of the light is.

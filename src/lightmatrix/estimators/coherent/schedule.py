@@ -123,10 +123,8 @@ def _windows_by_level(
         return [windows[: GROWTH.near_seed_rounds], windows[GROWTH.near_seed_rounds :]]
     between = (windows[0], *windows[-GROWTH.settling - 1 : -1])
     return [
-        windows[:-1],
-        *([between] * (len(steps) - 2)),
-        (windows[0], *windows[-GROWTH.settling :]),
-    ]
+        windows[:-1], *([between] * (len(steps) - 2)), (windows[0], *windows[-GROWTH.settling :]),
+    ]  # fmt: skip
 
 
 def is_large(samples: int, pixels: int) -> bool:
