@@ -39,7 +39,6 @@ from .files.images import (
     write_image as write_image,
 )
 from .simulation.library import (
-    devices_of as devices_of,
     scenes as scenes,
     truth as truth,
 )
@@ -137,6 +136,7 @@ from .rig.closed_loop import refine_compensation as refine_compensation
 from .uses.projector_map import (
     ProjectorMap as ProjectorMap,
     map_projector as map_projector,
+    map_projectors as map_projectors,
 )
 from .uses.probing import (
     max_min as max_min,

@@ -131,12 +131,9 @@ def demo(
         validation = validate(capture, EstimateSettings())
         facts = Facts(estimates[DEFAULT], capture, known, validation, truth.geometry)
         result["report"] = write_page(
-            out,
-            facts,
-            "Demo: a pile of L-shaped blocks",
-            viewer=True,
+            out, facts, "Demo: a pile of L-shaped blocks", viewer=True,
             more=[_comparison(result["methods"], out / "methods.png")],
-        )
+        )  # fmt: skip
         (out / "demo.json").write_text(json.dumps(result, indent=2) + "\n")
         step(steps, steps)
     return result

@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import json
+import zipfile
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
+from xml.etree import ElementTree
 
+import imagecodecs
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -100,6 +103,27 @@ def test_white_is_even_where_both_shine(both: Truth, stores: Path) -> None:
     assert uneven([np.ones((32, 32))] * 2) > 0.2
 
 
+def test_a_media_server_blends_them(both: Truth, stores: Path) -> None:
+    """One MPCDI file has a region and a mask for each; white through the masks is even."""
+    lm.map_projectors(stores / "scene", output=stores / "wall.mpcdi")
+    with zipfile.ZipFile(stores / "wall.mpcdi") as archive:
+        root = ElementTree.fromstring(archive.read("mpcdi.xml"))
+        regions = [region.attrib["id"] for region in root.iterfind("display/buffer/region")]
+        assert regions == [part.attrib["region"] for part in root.iterfind("files/fileset")]
+        assert len(set(regions)) == 2
+        alphas = [
+            imagecodecs.png_decode(archive.read(str(part.findtext("alphaMap/path")))) / 65535
+            for part in root.iterfind("files/fileset")
+        ]
+        for part in root.iterfind("files/fileset"):
+            assert part.findtext("geometryWarpFile/path") in archive.namelist()
+    parts = zip(both.transport().split(), alphas, strict=True)
+    masked = np.sum([one.relight(alpha) for one, alpha in parts], axis=0)
+    plain = np.sum([one.relight(np.ones((32, 32))) for one in both.transport().split()], axis=0)
+    lit = plain > 0.3 * np.median(plain)
+    assert masked[lit].std() / masked[lit].mean() < 0.5 * plain[lit].std() / plain[lit].mean()
+
+
 def test_a_capture_names_its_projectors(capture: SimulatedCapture, stores: Path) -> None:
     opened = lm.Capture.open(stores / "capture")
     assert opened.projectors == ((32, 32), (32, 32))
@@ -141,6 +165,9 @@ def test_a_studio(
     assert main(["project", "show-1.png", *with_rig, "-o", "half.png"]) == 0
     half, seen = (lm.read_image(name).astype(float) for name in ("half.png", "seen.png"))
     assert seen.mean() > half.mean()
+    assert main(["map", "scene/camera-1", "-o", "wall.mpcdi"]) == 0
+    assert " and " in capsys.readouterr().out
+    assert main(["map", "scene/camera-1", "-o", "wall.npz", "--reverse"]) == 2
     assert main(["compensate", "scene/camera-1", "picture.png", "-o", "b.png", *with_rig]) == 0
     capsys.readouterr()
     assert main(["project", "show-1.png", "show-2.png", "half.png", *with_rig, "-o", "c.png"]) == 2

@@ -407,20 +407,14 @@ class Capture(Reader):
         decoder, frames = self.decoder, self.frames
         cropped = {"crop": frames.region.as_dict()} if isinstance(frames, CutFrames) else {}
         return {
-            **cropped,
-            "camera_shape": list(self.camera_shape),
-            "projector_shape": list(self.projector_shape),
-            "frames": self.count,
-            "bin_camera": list(self.bin_camera),
-            "bin_projector": list(self.bin_projector),
-            "clip": jsonable(decoder.clip),
-            "black_level": jsonable(decoder.black_level),
-            "black_frame": decoder.black_frame is not None,
-            "exposure": jsonable(decoder.exposure),
-            "response": decoder.response.name,
-            "masked": int((~self.valid).sum()),
+            **cropped, "camera_shape": list(self.camera_shape),
+            "projector_shape": list(self.projector_shape), "frames": self.count,
+            "bin_camera": list(self.bin_camera), "bin_projector": list(self.bin_projector),
+            "clip": jsonable(decoder.clip), "black_level": jsonable(decoder.black_level),
+            "black_frame": decoder.black_frame is not None, "exposure": jsonable(decoder.exposure),
+            "response": decoder.response.name, "masked": int((~self.valid).sum()),
             **self.provenance,
-        }
+        }  # fmt: skip
 
 
 def open_capture(capture: Capture | str | Path) -> Capture:

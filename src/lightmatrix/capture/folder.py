@@ -240,17 +240,11 @@ def write_description(
         (part / "patterns").mkdir()
         fill_pattern_folder(part / "patterns", patterns)
     content: dict[str, Any] = {
-        "format": FORMAT,
-        "version": VERSION,
-        "projector_shape": list(patterns.shape),
-        "camera_shape": list(shape),
-        "patterns": patterns.digests,
-        "exposure": decoder.exposure,
-        "black_level": decoder.black_level,
-        "full_scale": decoder.full_scale,
-        "response": response or decoder.response.name,
-        "provenance": dict(provenance or {}),
-    }
+        "format": FORMAT, "version": VERSION, "projector_shape": list(patterns.shape),
+        "camera_shape": list(shape), "patterns": patterns.digests, "exposure": decoder.exposure,
+        "black_level": decoder.black_level, "full_scale": decoder.full_scale,
+        "response": response or decoder.response.name, "provenance": dict(provenance or {}),
+    }  # fmt: skip
     if not decoder.clip_assumed:
         content["clip"] = decoder.clip
     if decoder.black_frame is not None:

@@ -75,13 +75,13 @@ def capture(
     settings = lm.CaptureSettings(cell, exposure, settle, response, check, until)
     if count is None:
         count = USUAL_FRAMES if until is None else MOST_FRAMES
-    scene = None if rig is None else rig.partition(":")[2].partition(",")[0]
+    scene = "" if rig is None else rig.partition(":")[2].partition(",")[0]
+    devices = {one.name: (one.projectors, one.cameras) for one in lm.scenes()}.get(scene, (1, 1))
     addresses: list[str | None] = [*camera] if camera else [None]
     rigs = [(rig, one) for one in addresses]
-    if scene is not None and not camera and "camera=" not in str(rig):
-        rigs = [(f"{rig},camera={k}", None) for k in range(1, lm.devices_of(scene).cameras + 1)]
-    several = lm.devices_of(scene).projectors > 1 if scene is not None else len(projector or ()) > 1
-    kind = PROJECTOR_STORES if several else STORE
+    if devices[1] > 1 and not camera and "camera=" not in str(rig):
+        rigs = [(f"{rig},camera={k}", None) for k in range(1, devices[1] + 1)]
+    kind = PROJECTOR_STORES if max(devices[0], len(projector or ())) > 1 else STORE
 
     def place(path: Path, number: int) -> Path:
         return path if len(rigs) == 1 else path / f"camera-{number}"

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 from typer import Option
 
 import lightmatrix as lm
-from lightmatrix.cli.options import Json, Overwrite, Store, described
+from lightmatrix.cli.options import Json, Overwrite, Store, described, refuse
 from lightmatrix.cli.terminal import answer
+from lightmatrix.files.colours import stores_within
 
 
 @described(
@@ -30,13 +32,18 @@ def map(
     """Map projector pixels to the camera, for media servers.
 
     For each projector pixel, the camera place that receives most of its light, to fractions of a
-    pixel. A picture in the camera's view then lands where the camera sees it.
+    pixel. A picture in the camera's view then lands where the camera sees it. The folder of several
+    projectors gives one .mpcdi with a region and a blend mask for each.
     """
-    found = lm.map_projector(
-        scene, geometry=geometry, reverse=reverse, output=output, overwrite=overwrite
-    )
-    shown = found.reverse if reverse and found.reverse is not None else found
-    known = float(shown.known.mean())
+    if stores_within(scene):
+        refuse({"--geometry": geometry, "--reverse": reverse}, "several projectors")
+        several = lm.map_projectors(scene, output=output, overwrite=overwrite)
+    else:
+        about: dict[str, Any] = {"geometry": geometry, "reverse": reverse, "output": output}
+        found = lm.map_projector(scene, **about, overwrite=overwrite)
+        several = (found.reverse if reverse and found.reverse is not None else found,)
+    known = [float(shown.known.mean()) for shown in several]
     pixels = "camera" if reverse else "projector"
-    text = f"{output}: {100 * known:.1f} % of the {pixels} pixels have a place"
-    answer(as_json, {"output": output, "known": known}, text)
+    shares = " and ".join(f"{100 * share:.1f} %" for share in known)
+    result = {"output": output, "known": known[0] if len(known) == 1 else known}
+    answer(as_json, result, f"{output}: {shares} of the {pixels} pixels have a place")

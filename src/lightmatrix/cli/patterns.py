@@ -103,12 +103,9 @@ def patterns(
             permute=permute, block=size(block), inverse=inverse, period=period, seed=seed,
         )  # fmt: skip
     lm.write_patterns(
-        output,
-        made,
-        colour=None if in_colour else primary,
-        bit_planes=bit_planes,
+        output, made, colour=None if in_colour else primary, bit_planes=bit_planes,
         overwrite=overwrite,
-    )
+    )  # fmt: skip
     result = {**made.description, "count": made.count, "digest": made.digest, "output": output}
     rows, cols = size(shape)
     lines = [f"{made.count} patterns ({kind}) of {rows} x {cols} pixels in {output}"]

@@ -17,6 +17,6 @@ def scenes(as_json: Json = False) -> None:
     if as_json:
         show_json({"scenes": [scene._asdict() for scene in listed]})
         return
-    for name, description, bundled in listed:
+    for name, description, bundled, *_ in listed:
         note = "(bundled at 64x64)" if bundled else "(rendered on first use: extra `render`)"
         say(f"{name:13}{description}  {note}")

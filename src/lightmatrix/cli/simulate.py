@@ -77,7 +77,7 @@ def simulate(
     Patterns for two projectors stand one above the other, 128x64 for 64x64 each; every camera has a
     folder: camera-1, camera-2.
     """
-    cameras = lm.devices_of(scene).cameras
+    cameras = next((one.cameras for one in lm.scenes() if one.name == scene), 1)
     places = [output] if cameras == 1 else [output / f"camera-{k}" for k in range(1, cameras + 1)]
     for place in places:
         check_output(place, CAPTURE, overwrite=overwrite)

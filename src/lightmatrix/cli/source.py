@@ -72,12 +72,9 @@ class Source:
     def check(self) -> list[Finding]:
         """What is wrong with the capture, which may be one that cannot be opened."""
         return lm.check(
-            self.folder,
-            patterns=self.patterns,
-            images=self.images,
-            settings=self.settings,
+            self.folder, patterns=self.patterns, images=self.images, settings=self.settings,
             crop=self.crop,
-        )
+        )  # fmt: skip
 
 
 def refuse_unknown_projector(capture: Capture) -> None:

@@ -41,21 +41,7 @@ def grey_patterns(
 ) -> ImagePatterns:
     """Random patterns of evenly spaced grey levels, in which no pixel varies little.
 
-    Parameters
-    ----------
-    shape : (rows, cols)
-        Projector pixels.
-    count : int
-        Number of patterns K.
-    levels : int, optional
-        Number of grey levels, black and white included, 2 to 256. None: see `usual_levels`.
-    seed : int
-        Seed of the draw.
-
-    Raises
-    ------
-    InputError
-        On values out of range.
+    There are `levels` of them, 2 to 256, black and white included; by default `usual_levels`.
     """
     check_geometry(shape, count)
     check_seed(seed)

@@ -26,18 +26,14 @@ class HadamardPatterns(PatternSet):
 
     Parameters
     ----------
-    shape : (int, int)
-        Projector rows and columns.
     count : int
-        Number of patterns K, at most the number of pixels of the enlarged grid.
+        At most the number of pixels of the enlarged grid.
     order : {"natural", "sequency", "random"}
         Which patterns come first: Sylvester's order, few sign changes first (vertical plus
         horizontal), or a random choice. The first pattern of the first two is all white.
     permute : bool
         Whether the projector pixels are shuffled, which makes the patterns look random and hence
         incoherent with the blocks and edges of a scene.
-    seed : int
-        Seed of the random choice and of the shuffle.
     """
 
     shape: tuple[int, int]

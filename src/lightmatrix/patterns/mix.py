@@ -73,22 +73,11 @@ class MixedPatterns(BinaryPatterns):
 
     Parameters
     ----------
-    shape : (int, int)
-        Projector rows and columns.
-    count : int
-        Number of patterns K.
     mix : tuple of ((int, int), float)
         Rows and columns of a grid of cells, each lit or dark as a whole, and the share of patterns
         on it, > 0. A grid of the projector's shape makes fine patterns.
     density : float
         Probability that a cell is lit, in (0, 1).
-    seed : int
-        Seed of the draw.
-
-    Raises
-    ------
-    InputError
-        On grids larger than the projector or given twice, and shares that do not sum to 1.
     """
 
     shape: tuple[int, int]

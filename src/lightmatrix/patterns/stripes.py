@@ -156,8 +156,6 @@ class GrayCodePatterns(StripePatterns):
 
     Parameters
     ----------
-    shape : (int, int)
-        Projector rows and columns.
     inverse : bool
         Whether each bit is followed by its inverse. The brighter of the two decides a bit, whatever
         the surface and the global light.
@@ -204,8 +202,6 @@ class PhasePatterns(StripePatterns):
 
     Parameters
     ----------
-    shape : (int, int)
-        Projector rows and columns.
     period : float
         Projector pixels of a period, at least 3. Short periods place a pixel more finely, but a
         projector out of focus by a pixel leaves a quarter less of 8 pixels' contrast.
@@ -261,8 +257,6 @@ class MicroPhasePatterns(StripePatterns):
 
     Parameters
     ----------
-    shape : (int, int)
-        Projector rows and columns.
     total : int
         Number of patterns: an equal number, at least 5, for the columns and for the rows.
     period : float

@@ -278,17 +278,13 @@ def write_page(
         version=__version__,
     )
     result: dict[str, Any] = {
-        "verdict": judged.level,
-        "sentence": judged.sentence,
-        "verdicts": of_each.as_dict(),
+        "verdict": judged.level, "sentence": judged.sentence, "verdicts": of_each.as_dict(),
         "held_out_error": test.error if test else None,
         "held_out_frames": test.frames.tolist() if test else [],
         "mean_photograph_error": test.mean_error if test else None,
-        "relative_error": facts.relative_error,
-        "clipped_samples": clipped,
-        "findings": [finding.kind for finding in findings],
-        "advice": list(advice),
-    }
+        "relative_error": facts.relative_error, "clipped_samples": clipped,
+        "findings": [finding.kind for finding in findings], "advice": list(advice),
+    }  # fmt: skip
     # A file name that is no text holds characters that UTF-8 has no code for.
     (folder / "report.html").write_text(page + "\n", encoding="utf-8", errors="replace")
     (folder / "report.json").write_text(json.dumps(result, indent=2) + "\n", encoding="utf-8")

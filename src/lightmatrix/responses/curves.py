@@ -351,13 +351,10 @@ def camera_response(
     residuals = measure_residuals(curve, series)
     measured = CameraResponse(
         Response(np.arange(TOP + 1) / TOP, curve, "measured", top),
-        float(several.std(axis=0, ddof=1).max()),
-        float(max(abs(residuals[1]), default=np.nan)),
-        nearest_gamma((np.arange(TOP + 1) - series.black) / (TOP - series.black), curve),
-        times,
-        max((float(np.abs(each - curve).max()) for each in by_channel), default=None),
-        residuals,
-    )
+        float(several.std(axis=0, ddof=1).max()), float(max(abs(residuals[1]), default=np.nan)),
+        nearest_gamma((np.arange(TOP + 1) - series.black) / (TOP - series.black), curve), times,
+        max((float(np.abs(each - curve).max()) for each in by_channel), default=None), residuals,
+    )  # fmt: skip
     if output is not None:
         measured.save(output, overwrite=overwrite)
     if picture is not None:

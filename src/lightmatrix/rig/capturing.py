@@ -390,14 +390,11 @@ def _write(
         "rig": {"projector": dict(known.projector), "camera": dict(known.camera)},
         "exposure_1_in_seconds": longest,
         "settle_seconds": None if known.settle is None else known.settle.seconds,
-        "cell": settings.cell,
-        "frames": len(numbers),
-        "patterns": patterns.count,
-        "checked": settings.check,
-        "photographed_again": dict(state.faults),
+        "cell": settings.cell, "frames": len(numbers), "patterns": patterns.count,
+        "checked": settings.check, "photographed_again": dict(state.faults),
         "left_out": {str(k): reason for k, reason in state.unmended.items()},
         "until": None if outcome is None else asdict(outcome),
-    }
+    }  # fmt: skip
 
     def write_extras(folder: Path) -> None:
         """Add the response curve, and a virtual rig's true T."""

@@ -134,13 +134,10 @@ def decode(
     places = place.reshape(*grid, 2)
     agreeing = agreement(places, uncertainty.reshape(*grid, 2))
     result = Correspondence(
-        np.where(np.isfinite(places), np.rint(places), -1).astype(np.int32),
-        places,
-        confidence.reshape(grid) * agreeing,
-        uncertainty.reshape(*grid, 2),
-        light.reshape(grid),
+        np.where(np.isfinite(places), np.rint(places), -1).astype(np.int32), places,
+        confidence.reshape(grid) * agreeing, uncertainty.reshape(*grid, 2), light.reshape(grid),
         opened.projector_shape,
-    )
+    )  # fmt: skip
     contradicted = float(1 - agreeing[result.valid].mean())
     # At most a few per cent do in intact captures with occlusions and noise.
     if check and contradicted > 0.1:

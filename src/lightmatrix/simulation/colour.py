@@ -34,12 +34,9 @@ def in_primary(truth: Truth, primary: str) -> Truth:
     gains = np.resize(FILTERS[:, number], len(rows)).repeat(np.diff(matrix.indptr))
     scaled = replace(truth, matrix=matrix).with_data(gains * matrix.data)
     return replace(
-        truth,
-        matrix=scaled,
-        direct_data=gains * truth.direct[rows].data,
-        camera_shape=(*truth.camera_shape[:2], 3),
-        metadata={**truth.metadata, "primary": primary},
-    )
+        truth, matrix=scaled, direct_data=gains * truth.direct[rows].data,
+        camera_shape=(*truth.camera_shape[:2], 3), metadata={**truth.metadata, "primary": primary},
+    )  # fmt: skip
 
 
 def in_all_primaries(truth: Truth) -> Truth:

@@ -137,24 +137,10 @@ def truth(
     return rendered
 
 
-class Devices(NamedTuple):
-    """The numbers of projectors and of cameras of a scene."""
-
-    projectors: int
-    cameras: int
-
-
-def devices_of(name: str | Path) -> Devices:
-    """The numbers of projectors and of cameras of what `truth` takes: 1, but in some scenes.
-
-    Examples
-    --------
-    >>> import lightmatrix as lm
-    >>> lm.devices_of("metal"), lm.devices_of("stage")
-    (Devices(projectors=1, cameras=1), Devices(projectors=2, cameras=2))
-    """
+def devices_of(name: str | Path) -> tuple[int, int]:
+    """The numbers of projectors and of cameras of what `truth` takes: 1, but in some scenes."""
     built = scene(str(name)) if str(name) in names() else None
-    return Devices(1, 1) if built is None else Devices(len(built.projectors), len(built.cameras))
+    return (1, 1) if built is None else (len(built.projectors), len(built.cameras))
 
 
 def _with_geometry(known: Truth, built: Scene) -> Truth:
@@ -165,11 +151,13 @@ def _with_geometry(known: Truth, built: Scene) -> Truth:
 
 
 class SceneSummary(NamedTuple):
-    """A scene of the simulator: its name, a description, and whether it is bundled at 64 x 64."""
+    """A scene of the simulator; whether it is bundled at 64 x 64; how many devices it has."""
 
     name: str
     description: str
     bundled: bool
+    projectors: int = 1
+    cameras: int = 1
 
 
 class Scenes(tuple[SceneSummary, ...]):
@@ -187,8 +175,9 @@ def scenes() -> Scenes:
     Returns
     -------
     tuple of SceneSummary
-        Name, description, and whether the scene is bundled at 64 x 64. Other scenes are rendered
-        on first use and cached, which needs the extra `render`.
+        Name, description, whether the scene is bundled at 64 x 64, and the numbers of projectors
+        and cameras. Other scenes are rendered on first use and cached, which needs the extra
+        `render`.
 
     Examples
     --------
@@ -196,7 +185,10 @@ def scenes() -> Scenes:
     >>> [scene.name for scene in lm.scenes() if scene.bundled]
     ['l_objects', 'gripper', 'metal', 'corner']
     """
-    return Scenes(SceneSummary(name, scene(name).description, name in BUNDLED) for name in names())
+    return Scenes(
+        SceneSummary(name, scene(name).description, name in BUNDLED, *devices_of(name))
+        for name in names()
+    )
 
 
 def cache_folder() -> Path:

@@ -36,11 +36,8 @@ _PROBE = (
 )
 # Folders in which Linux distributions and Homebrew install libLLVM.
 _FOLDERS = (
-    "/usr/lib/*-linux-gnu",
-    "/usr/lib/llvm-*/lib",
-    "/usr/lib64",
-    "/opt/homebrew/opt/llvm/lib",
-)
+    "/usr/lib/*-linux-gnu", "/usr/lib/llvm-*/lib", "/usr/lib64", "/opt/homebrew/opt/llvm/lib",
+)  # fmt: skip
 
 
 @cache
@@ -336,18 +333,12 @@ def render(
     # The relative noise of the mean of two halves.
     noise = np.sqrt(missed / np.maximum(total, 1e-30)).tolist()
     metadata = {
-        "scene": name,
-        "scene_version": scene.version,
-        "samples": samples,
-        "seed": seed,
-        "keep": keep,
-        "max_depth": scene.max_depth,
-        "scale": float(scale),
-        "noise_entries": noise[0],
-        "noise_white": noise[1],
+        "scene": name, "scene_version": scene.version, "samples": samples, "seed": seed,
+        "keep": keep, "max_depth": scene.max_depth, "scale": float(scale),
+        "noise_entries": noise[0], "noise_white": noise[1],
         "renderer": f"mitsuba {mi.__version__} {mi.variant()}",
         "seconds": round(time.perf_counter() - started, 1),
-    }
+    }  # fmt: skip
     geometry: RigGeometry | None = view_geometry(scene, size, projector)
     if (several := len(renderings)) > 1:
         # A geometry is that of one projector.

@@ -135,13 +135,9 @@ def metal(kind: str, roughness: float) -> Material:
 def translucent(reflectance: float, through: float) -> Material:
     """A thin sheet that scatters light to both sides; `through` in [0, 2], 1 sends half through."""
     return {
-        "type": "principledthin",
-        "base_color": _rgb(reflectance),
-        "diff_trans": through,
-        "roughness": 0.6,
-        "spec_trans": 0.0,
-        "eta": 1.3,
-    }
+        "type": "principledthin", "base_color": _rgb(reflectance), "diff_trans": through,
+        "roughness": 0.6, "spec_trans": 0.0, "eta": 1.3,
+    }  # fmt: skip
 
 
 def _rgb(value: float | tuple[float, float, float]) -> dict[str, Any]:
@@ -504,14 +500,17 @@ def _glass() -> Scene:
 MIRROR_TURN, MIRROR_PLACE = turn("y", -70), (0.35, 0.0, 0.5)
 
 
+def _statue() -> Mesh:
+    profile = [(0.34, 0.0), (0.34, 0.1), (0.24, 0.14), (0.2, 0.35), (0.14, 0.5), (0.06, 0.56)]
+    return merge([revolve(profile, 128), ball(0.15, 64).placed((0.0, 0.0, 0.5))])
+
+
 def _mirror() -> Scene:
     """A statue beside a dusty mirror."""
     silver = {"type": "conductor", "material": "Ag"}
     dusty = {"type": "blendbsdf", "weight": 0.4, "bsdf_0": silver, "bsdf_1": matt(0.7)["bsdf"]}
     plate = sheet(1.1).placed(MIRROR_PLACE, MIRROR_TURN)
-    profile = [(0.34, 0.0), (0.34, 0.1), (0.24, 0.14), (0.2, 0.35), (0.14, 0.5), (0.06, 0.56)]
-    statue = merge([revolve(profile, 128), ball(0.15, 64).placed((0.0, 0.0, 0.5))])
-    stone = Part(statue.placed((-0.5, 0.0, 0.0)), matt(0.85))
+    stone = Part(_statue().placed((-0.5, 0.0, 0.0)), matt(0.85))
     parts = (Part(sheet(), matt(0.4)), Part(plate, {"type": "twosided", "bsdf": dusty}), stone)
     return Scene("mirror", "a statue beside a dusty mirror that shows it", parts, 6)
 
@@ -539,8 +538,7 @@ def _stage() -> Scene:
 
 def _statues() -> Scene:
     """Two statues on a table under two projectors, each of which lights both from its side."""
-    profile = [(0.34, 0.0), (0.34, 0.1), (0.24, 0.14), (0.2, 0.35), (0.14, 0.5), (0.06, 0.56)]
-    stone = merge([revolve(profile, 128), ball(0.15, 64).placed((0.0, 0.0, 0.5))])
+    stone = _statue()
     places = ((-0.42, -0.3, 0.0), (0.42, 0.3, 0.0))
     parts = (Part(sheet(6.0), matt(0.5)), *(Part(stone.placed(at), matt(0.85)) for at in places))
     return replace(
@@ -553,20 +551,10 @@ def _statues() -> Scene:
 
 
 BUILDERS: dict[str, Callable[[], Scene]] = {
-    "l_objects": _l_objects,
-    "gripper": _gripper,
-    "metal": _metal,
-    "corner": _corner,
-    "translucent": _translucent,
-    "wall": _wall,
-    "vase": _vase_scene,
-    "mirror_balls": _mirror_balls,
-    "curtain": _curtain,
-    "glass": _glass,
-    "mirror": _mirror,
-    "stage": _stage,
-    "statues": _statues,
-}
+    "l_objects": _l_objects, "gripper": _gripper, "metal": _metal, "corner": _corner,
+    "translucent": _translucent, "wall": _wall, "vase": _vase_scene, "mirror_balls": _mirror_balls,
+    "curtain": _curtain, "glass": _glass, "mirror": _mirror, "stage": _stage, "statues": _statues,
+}  # fmt: skip
 
 
 def scene(name: str) -> Scene:

@@ -237,7 +237,7 @@ def simulate(
         hint = "add room light too, such as ambient=0.05"
         raise InputError("a fault black without a black frame", hint=hint)
     shape = patterns.primary_shape if isinstance(patterns, ColourPatterns) else patterns.shape
-    several = 1 if isinstance(scene, Truth) else library.devices_of(scene).projectors
+    several = 1 if isinstance(scene, Truth) else library.devices_of(scene)[0]
     if shape[0] % several:
         raise InputError(
             f"patterns of {shape[0]} rows for {several} projectors, one above the other",

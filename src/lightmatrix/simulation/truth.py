@@ -65,12 +65,9 @@ def view_geometry(
     """The geometry of a scene's camera and projector for images of these sizes."""
     rows, cols = camera_shape[:2]
     return RigGeometry(
-        scene.camera.matrix((rows, cols)),
-        scene.projector.matrix(projector_shape),
-        (rows, cols),
-        projector_shape,
-        units="scene unit",
-    )
+        scene.camera.matrix((rows, cols)), scene.projector.matrix(projector_shape), (rows, cols),
+        projector_shape, units="scene unit",
+    )  # fmt: skip
 
 
 def trace_surface(scene: Scene, geometry: RigGeometry) -> Surface:
@@ -258,12 +255,9 @@ class Truth:
         rows = region.samples(self.camera_shape)
         shape = (*region.shape, *self.camera_shape[2:])
         return replace(
-            self,
-            matrix=self.matrix[rows],
-            direct_data=self.direct[rows].data,
-            camera_shape=shape,
+            self, matrix=self.matrix[rows], direct_data=self.direct[rows].data, camera_shape=shape,
             geometry=self.geometry and self.geometry.cropped(region.corner, region.shape),
-        )
+        )  # fmt: skip
 
     def transport(self) -> LightTransport:
         """The truth as a LightTransport without background."""

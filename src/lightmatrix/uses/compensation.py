@@ -352,14 +352,10 @@ class Compensation:
         """Scale, brightness, predicted PSNR, and shares of camera samples; JSON-ready."""
         shares = {name.name.lower(): float((self.reach == name).mean()) for name in Reach}
         return {
-            "scale": self.scale,
-            "brightness": self.brightness,
-            "predicted_psnr": self.psnr,
-            "uncompensated_psnr": self.uncompensated_psnr,
-            **shares,
-            "clipped": float(self.clipped.mean()),
-            **described(self.encoding),
-        }
+            "scale": self.scale, "brightness": self.brightness, "predicted_psnr": self.psnr,
+            "uncompensated_psnr": self.uncompensated_psnr, **shares,
+            "clipped": float(self.clipped.mean()), **described(self.encoding),
+        }  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False)
@@ -645,13 +641,10 @@ class CompensatedVideo:
     def as_dict(self) -> dict[str, Any]:
         """Number of frames, brightness, scale, and the means over the frames; JSON-ready."""
         return {
-            "frames": len(self.patterns),
-            "brightness": self.brightness,
-            "scale": self.scale,
+            "frames": len(self.patterns), "brightness": self.brightness, "scale": self.scale,
             "predicted_psnr": float(self.predicted_psnr.mean()),
-            "reached": float(self.reached.mean()),
-            **described([self.encoding]),
-        }
+            "reached": float(self.reached.mean()), **described([self.encoding]),
+        }  # fmt: skip
 
 
 def compensate_video(

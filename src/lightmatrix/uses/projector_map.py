@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import zipfile
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -18,12 +18,14 @@ from lightmatrix.errors import InputError, OutputError
 from lightmatrix.files import kinds
 from lightmatrix.files.extras import write_exr
 from lightmatrix.files.images import fill_image
-from lightmatrix.files.writing import atomic_files, atomic_folder, check_output
+from lightmatrix.files.writing import atomic_file, atomic_files, atomic_folder, check_output
 from lightmatrix.geometry.rig_geometry import RigGeometry
 from lightmatrix.paths import as_path
 from lightmatrix.reprs import short_repr
 from lightmatrix.transport.correspondence import REACH, Correspondence, pixel_rows, strongest_places
+from lightmatrix.transport.matrix import LightTransport
 from lightmatrix.transport.sparse_rows import footprint_sizes
+from lightmatrix.uses.compensation import compensate, joint_light
 from lightmatrix.uses.loading import Transport, loaded
 
 
@@ -44,6 +46,9 @@ class ProjectorMap:
         The camera's pixels.
     reverse : ProjectorMap, optional
         The same for camera pixels: the projector place of which each sees most light.
+    blend : (rows, cols) float32, optional
+        Of several projectors: the light of each pixel, in [0, 1], by which all together show an
+        even white.
 
     Examples
     --------
@@ -58,6 +63,7 @@ class ProjectorMap:
     confidence: NDArray[np.float32]
     source_shape: tuple[int, int]
     reverse: ProjectorMap | None = None
+    blend: NDArray[np.float32] | None = None
 
     __repr__ = short_repr
 
@@ -175,50 +181,61 @@ def _write_remap(found: ProjectorMap, part: Path, _: Path) -> None:
 # the pictures that media servers show, and of most projectors.
 _MPCDI = """<?xml version="1.0" encoding="utf-8"?>
 <MPCDI profile="2d" geometry="2" color="2" date="{date:%Y-%m-%d %H:%M:%S}" version="2.0">
-  <display>
-    <buffer id="lightmatrix" xResolution="{cols}" yResolution="{rows}">
-      <region id="projector" x="0" y="0" xSize="1" ySize="1"
+  <display>{buffers}
+  </display>
+  <files>{files}
+  </files>
+</MPCDI>
+"""
+_BUFFER = """
+    <buffer id="lightmatrix{n}" xResolution="{cols}" yResolution="{rows}">
+      <region id="projector{n}" x="0" y="0" xSize="1" ySize="1"
               xResolution="{cols}" yResolution="{rows}">
         <color><decode type="gamma" gamma="2.2"/><encode type="gamma" gamma="2.2"/></color>
       </region>
-    </buffer>
-  </display>
-  <files>
-    <fileset region="projector">
+    </buffer>"""
+_FILES = """
+    <fileset region="projector{n}">
       <geometryWarpFile>
         <path>{warp}</path><interpolation>linear</interpolation>
       </geometryWarpFile>
       <alphaMap>
-        <bitDepth>8</bitDepth><componentDepth>1</componentDepth><gammaEmbedded>1.0</gammaEmbedded>
-        <path>alpha.png</path>
+        <bitDepth>{depth}</bitDepth><componentDepth>1</componentDepth>
+        <gammaEmbedded>1.0</gammaEmbedded><path>alpha{n}.png</path>
       </alphaMap>
       <betaMap>
-        <bitDepth>8</bitDepth><componentDepth>1</componentDepth><path>beta.png</path>
+        <bitDepth>8</bitDepth><componentDepth>1</componentDepth><path>beta{n}.png</path>
       </betaMap>
-    </fileset>
-  </files>
-</MPCDI>
-"""
+    </fileset>"""
 
 
-def _write_mpcdi(found: ProjectorMap, part: Path, _: Path) -> None:
-    rows, cols = found.weight.shape
-    # The third component is an error, which is not known, or 1 where the place is unknown.
-    error = np.where(found.known, np.nan, 1)[..., None]
-    warp = np.concatenate([found.uv, error], axis=-1).astype("<f4")
-    alpha = np.where(found.known, 255, 0).astype(np.uint8)
+def _write_regions(several: Sequence[ProjectorMap], part: Path) -> None:
+    buffers, files = [], []
     with zipfile.ZipFile(part, "w", zipfile.ZIP_DEFLATED) as archive:
-        # First, because it tells that the file is ours. PFM begins with the bottom row.
-        header = f"PF\n{cols} {rows}\n-1.0\n".encode()
-        archive.writestr(kinds.MPCDI_MARK, header + warp[::-1].tobytes())
-        words = _MPCDI.format(date=datetime.now(UTC), rows=rows, cols=cols, warp=kinds.MPCDI_MARK)
-        archive.writestr("mpcdi.xml", words)
-        for name, image in (("alpha.png", alpha), ("beta.png", np.zeros_like(alpha))):
-            archive.writestr(name, imagecodecs.png_encode(image))
+        for number, found in enumerate(several):
+            n = f"-{number + 1}" if number else ""
+            rows, cols = found.weight.shape
+            # The third component is an error, which is not known, or 1 where the place is unknown.
+            error = np.where(found.known, np.nan, 1)[..., None]
+            warp = np.concatenate([found.uv, error], axis=-1).astype("<f4")
+            # The mask of one projector has 8 bits; steps of a blend must not be seen.
+            depth, blend = (8, 1.0) if found.blend is None else (16, found.blend)
+            alpha = np.rint((2**depth - 1) * np.where(found.known, blend, 0))
+            # First, because it tells that the file is ours. PFM begins with the bottom row.
+            header = f"PF\n{cols} {rows}\n-1.0\n".encode()
+            name = kinds.MPCDI_MARK.replace(".", f"{n}.")
+            archive.writestr(name, header + warp[::-1].tobytes())
+            beta = np.zeros((rows, cols), np.uint8)
+            for word, image in (("alpha", alpha.astype(f"u{depth // 8}")), ("beta", beta)):
+                archive.writestr(f"{word}{n}.png", imagecodecs.png_encode(image))
+            buffers.append(_BUFFER.format(n=n, rows=rows, cols=cols))
+            files.append(_FILES.format(n=n, warp=name, depth=depth))
+        both = {"buffers": "".join(buffers), "files": "".join(files)}
+        archive.writestr("mpcdi.xml", _MPCDI.format(date=datetime.now(UTC), **both))
 
 
 _WRITERS: Mapping[str, Callable[[ProjectorMap, Path, Path], None]] = {
-    ".mpcdi": _write_mpcdi,
+    ".mpcdi": lambda found, part, _: _write_regions([found], part),
     ".exr": _write_uv,
     ".png": _write_axis,
     ".npz": _write_remap,
@@ -289,7 +306,61 @@ def map_projector(
         for place, kind in map_files(output).items():
             check_output(place, kind, overwrite=overwrite)
     # The columns are a second copy of the matrix.
-    matrix = loaded(transport, 2.5)
+    found = _mapped(loaded(transport, 2.5))
+    if output is not None:
+        written = found.reverse if reverse and found.reverse else found
+        written.save(output, geometry=geometry, overwrite=overwrite)
+    return found
+
+
+def map_projectors(
+    transport: Transport | Sequence[Transport],
+    *,
+    output: str | Path | None = None,
+    overwrite: bool = False,
+) -> tuple[ProjectorMap, ...]:
+    """Map several projectors that light one scene together, with masks that blend them.
+
+    Parameters
+    ----------
+    transport : LightTransport, StoredTransport, str or Path, or several of them
+        T of each projector, as in `compensate`; such as the folder that `estimate` wrote.
+    output : str or Path, optional
+        MPCDI file with a region for each, see `ProjectorMap.save`; alpha holds the `blend`.
+    overwrite : bool
+        Whether an existing file may be replaced.
+
+    Returns
+    -------
+    tuple of ProjectorMap
+
+    Raises
+    ------
+    InputError
+        As `compensate`.
+    OutputError
+        On another ending than .mpcdi, or if the file exists or cannot be written.
+
+    Examples
+    --------
+    >>> import lightmatrix as lm
+    >>> one = lm.truth("metal").transport()
+    >>> [found.blend.shape for found in lm.map_projectors([one, one])]
+    [(64, 64), (64, 64)]
+    """
+    if output is not None:
+        check_output(output, kinds.MPCDI, overwrite=overwrite)
+    light = joint_light(transport)
+    white = compensate(light.matrices, np.ones(light.camera_shape, np.float32))
+    pairs = zip(light.matrices, white.patterns, strict=True)
+    several = tuple(replace(_mapped(matrix), blend=pattern) for matrix, pattern in pairs)
+    if output is not None:
+        with atomic_file(output, kinds.MPCDI, overwrite=overwrite) as part:
+            _write_regions(several, part)
+    return several
+
+
+def _mapped(matrix: LightTransport) -> ProjectorMap:
     camera, projector = (matrix.camera_shape[0], matrix.camera_shape[1]), matrix.projector_shape
     rows, behind = pixel_rows(matrix)
     columns = csr_array(rows.T)
@@ -299,14 +370,10 @@ def map_projector(
     # wherever in it the strongest pixel lies.
     sizes = footprint_sizes(columns)
     reach = max(REACH, int(np.ceil(np.sqrt(np.median(sizes[sizes > 0]))))) if sizes.any() else REACH
-    found = _as_map(
+    return _as_map(
         strongest_places(columns, light, projector, camera, reach),
         _as_map(strongest_places(rows, behind, camera, projector)),
     )
-    if output is not None:
-        written = found.reverse if reverse and found.reverse else found
-        written.save(output, geometry=geometry, overwrite=overwrite)
-    return found
 
 
 def _as_map(found: Correspondence, reverse: ProjectorMap | None = None) -> ProjectorMap:

@@ -68,12 +68,9 @@ def frame(title: str, data: Mapping[str, str] | None = None) -> str:
     # Within HTML, no text of the script may end or open a script element.
     script = re.sub(r"<(?=/?script|!--)", r"\\x3c", bundle("page.js"), flags=re.IGNORECASE)
     return environment.from_string(page_file("viewer.html")).render(
-        title=title,
-        inline=data is not None,
-        data=data or {},
-        style=Markup(page_file(STYLE)),
+        title=title, inline=data is not None, data=data or {}, style=Markup(page_file(STYLE)),
         script=Markup(script),
-    )
+    )  # fmt: skip
 
 
 # The largest matrix that goes into a page. As text it takes a third more, which can still be mailed

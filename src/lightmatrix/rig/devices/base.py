@@ -227,16 +227,10 @@ class Camera(ABC):
         stated = self._stated
         shortest, longest = self._exposure_range() if stated is None else (stated, stated)
         return {
-            "name": self._name,
-            "kind": self.kind,
-            "address": str(self._address),
-            "shape": self._shape,
-            "bits": self._bits,
-            **self._details(),
-            "trigger": self._trigger,
-            "shortest_exposure": shortest,
-            "longest_exposure": longest,
-        }
+            "name": self._name, "kind": self.kind, "address": str(self._address),
+            "shape": self._shape, "bits": self._bits, **self._details(), "trigger": self._trigger,
+            "shortest_exposure": shortest, "longest_exposure": longest,
+        }  # fmt: skip
 
     @abstractmethod
     def get_image(self, timeout: float) -> Frame:
