@@ -151,11 +151,8 @@ def grey_capture(samples: ColourSamples, camera_shape: tuple[int, ...], exposure
 
 
 def unmixed_capture(
-    samples: ColourSamples,
-    gains: Floats,
-    camera_shape: tuple[int, ...],
-    exposure: float,
-) -> Capture:
+    samples: ColourSamples, gains: Floats, camera_shape: tuple[int, ...], exposure: float,
+) -> Capture:  # fmt: skip
     """The photographs as those of a grey camera under grey patterns, one for each primary.
 
     A grey photograph stays one, with less noise. Where the gains (n, 3, 3) hardly tell a primary

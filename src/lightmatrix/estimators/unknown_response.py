@@ -262,13 +262,9 @@ class _Search:
 
 
 def refined(
-    capture: Capture,
-    transport: LightTransport,
-    known: Curves,
-    *,
-    camera: bool = True,
+    capture: Capture, transport: LightTransport, known: Curves, *, camera: bool = True,
     curves: bool = True,
-) -> Curves | None:
+) -> Curves | None:  # fmt: skip
     """The curves of a capture, corrected by the T that was estimated under the `known` ones.
 
     The response is a gamma, unless a curve is clearly better or was better before; without `curves`

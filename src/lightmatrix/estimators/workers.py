@@ -103,13 +103,9 @@ class DaskPool:
         return 3 * max(1, len(self.threads))
 
     def solve(
-        self,
-        work: Work,
-        step: str,
-        spans: list[Span],
-        finished: Checkpoint | TilesInMemory,
+        self, work: Work, step: str, spans: list[Span], finished: Checkpoint | TilesInMemory,
         report: Callable[[int], None],
-    ) -> None:
+    ) -> None:  # fmt: skip
         """Let workers solve tiles of a step whose earlier steps are finished; see `WorkerPool`.
 
         A ClusterError says that all workers are gone, or that a tile has killed several of them.
@@ -399,13 +395,9 @@ def describe_worker(dask_worker: Any) -> dict[str, str]:
 
 
 def solve_tile(
-    span: Span,
-    digest: str,
-    packed: bytes,
-    step: str,
-    before: Mapping[str, bytes],
+    span: Span, digest: str, packed: bytes, step: str, before: Mapping[str, bytes],
     wanted: Mapping[str, str],
-) -> SparseRows:
+) -> SparseRows:  # fmt: skip
     """Solve the rows `span` of a step of a packed estimate, given the pickled rows `before` it."""
     from distributed import get_worker
 

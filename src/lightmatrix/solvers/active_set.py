@@ -172,16 +172,10 @@ class PseudoSamples:
 
 
 def solve_weighted(
-    problem: Problem,
-    candidates: Candidates,
-    cells: Cells,
-    solver: ActiveSet,
-    *,
-    pseudo_samples: PseudoSamples | None = None,
-    background: NDArray[np.float32] | None = None,
-    start: SparseRows | None = None,
-    progress: Progress | None = None,
-) -> Result:
+    problem: Problem, candidates: Candidates, cells: Cells, solver: ActiveSet, *,
+    pseudo_samples: PseudoSamples | None = None, background: NDArray[np.float32] | None = None,
+    start: SparseRows | None = None, progress: Progress | None = None,
+) -> Result:  # fmt: skip
     """Solve each row on its candidates (penalties v) and the cells (penalties w).
 
     ::

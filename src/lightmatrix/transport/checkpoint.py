@@ -135,14 +135,10 @@ class Checkpoint:
         self._spans[step] = []
 
     def finish(
-        self,
-        *,
-        camera_shape: tuple[int, ...],
-        projector_shape: tuple[int, int],
-        background_grid: tuple[int, int] = (1, 1),
-        provenance: Mapping[str, Any] | None = None,
+        self, *, camera_shape: tuple[int, ...], projector_shape: tuple[int, int],
+        background_grid: tuple[int, int] = (1, 1), provenance: Mapping[str, Any] | None = None,
         step: str = ROWS,
-    ) -> LightTransport:
+    ) -> LightTransport:  # fmt: skip
         """Join the tiles on disk into the output, so that T is in memory once, and remove them."""
         spans = self.spans(step)
         edges = [0, *(stop for _, stop in spans)]

@@ -104,15 +104,10 @@ def save(path: str | Path, transport: LightTransport, *, overwrite: bool = False
 
 
 def save_rows(
-    path: str | Path,
-    parts: Iterable[SparseRows],
-    *,
-    camera_shape: tuple[int, ...],
-    projector_shape: tuple[int, int],
-    background_grid: tuple[int, int],
-    provenance: Mapping[str, Any],
-    overwrite: bool = False,
-) -> None:
+    path: str | Path, parts: Iterable[SparseRows], *, camera_shape: tuple[int, ...],
+    projector_shape: tuple[int, int], background_grid: tuple[int, int],
+    provenance: Mapping[str, Any], overwrite: bool = False,
+) -> None:  # fmt: skip
     """Write a matrix as `save` does, from parts with all rows in order, one at a time in memory."""
     with atomic_folder(path, STORE, overwrite=overwrite) as part:
         shapes = {
@@ -124,13 +119,9 @@ def save_rows(
 
 
 def fill_store(
-    folder: Path,
-    arrays: Iterable[Mapping[str, NDArray[Any]]],
-    shapes: Mapping[str, Any],
-    provenance: Mapping[str, Any],
-    chunk: int | None = None,
-    blosc: BloscCodec = SMALL,
-) -> None:
+    folder: Path, arrays: Iterable[Mapping[str, NDArray[Any]]], shapes: Mapping[str, Any],
+    provenance: Mapping[str, Any], chunk: int | None = None, blosc: BloscCodec = SMALL,
+) -> None:  # fmt: skip
     """Write a matrix into an empty folder, from parts of its arrays as `write_parts` takes them."""
     group = zarr.open_group(folder, mode="w", zarr_format=3)
     group.create_group("diagnostics")

@@ -344,14 +344,9 @@ class Neighbourhood:
         return max(0, start - reach), min(self.rows.count, stop + reach)
 
     def pseudo_samples(
-        self,
-        unseen: PatternSet,
-        samples: Samples,
-        clipped: NDArray[np.bool_],
-        level: float,
-        rows: NDArray[np.int64],
-        background: NDArray[np.float32],
-    ) -> PseudoSamples:
+        self, unseen: PatternSet, samples: Samples, clipped: NDArray[np.bool_], level: float,
+        rows: NDArray[np.int64], background: NDArray[np.float32],
+    ) -> PseudoSamples:  # fmt: skip
         """Pseudo-samples of m ascending rows in place of clipped samples and under unseen patterns.
 
         `samples` are (m, K), `clipped` ones lower bounds; deviations are relative to `level`.
@@ -382,13 +377,9 @@ class Neighbourhood:
         return PseudoSamples(unseen, values, weight)
 
     def _expected(
-        self,
-        unseen: PatternSet,
-        samples: Samples,
-        level: float,
-        rows: NDArray[np.int64],
+        self, unseen: PatternSet, samples: Samples, level: float, rows: NDArray[np.int64],
         background: NDArray[np.float32],
-    ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:  # fmt: skip
         """Samples that neighbours expect of some rows, and their variances, (m, K + E)."""
         if self.projectors == 1:
             start, prepared = int(rows[0]), (self.atoms.prepared, unseen.prepared)
@@ -479,15 +470,9 @@ class Neighbourhood:
         return np.clip(belief, constants.pixels_least, 1).astype(np.float32).ravel()
 
     def likely_atoms(
-        self,
-        reach: tuple[int, int],
-        most: int,
-        trust: float,
-        known: NDArray[np.integer],
-        rows: NDArray[np.int64],
-        *,
-        first: bool = False,
-    ) -> Candidates:
+        self, reach: tuple[int, int], most: int, trust: float, known: NDArray[np.integer],
+        rows: NDArray[np.int64], *, first: bool = False,
+    ) -> Candidates:  # fmt: skip
         """The likeliest atoms of some ascending rows, with penalties by the light of neighbours.
 
         `reach` has half widths of the windows in camera and projector pixels, `most` limits a row's

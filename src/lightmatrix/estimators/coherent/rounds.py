@@ -297,14 +297,9 @@ class Rounds(Work):
         )
 
     def _judge(
-        self,
-        neighbours: Neighbourhood,
-        misfit: NDArray[np.float32],
-        missed: NDArray[np.float32],
-        start: int,
-        stop: int,
-        progress: Progress,
-    ) -> SparseRows:
+        self, neighbours: Neighbourhood, misfit: NDArray[np.float32], missed: NDArray[np.float32],
+        start: int, stop: int, progress: Progress,
+    ) -> SparseRows:  # fmt: skip
         """The rows start..stop of the result, which also say how far to trust them."""
         solver, rows = self.solver, np.arange(start, stop)
         samples = self.capture.samples(start, stop)

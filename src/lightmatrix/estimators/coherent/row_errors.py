@@ -313,12 +313,9 @@ def predicted_samples(
 
 
 def residual_diagnostics(
-    solver: RowSolver,
-    weighted: WeightedRows,
-    solved: Result,
-    pixels: csr_array,
+    solver: RowSolver, weighted: WeightedRows, solved: Result, pixels: csr_array,
     chosen: NDArray[np.int64],
-) -> dict[str, NDArray[Any]]:
+) -> dict[str, NDArray[Any]]:  # fmt: skip
     """The diagnostics of solved rows that their samples and residuals give.
 
     `pixels` are the rows as pixels. `only_bounded` and `glint` are of all rows, `constant_light`

@@ -277,12 +277,9 @@ class RowSolver:
         return np.flatnonzero(bright & wrong)
 
     def weighted_rows(
-        self,
-        samples: Samples,
-        rows: NDArray[np.int64],
-        this_round: Round,
+        self, samples: Samples, rows: NDArray[np.int64], this_round: Round,
         neighbours: Neighbourhood,
-    ) -> WeightedRows:
+    ) -> WeightedRows:  # fmt: skip
         """The problem of some rows, ascending, with what their neighbours say of them."""
         assert this_round.window is not None
         problem = self._problem(samples, self.penalty)
@@ -315,13 +312,9 @@ class RowSolver:
         )
 
     def near(
-        self,
-        samples: Samples,
-        rows: NDArray[np.int64],
-        this_round: Round,
-        neighbours: Neighbourhood,
-        progress: Progress | None = None,
-    ) -> tuple[Result, WeightedRows]:
+        self, samples: Samples, rows: NDArray[np.int64], this_round: Round,
+        neighbours: Neighbourhood, progress: Progress | None = None,
+    ) -> tuple[Result, WeightedRows]:  # fmt: skip
         """Solve rows, ascending, on their likeliest atoms; returns their problem too."""
         weighted = self.weighted_rows(samples, rows, this_round, neighbours)
         solved = solve_weighted(
