@@ -1,14 +1,10 @@
-"""`lm.Tracker`: T that follows a scene, photograph by photograph.
+"""`lm.Tracker`: T that follows a scene, photograph by photograph (`docs/tracking.md`).
 
-Each photograph is predicted before it is used, and what the prediction misses tells three things:
-
-1. **What changed, and when**: Page's cumulative sum (Biometrika 1954) of the squares that camera
-   pixels and their neighbours miss, relative to the usual ones. Other rows stay bit by bit.
-2. **What is solved again**: rows that changed, with the photographs since then. Eight black and
-   white ones tell 256 projector pixels apart, not all of them. But T knows how far light moves
-   where depth changes: along a line, within bounds. Only there rows search; then neighbours help,
-   as in the coherent estimate.
-3. **What is not known yet**: rows that do not predict photographs before they use them.
+Each photograph is predicted before it is used. What the prediction misses tells which rows changed
+and when, by Page's cumulative sum (Biometrika 1954); other rows stay bit by bit. Those that changed
+are solved again with the photographs since then. Eight black and white ones tell 256 projector
+pixels apart, not all of them. But T knows how far, and along which line, depth moves light: only
+there rows search. They are unknown until they predict photographs that they have not used.
 """
 
 from __future__ import annotations
@@ -55,15 +51,14 @@ _ROUNDS = (Round(1, (2, 1), 3), Round(1, (2, 1), 4), Round(1, (1, 1), 5, last=Tr
 
 
 class Update(NamedTuple):
-    """What a photograph, by its number, said of the scene.
+    """What a photograph said of the scene."""
 
-    `changed` and `unknown`, camera_shape bool, are camera samples that it showed to have changed,
-    and those whose rows are not known yet. The others missed it by `missed`, a relative error.
-    """
-
+    # Its number, from 1 on.
     photograph: int
+    # Camera samples that it showed to have changed, and those whose rows are not known yet.
     changed: NDArray[np.bool_]
     unknown: NDArray[np.bool_]
+    # The relative error of its prediction by all other rows.
     missed: float
 
 

@@ -1,9 +1,5 @@
 """Estimates by several processes, here or on other machines, on Dask's scheduler (extra cluster).
 
-`dask_pool` starts workers, or connects to those of a cluster, and checks them. `DaskPool.solve`
-hands out tiles, and gives those that end to the checkpoint. `solve_tile` runs in a worker: it opens
-an estimate once, and solves tiles of it.
-
 The pool waits for tiles with `distributed.wait`. `distributed.as_completed` has one deadline for
 all tiles, so it could not notice that every worker is gone.
 """

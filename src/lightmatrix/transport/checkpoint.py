@@ -52,11 +52,8 @@ class Checkpoint:
     def __init__(
         self, path: Path, kept: RunningResults, token: str, overwrite: bool, claim: ExitStack
     ) -> None:
-        self._path = path
-        self._kept = kept
-        self._overwrite = overwrite
-        self._claim = claim
-        self._token = token
+        self._path, self._kept, self._token = path, kept, token
+        self._overwrite, self._claim = overwrite, claim
         # The undamaged tiles of each step that was asked for.
         self._spans: dict[str, list[Span]] = {}
 

@@ -1,17 +1,10 @@
 """What the rows around a row say of it: which atoms it probably holds, and its pseudo-samples.
 
 Neighbouring camera pixels have much the same footprint, moved by a pixel or so. How it moves is the
-Jacobian of the correspondence. It is measured, and not derived from the sizes of camera and
-projector. At first the strongest pixels of many rows are wrong, but they are wrong at random: among
-the displacements between neighbouring camera pixels the true one stands out as a peak, whatever the
-scale, the angle or the part that projector and camera see of each other. Each of several projectors
-has a Jacobian of its own.
-
-Where neighbours' rows, moved back by the Jacobian, hold light, there a row is likely to hold some.
-And each neighbour's row, moved back and scaled to the known samples, is a guess at this one.
-Guesses count by how well they explain these samples. The pseudo-samples are their mean; the less
-the guesses differ, the more the pseudo-samples weigh. They stand in for clipped samples and for
-patterns that were never shown (`docs/coherent.md`).
+Jacobian of the correspondence: among the displacements between the strongest pixels of neighbours
+the true one is a peak, however many rows are wrong. Moved back by it, a neighbour's light makes
+atoms likely, and its row is a guess at this one's samples. The pseudo-samples are the mean of these
+guesses. They stand in for clipped samples and for patterns never shown (`docs/coherent.md`).
 """
 
 from __future__ import annotations

@@ -1,11 +1,9 @@
 """The rounds of a coherent estimate: which camera pixels are solved, and where they seek light.
 
-In a small frame every camera pixel first searches all projector pixels. The cost of this grows with
-the product of both. In other frames only seeds search. After some rounds among themselves, their
-light grows to camera pixels that are closer and closer, at last to all, as matches do in PatchMatch
-stereo (Barnes et al. 2009). Camera pixels whose samples this does not explain then search for
-themselves. Seeds are every second camera pixel along both axes, and in large frames every fourth to
-32nd one.
+In a small frame every camera pixel first searches all projector pixels, which costs the product of
+both. In others only seeds search: every second camera pixel along both axes, in large frames every
+fourth to 32nd. Their light grows to all others, as matches do in PatchMatch stereo (Barnes et al.
+2009); camera pixels whose samples this does not explain then search for themselves.
 """
 
 from __future__ import annotations
