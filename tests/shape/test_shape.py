@@ -15,6 +15,7 @@ from scipy.sparse import csr_array
 
 import lightmatrix as lm
 from lightmatrix.errors import InputError, OutputError
+from lightmatrix.files.extras import write_exr
 from lightmatrix.shape.shape import Shape, ShapeTest, surface_faces
 from lightmatrix.shape.spots import find_line_spots, uncut_places
 from lightmatrix.simulation.truth import binned
@@ -230,6 +231,50 @@ def test_a_depth_image_is_in_millimetres(tmp_path: Path) -> None:
     assert lm.read_image(tmp_path / "far.png").max() < 65535
     with pytest.raises(InputError, match="unit is unknown"):
         replace(shape, geometry=known.geometry).save(tmp_path / "unknown.png")
+
+
+@pytest.mark.parametrize("kind", ["npz", "png", "exr"])
+def test_maps_of_other_programs_are_triangulated(tmp_path: Path, kind: str) -> None:
+    known, _ = triangulated("corner")
+    matches = lm.correspondence(known.transport())
+    y, x = np.moveaxis(matches.place, -1, 0)
+    y[:4], x[:4] = np.nan, np.nan
+    file = tmp_path / f"seen-x.{kind}"
+    if kind == "npz":
+        np.savez(file, x=x, y=y)
+    elif kind == "png":
+        for axis, values in (("x", x), ("y", y)):
+            levels = np.rint(np.nan_to_num(values, nan=65535)).astype(np.uint16)
+            levels[4] = 0
+            lm.write_image(tmp_path / f"seen-{axis}.png", levels)
+    else:
+        pytest.importorskip("OpenEXR")
+        write_exr(file, np.stack([x, y, 0 * x], axis=-1))
+    shape = lm.triangulate(file, known.geometry, least_probability=0)
+    assert not shape.kept[: 5 if kind == "png" else 4].any()
+    assert shape.kept[5:].mean() > 0.98
+    # Whole pixels are a quarter of a pixel off.
+    assert np.nanmedian(errors(shape, known)) < (0.08 if kind == "png" else 0.01)
+    wrong = replace(known.geometry, projector_shape=(32, 32))
+    with pytest.raises(InputError, match="of a projector of 32 x 32"):
+        lm.triangulate(file, wrong)
+
+
+def test_images_that_are_no_map_are_refused(tmp_path: Path) -> None:
+    pytest.importorskip("OpenEXR")
+    lm.write_image(tmp_path / "grey.exr", np.ones((4, 4), np.float32))
+    lm.write_image(tmp_path / "photograph.png", np.ones((4, 4), np.uint16))
+    lm.write_image(tmp_path / "x.png", np.zeros((4, 4), np.uint16))
+    lm.write_image(tmp_path / "y.png", np.zeros((4, 4), np.uint16))
+    np.savez(tmp_path / "other.npz", x=np.ones((4, 4)), y=np.ones((4, 5)))
+    for name, words in {
+        "grey.exr": "one channel",
+        "photograph.png": "no image of a pair",
+        "x.png": "no camera pixel sees",
+        "other.npz": "x and y of shapes",
+    }.items():
+        with pytest.raises(InputError, match=words):
+            lm.triangulate(tmp_path / name, rig())
 
 
 @pytest.mark.parametrize("view", ["depth", "normals"])

@@ -19,7 +19,7 @@ from lightmatrix.cli.terminal import answer
 
 
 @described(
-    scene=Argument(metavar="SCENE", help="A store of `estimate`, a T.npz, or an npz of `decode`."),
+    scene=Argument(metavar="SCENE", help="A store, a T.npz, a file of `decode`, or a map."),
     output="Point cloud to write: .ply, .pcd, .obj or .xyz.",
     depth="Depth map to write: .tif, .tiff, .npy, or .png of 16 bits in millimetres.",
     picture="Maps of depth and normals to write: .png.",
@@ -41,7 +41,8 @@ def triangulate(
 
     Direct light can only come from a camera pixel's epipolar line on the projector; what bounced
     between surfaces lies elsewhere. Points come with normals, grey values, the uncertainty of their
-    depth, and how probably it is right.
+    depth, and how probably it is right. A map of another program says which projector pixel each
+    camera pixel sees: an npz of x and y, NAME-x.png and NAME-y.png of 16 bits, or an EXR image.
     """
     shape = lm.triangulate(
         scene, geometry, tolerance=tolerance, least_probability=least_probability, output=output,

@@ -191,6 +191,14 @@ def geometry_of(
         "camera": (camera_shape[0], camera_shape[1]),
         "projector": projector_shape or rig.projector_shape,
     }
+    if isinstance(source, Correspondence) and projector_shape is None:
+        row, col = np.fmax.reduce(source.place.reshape(-1, 2))
+        if row > rig.projector_shape[0] or col > rig.projector_shape[1]:
+            raise InputError(
+                f"places reach row {row:g} and column {col:g} of a projector of "
+                f"{rig.projector_shape[0]} x {rig.projector_shape[1]} pixels",
+                hint="are they in pixels of this projector? Is x the column, and y the row?",
+            )
     blocks = {}
     for device, shape in shapes.items():
         whole = getattr(rig, f"{device}_shape")

@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 from typing import Any
 
@@ -16,11 +17,13 @@ from scipy.io import savemat
 
 from lightmatrix.errors import InputError, OutputError
 from lightmatrix.files import kinds
+from lightmatrix.files.extras import read_exr
+from lightmatrix.files.images import read_image
 from lightmatrix.files.numpy_files import read_npz
-from lightmatrix.files.reading import check_version, errors_naming, parse_json
+from lightmatrix.files.reading import check_version, errors_naming, parse_json, regular_file
 from lightmatrix.files.writing import atomic_file, check_output
 from lightmatrix.paths import as_path
-from lightmatrix.ranges import check_type
+from lightmatrix.ranges import check_type, real_array
 from lightmatrix.transport.correspondence import Correspondence
 from lightmatrix.transport.matrix import LightTransport
 from lightmatrix.transport.operator import HOW_TO_GIVE
@@ -195,12 +198,16 @@ def write_correspondence(
 
 
 def read_correspondence(path: str | Path) -> Correspondence:
-    """Read a correspondence that `decode` wrote.
+    """Read a correspondence that `decode` wrote, or the map of another program.
+
+    A map says which column x and row y of the projector, in pixels from 0, each camera pixel sees.
+    What is negative or NaN is unknown, and 65535 or (0, 0) in integers.
 
     Parameters
     ----------
     path : str or Path
-        The npz file.
+        The npz file of `decode`; one with the arrays x and y, (rows, cols) each; one of two images
+        of 16 bits, NAME-x.png and NAME-y.png; or an EXR image with x in red and y in green.
 
     Returns
     -------
@@ -220,9 +227,14 @@ def read_correspondence(path: str | Path) -> Correspondence:
     (64, 64)
     """
     file = as_path(path)
+    if file.suffix.lower() != ".npz":
+        return _map_of_images(file)
     content = read_npz(file)
+    if {"x", "y"} <= set(content):
+        with errors_naming(file):
+            return _of_map(content["x"], content["y"])
     if kinds.CORRESPONDENCE_MARK not in content:
-        hint = "give a file that `lightmatrix decode` wrote"
+        hint = "give a file that `lightmatrix decode` wrote, or one with the arrays x and y"
         raise InputError(f"{file}: is no correspondence", hint=hint)
     _check_version(file, content[kinds.CORRESPONDENCE_MARK])
     shape = content.get("projector_shape")
@@ -240,3 +252,36 @@ def read_correspondence(path: str | Path) -> Correspondence:
         words = error.message if isinstance(error, InputError) else str(error)
         hint = "make it again with `lightmatrix decode`"
         raise InputError(f"{file}: is damaged ({words})", hint=hint) from error
+
+
+def _map_of_images(file: Path) -> Correspondence:
+    """The map of an EXR image, or of the pair of images to which a file belongs."""
+    if file.suffix.lower() == ".exr":
+        channels = np.moveaxis(np.atleast_3d(read_exr(regular_file(file))), -1, 0)
+        if len(channels) < 2:
+            raise InputError(f"{file}: has one channel", hint="give x in red and y in green")
+        x, y = channels[:2]
+    else:
+        stem = re.fullmatch(r"(.*?)[xy]", file.stem, flags=re.IGNORECASE | re.DOTALL)
+        if stem is None:
+            hint = "name the images NAME-x.png and NAME-y.png, and give one of them"
+            raise InputError(f"{file}: is no image of a pair", hint=hint)
+        x, y = (read_image(file.with_name(f"{stem[1]}{axis}{file.suffix}")) for axis in "xy")
+    with errors_naming(file):
+        return _of_map(x, y)
+
+
+def _of_map(x: NDArray[Any], y: NDArray[Any]) -> Correspondence:
+    """A correspondence from the columns x and rows y, (rows, cols), that camera pixels see."""
+    if np.ndim(x) != 2 or np.shape(x) != np.shape(y):
+        hint = "give x and y as (rows, cols) of the camera, in projector pixels"
+        raise InputError(f"x and y of shapes {np.shape(x)} and {np.shape(y)}", hint=hint)
+    place = np.stack([real_array("y", y), real_array("x", x)], axis=-1).astype(np.float32)
+    known = np.asarray(np.isfinite(place).all(axis=-1) & (place >= 0).all(axis=-1))
+    if np.issubdtype(x.dtype, np.integer):
+        known &= (place < 65535).all(axis=-1) & (place > 0).any(axis=-1)
+    if not known.any():
+        raise InputError("no camera pixel sees the projector", hint="is this the right file?")
+    place[~known] = np.nan
+    pixel = np.where(known[..., None], np.rint(np.nan_to_num(place)), -1).astype(np.int32)
+    return Correspondence(pixel, place, known.astype(np.float32))

@@ -10,6 +10,7 @@ from __future__ import annotations
 import hashlib
 import json
 import math
+import zipfile
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
@@ -25,7 +26,13 @@ from zarr.codecs import BloscCodec
 
 from lightmatrix.errors import InputError
 from lightmatrix.files.colours import COLOURS, colour_paths
-from lightmatrix.files.kinds import COLOUR_STORES, CORRESPONDENCE, PARTIAL, PROJECTOR_STORES, STORE
+from lightmatrix.files.kinds import (
+    COLOUR_STORES,
+    CORRESPONDENCE_MARK,
+    PARTIAL,
+    PROJECTOR_STORES,
+    STORE,
+)
 from lightmatrix.files.reading import read_bytes
 from lightmatrix.files.writing import atomic_folder
 from lightmatrix.files.zarr_arrays import (
@@ -214,15 +221,17 @@ def open(path: str | Path) -> LightTransport:
 def open_matches(
     source: LightTransport | Correspondence | str | Path,
 ) -> LightTransport | Correspondence:
-    """Open a store, a T.npz or a correspondence; what is in memory is returned unchanged."""
+    """Open a store, a T.npz or a map of places; what is in memory is returned unchanged."""
     if isinstance(source, LightTransport | Correspondence):
         return source
     path = as_path(source)
-    if path.suffix.lower() == ".npz" and path.is_file():
+    suffix, names = path.suffix.lower(), set[str]()
+    if suffix == ".npz":
         # Files that cannot be read are left to the reader of T to name.
-        with suppress(OSError):
-            if CORRESPONDENCE.recognize(path):
-                return read_correspondence(path)
+        with suppress(OSError, zipfile.BadZipFile), zipfile.ZipFile(path) as archive:
+            names = set(archive.namelist())
+    if suffix in (".png", ".exr") or names & {f"{CORRESPONDENCE_MARK}.npy", "x.npy"}:
+        return read_correspondence(path)
     return open(path)
 
 
