@@ -44,12 +44,10 @@ class Plan:
     @property
     def shapes(self) -> dict[str, Any]:
         """Everything that a light transport has besides its rows."""
-        return {
-            "camera_shape": self.work.capture.camera_shape,
-            "projector_shape": self.work.capture.projector_shape,
-            "background_grid": self.background_grid,
-            "provenance": dict(self.provenance),
-        }
+        capture = self.work.capture
+        sizes = {"camera_shape": capture.camera_shape, "projector_shape": capture.projector_shape}
+        made = {"background_grid": self.background_grid, "provenance": dict(self.provenance)}
+        return sizes | made
 
     @property
     def fingerprint(self) -> dict[str, Any]:
@@ -127,15 +125,9 @@ def rows_with_diagnostics(
     samples: Samples, result: Result, **diagnostics: NDArray[Any]
 ) -> SparseRows:
     """Solved rows in single precision with their diagnostics, (m,) each, and further ones."""
-    return replace(
-        result.rows.single(),
-        diagnostics={
-            "clipped_share": samples.clipped.mean(axis=1, dtype=np.float32),
-            **result.rows.diagnostics,
-            "gap": result.gap.astype(np.float32),
-            **diagnostics,
-        },
-    )
+    shares = {"clipped_share": samples.clipped.mean(axis=1, dtype=np.float32)}
+    solved = {**result.rows.diagnostics, "gap": result.gap.astype(np.float32)}
+    return replace(result.rows.single(), diagnostics={**shares, **solved, **diagnostics})
 
 
 def solver_provenance(solver: Solver) -> dict[str, Any]:
@@ -152,15 +144,10 @@ def solver_provenance(solver: Solver) -> dict[str, Any]:
 def capture_provenance(capture: Capture) -> dict[str, Any]:
     """The patterns, the capture and the versions of everything, JSON-ready."""
     sizes = {PROJECTORS: list(map(list, capture.projectors))} if capture.projectors else {}
+    versions = {"lightmatrix": __version__, "numpy": np.__version__, "scipy": scipy.__version__}
+    patterns = capture.patterns
     return {
-        **sizes,
-        "patterns": capture.patterns.description,
-        "pattern_digest": capture.patterns.digest,
+        **sizes, "patterns": patterns.description, "pattern_digest": patterns.digest,
         "capture_description": capture.description,
-        "versions": {
-            "lightmatrix": __version__,
-            "numpy": np.__version__,
-            "scipy": scipy.__version__,
-            "python": platform.python_version(),
-        },
-    }
+        "versions": {**versions, "python": platform.python_version()},
+    }  # fmt: skip

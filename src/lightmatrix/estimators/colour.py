@@ -10,7 +10,7 @@ inverse makes 3 K grey photographs of K in colour, which give a better G, and so
 from __future__ import annotations
 
 from contextlib import nullcontext
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -156,12 +156,9 @@ def unmixed_capture(
     parts = [_separated_samples(samples, gains, coloured)]
     if len(grey):
         parts.insert(0, _grey_samples(samples, white, grey))
-    known = Samples(
-        *(
-            np.concatenate([getattr(part, name) for part in parts], axis=1)
-            for name in ("values", "clipped", "clip_level", "weights")
-        )
-    )
+    names = "values", "clipped", "clip_level", "weights"
+    each = ([getattr(part, name) for part in parts] for name in names)
+    known = Samples(*(np.concatenate(arrays, axis=1) for arrays in each))
     # The grey patterns, then those of red, green and blue in the others.
     sets = [one.subset(coloured) for one in samples.patterns.primaries]
     if len(grey):
@@ -318,16 +315,10 @@ def estimate_colour(
         factors = gains[..., number].ravel().astype(np.float32)
         sparse = geometry.sparse[pixel]
         sparse.data *= np.repeat(factors, np.diff(sparse.indptr))
-        parts.append(
-            replace(
-                geometry,
-                sparse=sparse,
-                background=geometry.background[pixel] * factors[:, None],
-                camera_shape=capture.camera_shape,
-                diagnostics=diagnostics,
-                provenance={**provenance, "primary": name},
-            )
-        )
+        background = geometry.background[pixel] * factors[:, None]
+        shapes = capture.camera_shape, geometry.projector_shape, geometry.background_grid
+        made_by = {**provenance, "primary": name}
+        parts.append(LightTransport(sparse, background, *shapes, diagnostics, made_by))
     colour = ColourTransport(*parts)
     if output is not None:
         save_colour(output, colour, overwrite=overwrite)

@@ -41,9 +41,7 @@ class EstimateSettings:
     Examples
     --------
     >>> import lightmatrix as lm
-    >>> capture = lm.simulate("metal", lm.BernoulliPatterns((64, 64), 32))
-    >>> settings = lm.EstimateSettings(solver="romp")
-    >>> lm.estimate_resources(capture, settings).fits
+    >>> lm.EstimateSettings(solver="romp").fidelity is None
     True
     """
 

@@ -334,10 +334,8 @@ def _solved(seen: Prediction, changes: Array) -> tuple[Array, Array] | None:
 
 
 def _undetermined(what: str = "camera's response") -> InputError:
-    return InputError(
-        f"the photographs do not determine the {what}",
-        hint="measure it with `lightmatrix response`, or give one, such as gamma:2.2",
-    )
+    hint = "measure it with `lightmatrix response`, or give one, such as gamma:2.2"
+    return InputError(f"the photographs do not determine the {what}", hint=hint)
 
 
 def _refuse_patterns(capture: Capture, *, projector: bool) -> None:

@@ -336,16 +336,12 @@ class _Pickler(pickle.Pickler):
             return Path, (os.path.abspath(obj),)
         kind = type(obj)
         if is_dataclass(kind) and kind.__module__.startswith("lightmatrix."):
+            values = {part.name: getattr(obj, part.name) for part in fields(obj)}
             # A private field with a default factory is a cache and starts empty.
-            return _rebuild, (
-                kind,
-                {
-                    part.name: part.default_factory()
-                    if part.name.startswith("_") and part.default_factory is not MISSING
-                    else getattr(obj, part.name)
-                    for part in fields(obj)
-                },
-            )
+            for part in fields(obj):
+                if part.name.startswith("_") and part.default_factory is not MISSING:
+                    values[part.name] = part.default_factory()
+            return _rebuild, (kind, values)
         return NotImplemented
 
 

@@ -161,11 +161,6 @@ class ColumnIndex:
     Examples
     --------
     See `index_columns`.
-
-    >>> import lightmatrix as lm
-    >>> lm.ColumnIndex.open("gone.zarr")  # doctest: +IGNORE_EXCEPTION_DETAIL
-    Traceback (most recent call last):
-    lightmatrix.errors.InputError: gone.zarr: no such file
     """
 
     matrix: StoredTransport

@@ -65,14 +65,10 @@ class SparseRows:
         """
         if len(parts) == 1:
             return parts[0]
-        return cls(
-            stack_rows([part.coefficients for part in parts]),
-            np.concatenate([part.background for part in parts]),
-            {
-                name: np.concatenate([part.diagnostics[name] for part in parts])
-                for name in parts[0].diagnostics
-            },
-        )
+        each = {name: [p.diagnostics[name] for p in parts] for name in parts[0].diagnostics}
+        diagnostics = {name: np.concatenate(values) for name, values in each.items()}
+        background = np.concatenate([part.background for part in parts])
+        return cls(stack_rows([part.coefficients for part in parts]), background, diagnostics)
 
     def arrays(self) -> dict[str, NDArray[Any]]:
         """The rows as named arrays, for `from_arrays`."""
@@ -91,11 +87,8 @@ class SparseRows:
             parts = arrays["data"], arrays["indices"], arrays["indptr"]
             matrix, background = csr_array(parts, shape=(count, pixels)), arrays["background"]
             matrix.check_format(full_check=True)
-            diagnostics = {
-                name.removeprefix(_DIAGNOSTIC): values
-                for name, values in arrays.items()
-                if name.startswith(_DIAGNOSTIC)
-            }
+            named = [name for name in arrays if name.startswith(_DIAGNOSTIC)]
+            diagnostics = {name.removeprefix(_DIAGNOSTIC): arrays[name] for name in named}
             if background.shape[:-1] != (count,):
                 raise ValueError(f"a background of shape {background.shape} for {count} rows")
             for name, values in diagnostics.items():

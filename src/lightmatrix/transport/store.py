@@ -289,14 +289,6 @@ def open_colour(folder: str | Path) -> ColourTransport:
     ------
     InputError
         If one of them is missing or damaged.
-
-    Examples
-    --------
-    >>> import lightmatrix as lm
-    >>> known = lm.truth("metal").transport()
-    >>> lm.save_colour("saved", lm.ColourTransport(known, known, known))
-    >>> lm.open_colour("saved").projector_shape
-    (64, 64)
     """
     red, green, blue = (open(path) for path in colour_paths(folder))
     return ColourTransport(red, green, blue)

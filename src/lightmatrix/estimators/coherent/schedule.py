@@ -98,15 +98,10 @@ def schedule(
     for spacing, own in finer:
         searched = min(GROWTH.search_after, len(own) - 1)
         for i, window in enumerate(own):
-            rounds.append(
-                Round(
-                    spacing,
-                    window,
-                    rounds[-1].age + 1,
-                    search_unexplained=share if i + 1 == searched else 0.0,
-                    skip_settled=i >= searched and window == own[i - 1],
-                )
-            )
+            searching = share if i + 1 == searched else 0.0
+            settled = i >= searched and window == own[i - 1]
+            age = rounds[-1].age + 1
+            rounds.append(Round(spacing, window, age, False, False, searching, settled))
     last = rounds.pop()
     return (*rounds, Round(last.spacing, last.window, last.age, last=True))
 
