@@ -16,8 +16,8 @@ from lightmatrix.capture.capture import capture_of_samples
 from lightmatrix.capture.correction import Correction
 from lightmatrix.capture.samples import Samples
 from lightmatrix.rig_model.least_squares import Regression
-from lightmatrix.rig_model.model import RigModel
-from lightmatrix.rig_model.prediction import MARGIN, Prediction, displaced, slopes
+from lightmatrix.rig_model.model import RigModel, _between
+from lightmatrix.rig_model.prediction import INNER, MARGIN, Prediction, displaced, slopes
 from lightmatrix.rig_model.terms import TERMS
 from lightmatrix.simulation.simulate import SimulatedCapture
 
@@ -227,6 +227,21 @@ def test_slopes_of_a_plane_are_exact_away_from_its_border() -> None:
     assert first.shape == (2, 1, 32 - 2 * MARGIN, 34 - 2 * MARGIN, 1, 1)
     assert np.allclose(first, np.array([3, -2])[:, None, None, None, None, None], atol=2e-3)
     assert np.allclose(second, 0, atol=2e-3)
+
+
+def test_detail_between_pixels_is_told_by_the_four_neighbours() -> None:
+    generator = np.random.default_rng(0)
+    light = generator.random((1, 6 + 2 * MARGIN, 5 + 2 * MARGIN, 1, 32)).astype(np.float32)
+    moves = generator.normal(0, 0.1, (2, 32))
+    here, below = light[INNER], np.roll(light, -1, 1)[INNER]
+    missed = (0.3 * moves[0] * (below - here)).astype(np.float32)
+    exact = generator.random(missed.shape) < 0.9
+    noise = generator.normal(0, 0.1 * missed.std(), missed.shape).astype(np.float32)
+    told = _between(light, (missed + noise) * exact, exact, moves) * exact
+    assert np.linalg.norm(told - missed * exact) < 0.1 * np.linalg.norm(missed)
+    # Noise alone is hardly believed.
+    told = _between(light, noise * exact, exact, moves)
+    assert np.linalg.norm(told) < 0.25 * np.linalg.norm(noise)
 
 
 @given(st.floats(-1, 1), st.floats(-1, 1))

@@ -72,6 +72,7 @@ def corrected(
     A correction stays as long as photographs held out are predicted better with it.
     """
     model, best, now = RigModel(), first, capture
+    before: LightTransport | None = None
     # Estimates row by row hold no photographs out.
     if prediction_error(first) is None:
         return model, first
@@ -89,19 +90,26 @@ def corrected(
         more = better is not None and better.values.keys() != model.values.keys()
         left = 1.0
         if better is not None:
-            without = better.corrected(capture, best)
+            without = better.corrected(capture, _ahead(best, before))
             transport = estimate(without)
             left = _missed(transport) / max(_missed(best), 1e-12)
             if left <= (_CLEARLY if number and more else _BETTER):
+                before = best if model.values else None
                 model, best, now = better, transport, without
             elif alone:
                 allowed = [name for name in allowed if name not in better.values]
         if left > _BETTER and others and not alone:
             break
         others = left > _CLEARLY or alone
-    # What a large fault leaves as long as it is not known well looks like others, and photographs
-    # are sharper than what a blurred T predicts, as if the camera sharpened them. So beside others,
-    # or if it is the camera's sharpening, a term stays only if it helps by a tenth.
+    # Detail between the pixels of the camera is looked for once T is known apart from it.
+    for limit in (_CLEARLY, _BETTER, _BETTER) if "shift" in model.values else ():
+        better = replace(model, detail=True)
+        transport = estimate(better.corrected(capture, _ahead(best, before)))
+        if _missed(transport) > limit * _missed(best):
+            break
+        model, best, before = better, transport, best if model.detail else None
+    # Photographs are sharper than what a blurred T predicts, as if the camera sharpened them. So
+    # beside others, or if it is the camera's sharpening, a term stays only if it helps by a tenth.
     for name in tuple(model.values):
         rest = {other: each for other, each in model.values.items() if other != name}
         if rest or name == "camera-sharpening":
@@ -111,6 +119,14 @@ def corrected(
                 model, best = simpler, transport
     provenance = {**first.provenance, **({RIG: model.as_dict()} if model.names else {})}
     return model, replace(best, provenance=provenance)
+
+
+def _ahead(now: LightTransport, before: LightTransport | None) -> LightTransport:
+    """T after another half of its last step, since T of moved pictures is reached by small ones."""
+    if before is None or before.background.shape != now.background.shape:
+        return now
+    sparse, background = 1.5 * now.sparse, 1.5 * now.background - 0.5 * before.background
+    return replace(now, sparse=sparse - 0.5 * before.sparse, background=background)
 
 
 def _missed(transport: LightTransport) -> float:

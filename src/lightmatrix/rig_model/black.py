@@ -36,16 +36,14 @@ class Black(Term):
         weight = (1 / (scatter * (missed + np.median(missed))))[known]
         level, dark = level[known], dark[known]
         # Groups of pixels that lie beside each other, since there are dark ones in some.
-        least, share = 0.0, 0.0
+        most, share = 0.0, 0.0
         for some in np.array_split(np.arange(len(known)), max(1, len(known) // 64)):
-            total = (weight * dark**2)[some].sum()
-            ratio = (weight * dark * level)[some].sum() / max(total, 1e-12)
-            off = (weight * dark * (level - ratio * dark))[some]
-            most = ratio + 4 * np.sqrt((off**2).sum()) / max(total, 1e-12)
-            if most < least:
-                least, share = most, -ratio
+            along = (weight * dark)[some] / max((weight * dark**2)[some].sum(), 1e-12)
+            ratio = along @ level[some]
+            error = np.linalg.norm(along * (level - ratio * dark)[some])
+            most, share = min((most, share), (ratio + 4 * error, -ratio))
         size = share * np.sqrt((dark**2).mean() / (seen.predicted**2).mean())
-        return np.array([min(share, 0.99)]) if least < -0.02 and size > self.least else None
+        return np.array([min(share, 0.99)]) if most < -0.02 and size > self.least else None
 
     def take_out(self, values: Array, draft: Draft) -> None:
         decoder = draft.capture.decoder

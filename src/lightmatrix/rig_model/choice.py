@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,39 +14,9 @@ from lightmatrix.rig_model.term import Term
 Array = NDArray[np.float64]
 
 
-@dataclass(frozen=True)
-class Limits:
-    """When a term is there.
-
-    Parameters
-    ----------
-    explained : float
-        It explains at least this share of what is left.
-    chance : float
-        It explains at least this many times what as many random numbers would.
-    beside : float
-        It explains at least this share of what the first term does, and changes the photographs by
-        this share of what was taken out before. A smaller one may be a trace of large ones that are
-        not known exactly.
-    alike : float
-        A term with fewer numbers is there in place of one that explains more, if it explains this
-        share of it: light that varies along the rows may vary alike in all of them, and a curve
-        changes frames of several exposures as their light does.
-    shared : float
-        A term whose numbers all frames share is there in place of one with numbers for each frame,
-        if it explains this share of it. A camera with a gamma of 2.2 changes glossy scenes as light
-        that varies does, and explains half of what that explains; where light truly varies, no
-        curve explains more than a fiftieth of it.
-    """
-
-    explained: float = 0.01
-    chance: float = 25.0
-    beside: float = 0.1
-    alike: float = 0.75
-    shared: float = 0.25
-
-
-LIMITS = Limits()
+# A term explains at least this share of what the first one does, and changes the photographs by
+# this share of what was taken out before. A smaller one may be a trace of large ones.
+_BESIDE = 0.1
 
 
 def choose_terms(
@@ -70,7 +39,7 @@ def choose_terms(
     regressors = {name: each for name, each in every.items() if each is not None}
     per_frame = {name: asked[name].per_frame for name in regressors}
     least = {
-        name: Term.least if name in known else max(each.least, LIMITS.beside * largest)
+        name: Term.least if name in known else max(each.least, _BESIDE * largest)
         for name, each in asked.items()
     }
     left = seen.left
@@ -107,14 +76,16 @@ def _forward(
             numbers, stated, together = regression.solve([*chosen, name])
             more, rest = together - explained, regression.total - explained
             by_chance = regression.numbers[name] / free * (regression.total - together)
-            score = more - LIMITS.chance * by_chance
+            # It explains at least 25 times what as many random numbers would.
+            score = more - 25 * by_chance
             least, most = terms[name].between
             after = numbers[name]
             if name in known:
                 after = terms[name].added(known[name], after)
             if not terms[name].per_frame and not least <= after.sum() <= most:
                 continue
-            if score <= 0 or more < max(LIMITS.explained * rest, LIMITS.beside * first):
+            # It explains at least a hundredth of what is left.
+            if score <= 0 or more < max(0.01 * rest, _BESIDE * first):
                 continue
             # A term that takes the place of a chosen one cannot be told from it.
             if any(_total(numbers[n]) < _total(found[n]) / 2 for n in chosen):
@@ -122,14 +93,16 @@ def _forward(
             if regression.size(name, numbers[name]) > smallest[name]:
                 candidates.append((score, name, numbers, stated, together))
         most = max((each[0] for each in candidates), default=0.0)
+        # Numbers that all frames share go before those of each frame. A camera with a gamma of 2.2
+        # changes glossy scenes as light that varies does, and explains half of what that explains;
+        # where light truly varies, no curve explains more than a fiftieth of it.
         common = [
-            each
-            for each in candidates
-            if not terms[each[1]].per_frame and each[0] >= LIMITS.shared * most
+            each for each in candidates if not terms[each[1]].per_frame and each[0] >= most / 4
         ]
         candidates = common or candidates
-        # Of terms that explain nearly the same, the one with the fewest numbers is there.
-        enough = LIMITS.alike * max((each[0] for each in candidates), default=0.0)
+        # Of terms that explain nearly the same, the one with the fewest numbers is there: light
+        # that varies along the rows may vary alike in all of them.
+        enough = 0.75 * max((each[0] for each in candidates), default=0.0)
         alike = [each for each in candidates if each[0] >= enough]
         candidate = min(
             alike, key=lambda each: (regression.numbers[each[1]], -each[0]), default=None

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 import numpy as np
 
 from lightmatrix.rig_model.prediction import Prediction
@@ -29,9 +31,7 @@ class Crosstalk(Term):
         def lost(images: Array, before: Array, side: int) -> Array:
             return -images * (1 - neighbours(images)[side])
 
-        return np.stack(
-            [seen.under(lambda i, b, side=side: lost(i, b, side)) for side in (0, 1)]  # type: ignore[misc]
-        )
+        return np.stack([seen.under(partial(lost, side=side)) for side in (0, 1)])
 
     def take_out(self, values: Array, draft: Draft) -> None:
         def dimmed(images: Array, before: Array) -> Array:

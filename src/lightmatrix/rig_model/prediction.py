@@ -172,14 +172,10 @@ def _strongest_pixels(
     """The strongest projector pixels of some rows, (m, count): one for five frames, at most six."""
     count = max(1, min(6, frames // 5))
     sparse = transport.sparse[index]
-    sizes = np.diff(sparse.indptr)
-    owner = np.repeat(np.arange(len(index)), sizes)
-    order = np.lexsort((-sparse.data, owner))
-    rank = np.arange(len(owner)) - np.repeat(sparse.indptr[:-1], sizes)
-    kept = rank < count
-    pixels = np.zeros((len(index), count), np.int64)
-    pixels[owner[kept], rank[kept]] = sparse.indices[order[kept]]
-    return pixels
+    order = np.lexsort((-sparse.data, np.repeat(np.arange(len(index)), np.diff(sparse.indptr))))
+    places = sparse.indptr[:-1, None] + np.arange(count)
+    ordered = np.append(sparse.indices[order], np.zeros(count, np.int64))
+    return np.where(places < sparse.indptr[1:, None], ordered[places], 0)
 
 
 def slopes(images: Array) -> tuple[Array, Array]:

@@ -23,6 +23,11 @@ class Shift(Term):
     def take_out(self, values: Array, draft: Draft) -> None:
         draft.shift = values
 
+    def added(self, values: Array, step: Array) -> Array:
+        # T is blurred by what it swallowed, so that steps are too short, by shares that are alike.
+        along = float((step * values).sum() / max((values**2).sum(), 1e-12))
+        return values + step / (1 - min(max(along, 0.0), 0.6))
+
     def sentence(self, values: Array) -> str:
         # A creep is smooth: frames differ less from the next one than from all others.
         steps = np.diff(values, axis=1)

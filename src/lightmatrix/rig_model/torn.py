@@ -15,15 +15,41 @@ _BANDS, _PIXELS = 64, 32
 
 
 class Torn(Term):
-    """Each camera row shows the pattern of this many frames before, (1, rows)."""
+    """Each camera row shows the pattern of this many frames before: -1, 0 or 1, (1, rows)."""
 
     name = "torn"
     label = "previous"
     advice = Previous.advice
 
     def found(self, seen: Prediction) -> Array | None:
-        """T is not asked, since it is wrong where the picture is torn."""
-        return torn_rows(seen.capture)
+        """A band of rows is late if most of its pixels follow a projector pixel better then.
+
+        Half of all bands are in order. T is not asked, since it is wrong.
+        """
+        capture = seen.capture
+        rows, cols = capture.camera_shape[0], int(np.prod(capture.camera_shape[1:]))
+        if capture.count < 12:
+            return None
+        bands = np.array_split(np.arange(rows), min(rows, _BANDS))
+        draw = np.random.default_rng(0)
+        chosen = np.stack(
+            [draw.choice(band, _PIXELS) * cols + draw.integers(0, cols, _PIXELS) for band in bands]
+        )
+        samples = samples_of_rows(capture, chosen.ravel())
+        follow = np.stack([_followed(capture, samples.values, late) for late in (-1, 0, 1)])
+        follow = follow.reshape(3, len(bands), _PIXELS)
+        # Dark pixels follow nothing, and tell nothing.
+        lit = follow.max(axis=0) > 0.8
+        better = (follow - follow[1] > 0.1) & lit
+        share = better.sum(axis=2) / np.maximum(lit.sum(axis=1), 1)
+        late = np.where(lit.sum(axis=1) >= _PIXELS // 4, share, 0) > 0.8
+        found = np.where(late[2], 1.0, np.where(late[0], -1.0, 0.0))
+        if not found.any() or np.mean(found != 0) > 0.5:
+            return None
+        # A band of dark pixels between late ones is late, too.
+        known = np.flatnonzero((lit.sum(axis=1) >= _PIXELS // 4) | (found != 0))
+        nearest = known[np.abs(np.arange(len(bands))[:, None] - known).argmin(axis=1)]
+        return np.repeat(found[nearest], [len(band) for band in bands])[None]
 
     def take_out(self, values: Array, draft: Draft) -> None:
         draft.lag = np.rint(values[0]).astype(np.int64)
@@ -33,46 +59,16 @@ class Torn(Term):
         return f"{share:.0f} % of the camera's rows show the pattern of another frame"
 
 
-def torn_rows(capture: Capture) -> Array | None:
-    """How many frames late each camera row is: -1, 0 or 1, (1, rows); None if none is.
-
-    A band of rows is late if nearly all of its pixels follow some projector pixel clearly better
-    when their samples are read one frame later or earlier, and half of all bands are in order.
-    """
-    rows, cols = capture.camera_shape[0], int(np.prod(capture.camera_shape[1:]))
-    if capture.count < 12:
-        return None
-    bands = np.array_split(np.arange(rows), min(rows, _BANDS))
-    draw = np.random.default_rng(0)
-    chosen = np.stack(
-        [draw.choice(band, _PIXELS) * cols + draw.integers(0, cols, _PIXELS) for band in bands]
-    )
-    samples = samples_of_rows(capture, chosen.ravel())
-    follow = np.stack([_followed(capture, samples.values, late) for late in (-1, 0, 1)])
-    follow = follow.reshape(3, len(bands), _PIXELS)
-    # Dark pixels follow nothing, and tell nothing.
-    lit = follow.max(axis=0) > 0.8
-    better = (follow - follow[1] > 0.1) & lit
-    share = better.sum(axis=2) / np.maximum(lit.sum(axis=1), 1)
-    late = np.where(lit.sum(axis=1) >= _PIXELS // 4, share, 0) > 0.8
-    found = np.where(late[2], 1.0, np.where(late[0], -1.0, 0.0))
-    if not found.any() or np.mean(found != 0) > 0.5:
-        return None
-    # A band of dark pixels between late ones is late, too.
-    known = np.flatnonzero((lit.sum(axis=1) >= _PIXELS // 4) | (found != 0))
-    nearest = known[np.abs(np.arange(len(bands))[:, None] - known).argmin(axis=1)]
-    return np.repeat(found[nearest], [len(band) for band in bands])[None]
-
-
 def _followed(capture: Capture, values: Array, late: int) -> Array:
     """The correlation of samples (m, K), read `late` frames later, with their best pixel, (m,)."""
     count = capture.count
     patterns = np.arange(max(0, -late), count - max(0, late))
     shown = capture.patterns.subset(patterns)
-    read = values[:, patterns + late] - values[:, patterns + late].mean(axis=1, keepdims=True)
-    read /= np.maximum(np.linalg.norm(read, axis=1, keepdims=True), 1e-12)
+    read = _scaled(values[:, patterns + late])
     pixels = best_pixels(shown, column_scale(shown), read)
-    columns = shown.columns(pixels).T.astype(np.float64)
-    columns -= columns.mean(axis=1, keepdims=True)
-    columns /= np.maximum(np.linalg.norm(columns, axis=1, keepdims=True), 1e-12)
-    return np.asarray((columns * read).sum(axis=1))
+    return np.asarray((_scaled(shown.columns(pixels).T.astype(np.float64)) * read).sum(axis=1))
+
+
+def _scaled(values: Array) -> Array:
+    values = values - values.mean(axis=1, keepdims=True)
+    return values / np.maximum(np.linalg.norm(values, axis=1, keepdims=True), 1e-12)

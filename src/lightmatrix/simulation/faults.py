@@ -233,17 +233,11 @@ class Faults:
             shown = FAULTS[name].act(shown, self._shots(name, patterns, np.ones(1)))
         return ImagePatterns(shown.reshape(patterns.count, *patterns.shape))
 
-    def of_light(
-        self, light: Images, patterns: PatternSet, shape: tuple[int, ...], exposures: Any
-    ) -> Images:
-        """The projector's light (M, K) as it is over time; `shape` is that of a frame."""
-        return self._acted(light, patterns, shape, exposures, "light")
-
     def of_camera(
         self, light: Images, patterns: PatternSet, shape: tuple[int, ...], exposures: Any
     ) -> Images:
         """All light (M, K) as the camera takes it: grown by the room, moved, and processed."""
-        light = self._acted(light, patterns, shape, exposures, "room")
+        light = self.acted("room", light, patterns, shape, exposures)
         if names := self._at("camera's place"):
             size = (patterns.count, *shape)
             each = [
@@ -251,17 +245,13 @@ class Faults:
             ]
             moves = np.sum(each, axis=0)
             light = _moved(light, moves - moves.mean(axis=0), shape)
-        return self._acted(light, patterns, shape, exposures, "camera")
+        return self.acted("camera", light, patterns, shape, exposures)
 
-    def _acted(
-        self,
-        light: Images,
-        patterns: PatternSet,
-        shape: tuple[int, ...],
-        exposures: Any,
-        place: str,
+    def acted(
+        self, at: str, light: Images, patterns: PatternSet, shape: tuple[int, ...], exposures: Any
     ) -> Images:
-        names = self._at(place)
+        """Light (M, K) after the faults of a place; `shape` is that of a frame."""
+        names = self._at(at)
         if not names:
             return light
         images = light.T.reshape(-1, shape[0], shape[1], light.shape[0] // (shape[0] * shape[1]))

@@ -265,7 +265,7 @@ def simulate(
     about = (patterns, truth.camera_shape, sensor.exposure)
     if wrong.amounts:
         glow = leak * white[:, None]
-        light = wrong.of_light(light + glow, *about) - glow
+        light = wrong.acted("light", light + glow, *about) - glow
     light = wrong.of_camera(light + dark, *about)
     raw = sensor.expose(light, seed=seed)
     frames = np.ascontiguousarray(raw.T).reshape(patterns.count, *truth.camera_shape)
