@@ -69,11 +69,9 @@ class ResourceEstimate:
     def check(self) -> None:
         """Refuse an estimate that does not fit into memory, saying what takes less."""
         if not self.fits:
-            raise InputError(
-                f"the estimate takes up to {amount(self.memory)} of memory, "
-                f"{amount(self.available)} are {'allowed' if self.limited else 'free'}",
-                hint=self.advice,
-            )
+            takes = f"the estimate takes up to {amount(self.memory)} of memory"
+            there = f"{amount(self.available)} are {'allowed' if self.limited else 'free'}"
+            raise InputError(f"{takes}, {there}", hint=self.advice)
 
     def as_dict(self) -> dict[str, Any]:
         """The same, JSON-ready."""

@@ -166,11 +166,8 @@ class Tracker:
         wrong = np.maximum(self._lately - self._noise, 0.1 * self._lately)
         error = np.where(unknown, 1, np.sqrt(wrong) / self._length)
         before = diagnostics.get("estimated_error", np.full(len(changed), np.nan))
-        diagnostics |= {
-            "estimated_error": np.where(changed, error, before).astype(np.float32),
-            "since": self.since.copy(),
-            "unknown": unknown.astype(np.float32),
-        }
+        diagnostics["estimated_error"] = np.where(changed, error, before).astype(np.float32)
+        diagnostics |= {"since": self.since.copy(), "unknown": unknown.astype(np.float32)}
         return replace(
             self._given, sparse=self._light.coefficients, background=self._light.background,
             diagnostics=diagnostics,

@@ -164,29 +164,22 @@ def _tile_error(future: Any, status: str, span: Span) -> Exception:
     if isinstance(error, LightMatrixError):
         return error
     if type(error).__name__ == "KilledWorker":
-        return ClusterError(
-            f"rows {span[0]} to {span[1]}: {error.allowed_failures + 1} workers died while "
-            "solving them, one after the other",
-            hint=f"probably memory: use fewer workers, memory or tile_rows. {_CONTINUE}",
-        )
+        hint = f"probably memory: use fewer workers, memory or tile_rows. {_CONTINUE}"
+        died = f"{error.allowed_failures + 1} workers died while solving them, one after the other"
+        return ClusterError(f"rows {span[0]} to {span[1]}: {died}", hint=hint)
     return _worker_error("a worker", error)
 
 
 def _worker_error(address: str, error: BaseException) -> ClusterError:
     if isinstance(error, ImportError):
-        return ClusterError(
-            f"{address}: does not have this version of lightmatrix ({error})", hint=_SAME_VERSIONS
-        )
+        what = f"{address}: does not have this version of lightmatrix ({error})"
+        return ClusterError(what, hint=_SAME_VERSIONS)
     return ClusterError(f"{address}: {_words(error)}", hint=_CONTINUE)
 
 
 def _compare(address: str, found: Mapping[str, str], wanted: Mapping[str, str]) -> None:
-    differing = [
-        f"{name} {found.get(name)}, not {own}"
-        for name, own in wanted.items()
-        if found.get(name) != own
-    ]
-    if differing:
+    others = {name: own for name, own in wanted.items() if found.get(name) != own}
+    if differing := [f"{name} {found.get(name)}, not {own}" for name, own in others.items()]:
         raise ClusterError(f"{address}: has {', '.join(differing)}", hint=_SAME_VERSIONS)
 
 
@@ -263,10 +256,8 @@ def _started(workers: int) -> Iterator[Client]:
             )
             client = stack.enter_context(Client(cluster, set_as_default=False))
         except (OSError, RuntimeError, TimeoutError) as error:
-            raise ClusterError(
-                f"{workers} workers could not be started ({_words(error)})",
-                hint="use fewer of them, or none",
-            ) from error
+            what = f"{workers} workers could not be started ({_words(error)})"
+            raise ClusterError(what, hint="use fewer of them, or none") from error
         yield client
 
 

@@ -40,11 +40,8 @@ class SparseRows:
 
     def rows(self, index: slice | NDArray[np.integer]) -> SparseRows:
         """Some of the rows, in the order of the index."""
-        return SparseRows(
-            csr_array(self.coefficients[index]),
-            self.background[index],
-            {name: values[index] for name, values in self.diagnostics.items()},
-        )
+        diagnostics = {name: values[index] for name, values in self.diagnostics.items()}
+        return SparseRows(csr_array(self.coefficients[index]), self.background[index], diagnostics)
 
     def replaced(self, places: NDArray[np.int64], new: SparseRows) -> SparseRows:
         """These rows with new ones at some places."""

@@ -448,10 +448,8 @@ class StoredTransport(TransportOperator):
         """The diagnostics of some rows by name, (stop - start,) each."""
         arrays = {name: self.arrays[name] for name in self.arrays if name not in _ARRAYS}
         with as_damage_error(self.place, self.remedy):
-            return {
-                name.removeprefix("diagnostics/"): array.read(slice(start, stop))
-                for name, array in arrays.items()
-            }
+            values = {name: array.read(slice(start, stop)) for name, array in arrays.items()}
+        return {name.removeprefix("diagnostics/"): each for name, each in values.items()}
 
     def blocks(self) -> Iterator[tuple[int, SparseRows]]:
         """All rows in blocks of bounded size, without diagnostics: (first row, rows)."""

@@ -190,11 +190,8 @@ class CameraGrid:
         place = coarser._places(self)
         entries = np.zeros(self.count, np.int64)
         entries[place] = np.diff(rows.coefficients.indptr)
-        parts = (
-            rows.coefficients.data,
-            rows.coefficients.indices,
-            np.append(0, np.cumsum(entries)).astype(rows.coefficients.indptr.dtype),
-        )
+        ends = np.append(0, np.cumsum(entries)).astype(rows.coefficients.indptr.dtype)
+        parts = rows.coefficients.data, rows.coefficients.indices, ends
         background = np.zeros((self.count, rows.background.shape[1]), rows.background.dtype)
         background[place] = rows.background
         diagnostics = {}

@@ -290,11 +290,8 @@ class Rounds(Work):
         if solved.cells.shape[1]:
             background += solved.cells
         atoms = rows_with_diagnostics(samples, solved)
-        return replace(
-            atoms,
-            coefficients=solver.atoms.expand(atoms.coefficients),
-            background=background.astype(np.float32),
-        )
+        pixels = solver.atoms.expand(atoms.coefficients)
+        return replace(atoms, coefficients=pixels, background=background.astype(np.float32))
 
     def _judge(
         self, neighbours: Neighbourhood, misfit: NDArray[np.float32], missed: NDArray[np.float32],

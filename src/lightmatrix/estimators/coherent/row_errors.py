@@ -305,11 +305,8 @@ def predicted_samples(
     )
     if solved.cells.shape[1]:
         light = light + solved.cells[index] @ solver.backgrounds.shown_means
-    return Predicted(
-        np.asarray(own @ patterns.columns(used).T, np.float32).reshape(light.shape),
-        np.asarray(light, np.float32),
-        brightness,
-    )
+    of_atoms = np.asarray(own @ patterns.columns(used).T, np.float32).reshape(light.shape)
+    return Predicted(of_atoms, np.asarray(light, np.float32), brightness)
 
 
 def residual_diagnostics(

@@ -111,11 +111,8 @@ class Backgrounds:
     @computed_once
     def _means(self) -> NDArray[np.float32]:
         """Mean of each pattern over each cell, (B, K + E) in [0, 1]."""
-        parts = [
-            self._pooling @ chunk.T
-            for one in (self.shown, self.unseen)
-            for _, chunk in one.chunks()
-        ]
+        chunks = (chunk for one in (self.shown, self.unseen) for _, chunk in one.chunks())
+        parts = [self._pooling @ chunk.T for chunk in chunks]
         return np.clip(np.concatenate(parts, axis=1), 0, 1).astype(np.float32)
 
     @computed_once
@@ -235,10 +232,8 @@ class RowSolver:
     def backgrounds(self) -> Backgrounds:
         """The cells of the background, at most one a pixel."""
         shape, several = self.capture.projector_shape, max(1, len(self.capture.projectors))
-        grid = (
-            min(several * self.background_grid[0], shape[0]),
-            min(self.background_grid[1], shape[1]),
-        )
+        down, right = self.background_grid
+        grid = min(several * down, shape[0]), min(right, shape[1])
         return Backgrounds(grid, self.capture.patterns, self.unseen.single)
 
     def everywhere(
@@ -246,15 +241,11 @@ class RowSolver:
     ) -> Result:
         """Solve each row by itself on all atoms; in two passes if it may be `brief`."""
         problem = self.first_problem(samples)
-        passes = self.solver.max_passes
+        most = min(2, self.solver.max_passes) if brief else self.solver.max_passes
         # A gap of 1 % suffices to show where light may be. Until it is reached there would be 3.5
         # passes; but where every row has neighbours that have searched, two give the same errors.
-        solver = replace(
-            self.solver,
-            tolerance=max(1e-2, self.solver.tolerance),
-            max_passes=min(2, passes) if brief else passes,
-        )
-        return solver.solve(problem, progress)
+        tolerance = max(1e-2, self.solver.tolerance)
+        return replace(self.solver, tolerance=tolerance, max_passes=most).solve(problem, progress)
 
     def unexplained(self, samples: Samples, solved: Result, share: float) -> NDArray[np.int64]:
         """Rows whose samples the solution does not explain, but other atoms might.
