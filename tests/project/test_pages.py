@@ -59,6 +59,7 @@ NOT_RUN = {
     r"^lightmatrix rig list|--projector window": "takes devices; tests/rig",
     r"^v4l2-ctl": "sets a camera",
     r"^lightmatrix view [^-]*$|serve_viewer": "runs until Ctrl-C; tests/viewer",
+    r"^lightmatrix track .*--watch": "waits for photographs; tests/estimators/test_tracking.py",
     r"^python -m experiments|bundled_scenes": "runs for hours; tests/experiments",
 }
 

@@ -136,13 +136,7 @@ def _missed(transport: LightTransport) -> float:
 
 
 def terms_to_correct(correct: str | Sequence[str]) -> tuple[str, ...]:
-    """The terms that a `correct` of `estimate` allows.
-
-    Raises
-    ------
-    InputError
-        If it names none.
-    """
+    """The terms that a `correct` of `estimate` allows; an InputError if it names none."""
     if correct == "none":
         return ()
     if correct == "auto":

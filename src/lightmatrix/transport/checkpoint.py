@@ -52,11 +52,8 @@ class Checkpoint:
     def __init__(
         self, path: Path, kept: RunningResults, token: str, overwrite: bool, claim: ExitStack
     ) -> None:
-        self._path = path
-        self._kept = kept
-        self._overwrite = overwrite
-        self._claim = claim
-        self._token = token
+        self._path, self._kept, self._token = path, kept, token
+        self._overwrite, self._claim = overwrite, claim
         # The undamaged tiles of each step that was asked for.
         self._spans: dict[str, list[Span]] = {}
 
@@ -133,14 +130,10 @@ class Checkpoint:
         self._spans[step] = []
 
     def finish(
-        self,
-        *,
-        camera_shape: tuple[int, ...],
-        projector_shape: tuple[int, int],
-        background_grid: tuple[int, int] = (1, 1),
-        provenance: Mapping[str, Any] | None = None,
+        self, *, camera_shape: tuple[int, ...], projector_shape: tuple[int, int],
+        background_grid: tuple[int, int] = (1, 1), provenance: Mapping[str, Any] | None = None,
         step: str = ROWS,
-    ) -> LightTransport:
+    ) -> LightTransport:  # fmt: skip
         """Join the tiles on disk into the output, so that T is in memory once, and remove them."""
         spans = self.spans(step)
         edges = [0, *(stop for _, stop in spans)]
