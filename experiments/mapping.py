@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import binary_dilation
 from scipy.sparse import csr_array
 from scipy.spatial import cKDTree
 from skimage import data
@@ -60,7 +61,7 @@ def cases(quick: bool) -> Iterator[Case]:
     for seed in range(1 if quick else 3):
         for scene in ("corner",) if quick else ("mirror_balls", "metal"):
             yield Case("maps", scene, 64, seed)
-        for scene in ("l_objects", "corner"):
+        for scene in ("l_objects", "corner") + (() if quick else ("stage", "statues")):
             yield Case("projectors", scene, 64, seed)
     yield Case("picture", "l_objects", 64 if quick else 128, 0)
 
@@ -131,35 +132,37 @@ def _plain(shared: Compensator, wanted: NDArray[np.float32], scale: float) -> ND
     return np.clip(scale * shown, 0, 1)
 
 
-def _projectors(whole: Truth, seed: int) -> Measured:
+def _projectors(truth: Truth, seed: int) -> Measured:
     """Two projectors that overlap by a third, measured at once by one set of random patterns."""
-    # The right one hangs upside down and is darker.
-    pixels = np.arange(whole.matrix.shape[1]).reshape(whole.projector_shape)
-    chosen = [pixels[:, LEFT], pixels[::-1, RIGHT][:, ::-1]]
-    truths = [_part(whole, *part) for part in zip(chosen, (1.0, 0.7), strict=True)]
-    cols = truths[0].projector_shape[1]
-    # Both are one wide projector to the estimate.
-    both = _part(whole, np.hstack(chosen), np.repeat([1.0, 0.7], cols))
-    alone = [estimate(_photographed(truth, "bernoulli", 32, seed)) for truth in truths]
-    rows_ = [
-        {"method": f"alone, projector {k}", "error": relative_error(found, truth.transport())}
-        for k, (found, truth) in enumerate(zip(alone, truths, strict=True), start=1)
+    both = truth if "projectors" in truth.metadata else _two_of_one(truth)
+    known, shape = both.transport().split(), both.camera_shape
+    rows: list[Row] = []
+
+    def add(method: str, found: Sequence[LightTransport]) -> None:
+        for k, (one, right) in enumerate(zip(found, known, strict=True), start=1):
+            error = relative_error(one, right)
+            rows.append({"method": f"{method}, projector {k}", "error": error})
+
+    truths = [
+        Truth(one.sparse, np.zeros_like(one.sparse.data), shape, one.projector_shape)
+        for one in known
     ]
+    add("alone, 32", [estimate(_photographed(one, "bernoulli", 32, seed)) for one in truths])
+    joint: dict[int, LightTransport] = {}
     for count in (32, 40, 48):
-        joint = _split(estimate(_photographed(both, "bernoulli", count, seed)), cols)
-        rows_ += [
-            {
-                "method": f"at once, {count}, projector {k}",
-                "error": relative_error(found, truth.transport()),
-            }
-            for k, (found, truth) in enumerate(zip(joint, truths, strict=True), start=1)
-        ]
-    shared, known = compensator(joint), compensator([truth.transport() for truth in truths]).light
-    shape = whole.camera_shape
-    pictures = {"white": np.ones(shape, np.float32), "picture": _wanted(whole)}
+        joint[count] = estimate(_photographed(both, "bernoulli", count, seed))
+        add(f"at once, {count}", joint[count].split())
+    # All light of one wide projector moves alike from camera pixel to camera pixel.
+    as_one = replace(_photographed(both, "bernoulli", 32, seed), projectors=())
+    found_as_one = replace(estimate(as_one), provenance=both.metadata)
+    add("at once, as one projector, 32", found_as_one.split())
+    shared, light = compensator(joint[40]), compensator(known).light
+    whites = [one.relight(np.ones(one.projector_shape)) for one in known]
+    pictures = {"white": np.ones(shape, np.float32), "picture": _wanted(both)}
+    images = {"wanted": pictures["picture"]}
     for name, wanted in pictures.items():
         # White that both projectors can give everywhere.
-        found = compensate(joint, wanted, brightness=0.5 if name == "white" else None)
+        found = compensate(joint[40], wanted, brightness=0.5 if name == "white" else None)
         counted = found.reachable.ravel()
         ways = {
             "as it is": _plain(shared, wanted.ravel(), found.brightness),
@@ -167,13 +170,25 @@ def _projectors(whole: Truth, seed: int) -> Measured:
             "compensated": np.concatenate([pattern.ravel() for pattern in found.patterns]),
         }
         for way, pattern in ways.items():
-            seen = known.forward(pattern)
+            seen = light.forward(pattern)
             row: Row = {"method": f"{name}, {way}", "PSNR": _psnr(seen, found, counted)}
             if name == "white":
                 row["uniform"] = float(np.std(seen[counted]) / np.mean(seen[counted]))
-                row["seam"] = _seam(seen.reshape(shape), found.reachable)
-            rows_.append(row)
-    return Measured(rows_)
+                row["seam"] = _seam(seen.reshape(shape), found.reachable, whites)
+            else:
+                images[way.replace(" ", "_")] = seen.reshape(shape) / found.scale
+            rows.append(row)
+    return Measured(rows, images)
+
+
+def _two_of_one(whole: Truth) -> Truth:
+    """Two projectors, each of which has some columns of one; the right one is upside down."""
+    pixels = np.arange(whole.matrix.shape[1]).reshape(whole.projector_shape)
+    chosen = [pixels[:, LEFT], pixels[::-1, RIGHT][:, ::-1]]
+    # The right one is darker, too.
+    brightness = np.repeat([1.0, 0.7], len(pixels))[:, None]
+    sizes = {"projectors": [list(each.shape) for each in chosen]}
+    return replace(_part(whole, np.vstack(chosen), brightness), metadata=sizes)
 
 
 def _part(whole: Truth, pixels: NDArray[np.int64], brightness: Any) -> Truth:
@@ -187,30 +202,16 @@ def _part(whole: Truth, pixels: NDArray[np.int64], brightness: Any) -> Truth:
     return Truth(matrix, direct_data, whole.camera_shape, (pixels.shape[0], pixels.shape[1]))
 
 
-def _split(both: LightTransport, cols: int) -> list[LightTransport]:
-    """T of each of two projectors that stand side by side in one."""
-    rows, total = both.projector_shape
-    whole = csr_array(both.to_matrix(dense_background=True)).tocsc()
-    pixels = np.arange(rows * total).reshape(rows, total)
-    errors = {name: both.diagnostics[name] for name in ("estimated_error",)}
-    return [
-        replace(
-            LightTransport.from_matrix(
-                csr_array(whole[:, part.ravel()]), both.camera_shape, part.shape
-            ),
-            diagnostics=errors,
-        )
-        for part in (pixels[:, :cols], pixels[:, cols:])
-    ]
-
-
-def _seam(seen: NDArray[np.float32], reached: NDArray[np.bool_]) -> float:
-    """Contrast across the borders of the overlap: of four columns before and behind each."""
-    contrasts = []
-    for border in (RIGHT.start, LEFT.stop):
-        sides = [slice(border - 4, border), slice(border, border + 4)]
-        both = reached[:, sides[0]].all(axis=1) & reached[:, sides[1]].all(axis=1)
-        before, behind = (float(seen[:, side][both].mean()) for side in sides)
+def _seam(
+    seen: NDArray[np.float32], reached: NDArray[np.bool_], whites: Sequence[NDArray[np.float32]]
+) -> float:
+    """Contrast across the borders of the overlap: of two pixels before and behind each."""
+    bright = [white > 0.3 * np.quantile(white, 0.9) for white in whites]
+    overlap, contrasts = bright[0] & bright[1], []
+    for one, other in (bright, bright[::-1]):
+        beside = one & ~other & reached & binary_dilation(overlap, iterations=2)
+        within = overlap & reached & binary_dilation(one & ~other, iterations=2)
+        before, behind = float(seen[beside].mean()), float(seen[within].mean())
         contrasts.append(abs(before - behind) / (before + behind))
     return max(contrasts)
 
@@ -253,12 +254,13 @@ def _picture(truth: Truth, seed: int) -> Measured:
 def _draw(out: Path, results: list[tuple[Case, Measured]]) -> None:
     """The picture, as it is, and compensated, beside each other."""
     for case, measured in results:
-        if case.kind == "picture":
+        if case.kind == "picture" or (case.kind == "projectors" and not case.seed):
             images = [measured.arrays[name] for name in ("wanted", "as_it_is", "compensated")]
             gap = np.ones((len(images[0]), max(2, len(images[0]) // 32)), np.float32)
             panels = np.hstack([images[0], gap, images[1], gap, images[2]])
             larger = np.kron(panels.clip(0, 1) ** (1 / 2.2), np.ones((512 // case.side,) * 2))
-            write_image(out / "mapping.png", larger, overwrite=True)
+            name = "mapping" if case.kind == "picture" else f"mapping-{case.scene}"
+            write_image(out / f"{name}.png", larger, overwrite=True)
 
 
 def _summary(rows: list[Row]) -> list[Row]:

@@ -128,13 +128,6 @@ def test_unknown_responses(text: str, message: str) -> None:
         Response.parse(text)
 
 
-def test_a_curve_must_increase(tmp_path: Path) -> None:
-    for text in ("0 0\n2 1\n1 2\n", "0 1\n1 0\n", "1\n", "0 0 0\n1 1 1\n", "words\n", ""):
-        (tmp_path / "curve.txt").write_text(text)
-        with pytest.raises(InputError, match=r"curve\.txt"):
-            Response.parse(f"curve:{tmp_path / 'curve.txt'}")
-
-
 def test_a_black_frame_is_subtracted_and_lowers_the_clip_level() -> None:
     sensor = Sensor(bits=12, black_level=100)
     ambient = np.array([0.0, 0.1, 0.5])

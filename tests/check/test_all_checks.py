@@ -58,10 +58,6 @@ def swapped(frames: Frames) -> Frames:
     return frames[order]
 
 
-def lost(frames: Frames) -> Frames:
-    return np.concatenate([np.delete(frames, 12, axis=0), frames[-1:]])
-
-
 def blackened(frames: Frames) -> Frames:
     return np.where(np.arange(K)[:, None, None] == 5, 0, frames).astype(np.uint8)
 

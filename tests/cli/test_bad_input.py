@@ -181,18 +181,6 @@ def test_a_fault_gives_one_message_and_leaves_nothing(
     assert snapshot(folder) == before
 
 
-def test_the_capture_without_faults_is_estimated(
-    good: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    folder = tmp_path / "work"
-    shutil.copytree(good, folder)
-    monkeypatch.chdir(folder)
-    assert main(f"{ESTIMATE} --iterations 2 --bin-camera 4".split()) == 0
-    assert (
-        main(["estimate", "capture", "-o", "scene.zarr", "--overwrite", "--iterations", "2"]) == 0
-    )
-
-
 def test_suspicious_input_is_used_with_a_warning(
     good: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -137,14 +137,6 @@ def test_export(work: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert (work / "X.mat").stat().st_size > 0
 
 
-def test_unknown_scene_suggests_the_nearest(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert main(["render", "l_object", "--size", "8", "-o", str(tmp_path / "T.npz")]) == 2
-    assert "did you mean l_objects" in capsys.readouterr().err
-    assert not list(tmp_path.iterdir())
-
-
 def test_rare_options_are_shown_on_request(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["estimate", "--help"]) == 0
     short = capsys.readouterr().out

@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-import os
 from pathlib import Path
 
 import pytest
 
-from .case import Case, Prepare, bear
+from .case import Case, bear
 from .checks import same_matrix
 from .put import copy, folder_at, text
-from .run import Limits, SkipError
+from .run import Limits
 from .work import PLAIN
 
 NEEDS = (
@@ -125,35 +124,13 @@ def _disks() -> list[Case]:
     ]
 
 
-def _rights() -> list[Case]:
-    def closed(name: str, mode: int) -> Prepare:
-        def fault(folder: Path) -> None:
-            if os.geteuid() == 0:
-                raise SkipError("root may read and write everything")
-            if "." not in name:
-                (folder / name).mkdir(exist_ok=True)
-            (folder / name).chmod(mode)
-
-        return fault
-
-    lines = {
-        "locked": ("patterns bernoulli -k 2 --size 8x8 -o locked/new", 0o500),
-        "T.npz": (SIMULATE, 0),
-        "black.png": ("relight scene.zarr black.png -o new.png", 0),
-        "capture/capture.json": (COHERENT, 0),
-        "scene.zarr/zarr.json": ("info scene.zarr", 0),
-    }
-    there = "patterns bernoulli -k 2 --size 8x8 -o there/new"
-    return [
-        *(
-            Case(f"no right to {name}", line, name.split("/zarr")[0], closed(name, mode))
-            for name, (line, mode) in lines.items()
-        ),
-        Case("a file where a folder for output should be", there, "there", text("there")),
-    ]
-
-
-CASES = [*_memory(), *_sizes(), *_disks(), *_rights()]
+IN_THE_WAY = Case(
+    "a file where a folder for output should be",
+    "patterns bernoulli -k 2 --size 8x8 -o there/new",
+    "there",
+    text("there"),
+)
+CASES = [*_memory(), *_sizes(), *_disks(), IN_THE_WAY]
 
 
 @pytest.mark.parametrize("case", CASES, ids=str)

@@ -117,9 +117,7 @@ def _chunk_of(folder: Path, array: str) -> str:
 def _chunks() -> list[Case]:
     damages: dict[str, Any] = {
         "flipped": lambda name: flip(name, 0.5, 3),
-        "cut off": lambda name: cut(name, 20),
         "empty": lambda name: cut(name, 0),
-        "missing": remove,
         "of noise": lambda name: text(name, bytes(range(256))),
         "a pipe": pipe,
     }

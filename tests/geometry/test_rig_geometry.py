@@ -473,7 +473,7 @@ def test_other_conventions_of_intrinsics_are_refused(camera: np.ndarray, words: 
         )
 
 
-def test_a_geometry_of_other_images_needs_a_stated_bin() -> None:
+def test_a_geometry_of_other_images_needs_a_stated_bin(tmp_path: Path) -> None:
     whole = replace(rig(), camera_shape=(1024, 1280))
     transport = lm.truth("metal").transport()
     geometry = replace(whole, projector_shape=(64, 64))
@@ -481,3 +481,8 @@ def test_a_geometry_of_other_images_needs_a_stated_bin() -> None:
         lm.geometry_of(transport, geometry)
     stated = {"capture_description": {"bin_camera": [16, 20]}}
     assert lm.geometry_of(replace(transport, provenance=stated), geometry).camera_shape == (64, 64)
+    # A file without sizes is of the photographs before they were binned.
+    file = write_calibration(tmp_path, "scan3d.yml", rig())
+    found = lm.geometry_of(replace(transport, provenance=stated), file)
+    assert (found.camera_shape, found.projector_shape) == ((64, 64), (64, 64))
+    assert found.camera_intrinsics[0, 0] == pytest.approx(rig().camera_intrinsics[0, 0] / 20)

@@ -27,6 +27,7 @@ from lightmatrix.planning.exposure_advice import (
 from lightmatrix.planning.plan import counts, expectations, plan
 from lightmatrix.simulation.irradiance import irradiance
 from lightmatrix.simulation.library import truth
+from lightmatrix.simulation.procedural import ProceduralScene
 
 
 def _white(levels: object, clipped: object = False) -> WhiteFrame:
@@ -272,17 +273,15 @@ def test_dark_and_clipped_white_frames_are_refused(
     ("words", "message"),
     [
         ("nowhere.png", "no such file"),
-        ("nowhere.png", "a photograph of a white pattern, a scene, or a T.npz"),
         (".", "is a folder"),
         ("nowhere.npz", "nowhere.npz"),
         ("l_objects --size 0", "0"),
         ("l_objects --black 3", "black with a scene"),
         ("l_objects --exposure 20", "exposure with a scene"),
-        ("l_objects --size 64 --noise -1", "a noise of -1"),
         ("l_objects --size 64 --noise nan", "a noise of nan"),
         ("l_objects --size 64 --shortest 0", "a shortest exposure of 0"),
         ("l_objects --size 64 --error 2", "an error of 2"),
-        ("T.npz --size 32", "64 x 64"),
+        ("T.npz --size 32", "8 x 8"),
     ],
 )
 def test_bad_plans_have_one_message(
@@ -293,8 +292,9 @@ def test_bad_plans_have_one_message(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    truth("metal").save(tmp_path / "T.npz")
+    ProceduralScene((8, 8), (8, 8)).truth().save(tmp_path / "T.npz")
     assert main(["plan", *words.split()]) == 2
     error = " ".join(capsys.readouterr().err.split())
     assert error.startswith("error: ")
     assert message in error
+    assert words != "nowhere.png" or "a photograph of a white pattern, a scene, or a T.npz" in error

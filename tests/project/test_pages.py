@@ -32,6 +32,7 @@ BLOCKS = re.compile(r"^```(sh|python|py)\n(.*?)^```", flags=re.DOTALL | re.MULTI
 # places in them, photographs of a small board, and virtual devices that need not be waited for.
 SMALLER = {
     r"\b(768x1024|1024x1024|1140x912|128x128|64x64)\b": "16x16",
+    r"\b128x64\b": "32x16",
     r"(?<=--size )64\b": "16",
     r"(?<=\()64, 64(?=[,)])": "16, 16",
     r"(?<=-k )\d+|(?<=count=)64|(?<=frames=)32": "24",
@@ -58,6 +59,7 @@ NOT_RUN = {
     r"^lightmatrix rig list|--projector window": "takes devices; tests/rig",
     r"^v4l2-ctl": "sets a camera",
     r"^lightmatrix view [^-]*$|serve_viewer": "runs until Ctrl-C; tests/viewer",
+    r"^lightmatrix track .*--watch": "waits for photographs; tests/estimators/test_tracking.py",
     r"^python -m experiments|bundled_scenes": "runs for hours; tests/experiments",
 }
 

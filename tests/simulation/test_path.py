@@ -55,7 +55,7 @@ def reference(
     ],
 )
 def test_relighting_agrees_with_the_path_integrator(mitsuba: Any, name: str) -> None:
-    side, samples = 20, 2048
+    side, samples = 16, 2048
     # Four times as many paths as both halves of the reference have: measured, 1.24 of its noise.
     truth = render(name, (side, side), samples=8 * samples, keep=1.0)
     for pattern in test_patterns(side):

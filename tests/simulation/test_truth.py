@@ -77,16 +77,6 @@ def test_shapes_that_contradict_the_matrix_are_refused(truth: Truth, tmp_path: P
     np.savez(path, **{**content, "lightmatrix_truth": np.array(99)})
     with pytest.raises(InputError, match="format version 99"):
         Truth.load(path)
-    bad = content["indices"].copy()
-    bad[0] = 10_000
-    np.savez(path, **{**content, "indices": bad})
-    with pytest.raises(InputError, match="contradicts itself"):
-        Truth.load(path)
-    values = content["data"].copy()
-    values[0] = np.nan
-    np.savez(path, **{**content, "data": values})
-    with pytest.raises(InputError, match="finite"):
-        Truth.load(path)
     np.savez(path, **{**content, "direct_data": content["direct_data"][1:]})
     with pytest.raises(InputError, match="direct"):
         Truth.load(path)

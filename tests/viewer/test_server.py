@@ -264,16 +264,6 @@ def test_a_browser_that_does_not_return_is_served(
     assert not list(tmp_path.glob("lightmatrix-viewer-*"))
 
 
-def test_a_port_in_use_is_refused(store: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    with socket.create_server(("127.0.0.1", 0)) as taken:
-        port = taken.getsockname()[1]
-        assert main(["view", str(store), "--no-browser", "--port", str(port)]) == 2
-    assert "cannot be used" in capsys.readouterr().err
-    assert main(["view", str(store), "--port", "70000"]) == 2
-    assert main(["view", "gone.zarr"]) == 2
-    assert main(["view", str(store), "--port", "80", "--export", "page.html"]) == 2
-
-
 def test_matrices_that_are_too_large_for_one_file_are_refused(
     store: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -49,6 +49,7 @@ from lightmatrix.cli.separate import separate
 from lightmatrix.cli.show import show
 from lightmatrix.cli.simulate import simulate
 from lightmatrix.cli.terminal import as_options, say, warn
+from lightmatrix.cli.track import track
 from lightmatrix.cli.triangulate import triangulate
 from lightmatrix.cli.view import view
 from lightmatrix.errors import LightMatrixError, LightMatrixWarning
@@ -64,7 +65,7 @@ STAGES: dict[str, tuple[Callable[..., None], ...]] = {
     "Prepare": (plan, patterns),
     "Photograph": (capture, convert, response, calibrate),
     "Measure and use": (
-        check, pack, estimate, decode, info, show, view, relight, separate, compensate,
+        check, pack, estimate, track, decode, info, show, view, relight, separate, compensate,
         project, map, triangulate, layers, evaluate, export,
     ),
     "Simulate": (scenes, render, simulate),

@@ -18,7 +18,7 @@ from lightmatrix.errors import InputError
         help="row (where the light at a camera pixel comes from), column (where the light of a "
         "projector pixel goes), dual (the scene as seen from the projector), correspondence, "
         "spectrum (singular values); clipping, gap, footprint or estimated-error of the estimate; "
-        "depth or normals of the surface, with --geometry.",
+        "changes, of `track`; depth or normals of the surface, with --geometry.",
     ),
     pixel=Argument(metavar="R,C", help="The pixel of a row or column."),
     output="A picture (.png), or numbers (.npz; .tiff, .exr and .npy for one image).",

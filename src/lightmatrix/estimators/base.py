@@ -44,12 +44,10 @@ class Plan:
     @property
     def shapes(self) -> dict[str, Any]:
         """Everything that a light transport has besides its rows."""
-        return {
-            "camera_shape": self.work.capture.camera_shape,
-            "projector_shape": self.work.capture.projector_shape,
-            "background_grid": self.background_grid,
-            "provenance": dict(self.provenance),
-        }
+        capture = self.work.capture
+        sizes = {"camera_shape": capture.camera_shape, "projector_shape": capture.projector_shape}
+        made = {"background_grid": self.background_grid, "provenance": dict(self.provenance)}
+        return sizes | made
 
     @property
     def fingerprint(self) -> dict[str, Any]:
@@ -75,41 +73,12 @@ class Estimator(ABC):
         pool: WorkerPool | None = None,
         review: Callable[[LightTransport], LightTransport | None] | None = None,
     ) -> LightTransport:
-        """Estimate the light transport matrix of a capture.
+        """Estimate T of a capture, as `lm.estimate` describes it.
 
-        Parameters
-        ----------
-        capture : Capture
-            M camera samples under K patterns of N projector pixels.
-        output : Path, optional
-            The store to write. Finished tiles of each step are kept beside it, so that an
-            interrupted run continues where it stopped.
-        overwrite : bool
-            Whether a complete store at `output` may be replaced.
-        remarks : mapping, optional
-            What the provenance shall hold besides the parameters, JSON-ready, such as what `check`
-            found, so that later verdicts know it.
-        progress : callable, optional
-            Called with (done, total) rows.
-        pool : WorkerPool, optional
-            Other processes that solve the tiles (`lightmatrix.estimators.workers`). None: this
-            process.
-        review : callable, optional
-            Called with T before it is written; it may return another one to write in its place.
-
-        Returns
-        -------
-        LightTransport
-            With the diagnostics clipped_share, iterations, converged, gap and objective of each
-            row, and those that the class documents.
-
-        Raises
-        ------
-        InputError, SolverError, OutputError
-            If the capture is unusable, the solver cannot treat the problem, or the output cannot
-            be written.
-        ClusterError
-            If the workers cannot be reached, do not see the capture, or all die.
+        `remarks` join the provenance, JSON-ready, such as what `check` found. `review` is called
+        with T before it is written, and may return another one to write in its place. Rows have
+        the diagnostics clipped_share, iterations, converged, gap and objective, and those that the
+        class documents.
         """
         plan = self.plan(capture)
         shapes = plan.shapes
@@ -156,15 +125,9 @@ def rows_with_diagnostics(
     samples: Samples, result: Result, **diagnostics: NDArray[Any]
 ) -> SparseRows:
     """Solved rows in single precision with their diagnostics, (m,) each, and further ones."""
-    return replace(
-        result.rows.single(),
-        diagnostics={
-            "clipped_share": samples.clipped.mean(axis=1, dtype=np.float32),
-            **result.rows.diagnostics,
-            "gap": result.gap.astype(np.float32),
-            **diagnostics,
-        },
-    )
+    shares = {"clipped_share": samples.clipped.mean(axis=1, dtype=np.float32)}
+    solved = {**result.rows.diagnostics, "gap": result.gap.astype(np.float32)}
+    return replace(result.rows.single(), diagnostics={**shares, **solved, **diagnostics})
 
 
 def solver_provenance(solver: Solver) -> dict[str, Any]:
@@ -181,15 +144,10 @@ def solver_provenance(solver: Solver) -> dict[str, Any]:
 def capture_provenance(capture: Capture) -> dict[str, Any]:
     """The patterns, the capture and the versions of everything, JSON-ready."""
     sizes = {PROJECTORS: list(map(list, capture.projectors))} if capture.projectors else {}
+    versions = {"lightmatrix": __version__, "numpy": np.__version__, "scipy": scipy.__version__}
+    patterns = capture.patterns
     return {
-        **sizes,
-        "patterns": capture.patterns.description,
-        "pattern_digest": capture.patterns.digest,
+        **sizes, "patterns": patterns.description, "pattern_digest": patterns.digest,
         "capture_description": capture.description,
-        "versions": {
-            "lightmatrix": __version__,
-            "numpy": np.__version__,
-            "scipy": scipy.__version__,
-            "python": platform.python_version(),
-        },
-    }
+        "versions": {**versions, "python": platform.python_version()},
+    }  # fmt: skip

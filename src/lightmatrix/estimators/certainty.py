@@ -32,13 +32,9 @@ Misfits = NDArray[np.float32]
 
 
 def with_certainty(
-    rows: SparseRows,
-    samples: Samples,
-    patterns: PatternSet,
-    start: int,
-    total: int,
+    rows: SparseRows, samples: Samples, patterns: PatternSet, start: int, total: int,
     cell_means: NDArray[np.floating] | None = None,
-) -> SparseRows:
+) -> SparseRows:  # fmt: skip
     """Rows of T from row `start` on, of `total`, with the diagnostic `certain`.
 
     `cell_means` (B, K) are the means of the patterns over the cells of the rows' background. None:

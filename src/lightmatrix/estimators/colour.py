@@ -1,26 +1,16 @@
 """The estimate of a colour projector's T: one geometry for all channels and primaries.
 
-Light of every colour takes the same ways through the scene. So one matrix G of a grey projector and
-camera, rows of `camera pixels x projector pixels`, is the geometry of all nine pairs of a camera
-channel a and a primary b, and each camera pixel c has nine gains, how much of b's light reaches a:
-
-    T[(c, a), (q, b)] = M_c[a, b] G[c, q]
-
-1. **Start.** Grey patterns show G by themselves. Without enough of them, a usual mixing of three
-   filters separates the primaries well enough to find most of the geometry.
-2. **Gains**. With G, each camera sample is a sum of three known amounts of light, one
-   of each primary. Least squares give M_c, drawn to the mixing of the whole frame.
-3. **Unmixing**. The inverse of M_c turns the three channels of one photograph into
-   what a grey camera would see under three grey patterns: those of red, green and blue. K colour
-   photographs are then 3 K grey ones, and the coherent estimate finds G from them.
-
-Steps 2 and 3 repeat. `docs/colour.md` has measurements.
+A matrix G of a grey projector and camera is the geometry of all nine pairs of a camera channel a
+and a primary b. Each camera pixel c has nine gains: T[(c, a), (q, b)] = M_c[a, b] G[c, q]. Grey
+patterns, or a usual mixing of the filters, give a first G. Least squares then give the gains; their
+inverse makes 3 K grey photographs of K in colour, which give a better G, and so on.
+`docs/colour.md` explains it and has measurements.
 """
 
 from __future__ import annotations
 
 from contextlib import nullcontext
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -151,11 +141,8 @@ def grey_capture(samples: ColourSamples, camera_shape: tuple[int, ...], exposure
 
 
 def unmixed_capture(
-    samples: ColourSamples,
-    gains: Floats,
-    camera_shape: tuple[int, ...],
-    exposure: float,
-) -> Capture:
+    samples: ColourSamples, gains: Floats, camera_shape: tuple[int, ...], exposure: float,
+) -> Capture:  # fmt: skip
     """The photographs as those of a grey camera under grey patterns, one for each primary.
 
     A grey photograph stays one, with less noise. Where the gains (n, 3, 3) hardly tell a primary
@@ -169,12 +156,9 @@ def unmixed_capture(
     parts = [_separated_samples(samples, gains, coloured)]
     if len(grey):
         parts.insert(0, _grey_samples(samples, white, grey))
-    known = Samples(
-        *(
-            np.concatenate([getattr(part, name) for part in parts], axis=1)
-            for name in ("values", "clipped", "clip_level", "weights")
-        )
-    )
+    names = "values", "clipped", "clip_level", "weights"
+    each = ([getattr(part, name) for part in parts] for name in names)
+    known = Samples(*(np.concatenate(arrays, axis=1) for arrays in each))
     # The grey patterns, then those of red, green and blue in the others.
     sets = [one.subset(coloured) for one in samples.patterns.primaries]
     if len(grey):
@@ -319,11 +303,9 @@ def estimate_colour(
     # The gains of the result are drawn less to the mixing of the whole frame.
     gains = fit_gains(samples, light_of_primaries(geometry, patterns), 0.003)
     provenance = {
-        **geometry.provenance,
-        **capture_provenance(capture),
-        "estimator": "colour",
+        **geometry.provenance, **capture_provenance(capture), "estimator": "colour",
         FINDINGS: [finding.as_dict() for finding in findings],
-    }
+    }  # fmt: skip
     # Of each primary the geometry, three times a camera pixel, times the gains (n, 3).
     pixel = np.repeat(np.arange(samples.pixels), PRIMARIES)
     diagnostics = {key: values[pixel] for key, values in geometry.diagnostics.items()}
@@ -333,16 +315,10 @@ def estimate_colour(
         factors = gains[..., number].ravel().astype(np.float32)
         sparse = geometry.sparse[pixel]
         sparse.data *= np.repeat(factors, np.diff(sparse.indptr))
-        parts.append(
-            replace(
-                geometry,
-                sparse=sparse,
-                background=geometry.background[pixel] * factors[:, None],
-                camera_shape=capture.camera_shape,
-                diagnostics=diagnostics,
-                provenance={**provenance, "primary": name},
-            )
-        )
+        background = geometry.background[pixel] * factors[:, None]
+        shapes = capture.camera_shape, geometry.projector_shape, geometry.background_grid
+        made_by = {**provenance, "primary": name}
+        parts.append(LightTransport(sparse, background, *shapes, diagnostics, made_by))
     colour = ColourTransport(*parts)
     if output is not None:
         save_colour(output, colour, overwrite=overwrite)

@@ -51,7 +51,7 @@ def fit_rig(capture: Capture | str | Path, transport: LightTransport | None = No
     --------
     >>> import lightmatrix as lm
     >>> capture = lm.simulate("metal", lm.BernoulliPatterns((64, 64), 32), exposure=0.15)
-    >>> lm.fit_rig(capture)
+    >>> lm.fit_rig(capture.crop((16, 16), (32, 32)))
     RigModel(nothing found)
     """
     capture = open_capture(capture)
@@ -136,13 +136,7 @@ def _missed(transport: LightTransport) -> float:
 
 
 def terms_to_correct(correct: str | Sequence[str]) -> tuple[str, ...]:
-    """The terms that a `correct` of `estimate` allows.
-
-    Raises
-    ------
-    InputError
-        If it names none.
-    """
+    """The terms that a `correct` of `estimate` allows; an InputError if it names none."""
     if correct == "none":
         return ()
     if correct == "auto":

@@ -210,10 +210,8 @@ def estimate(
         estimator = choose_estimator(capture, settings, resources)
         warn_of(findings)
         if resources.coherent and type(estimator) is PlainEstimator:
-            warn(
-                "estimating row by row, which predicts photographs held out better than "
-                "coherent=True"
-            )
+            better = "which predicts photographs held out better than coherent=True"
+            warn(f"estimating row by row, {better}")
         with _bar("estimating", progress is True) as bar:
             run = partial(
                 estimator.estimate, progress=progress if callable(progress) else bar, pool=pool

@@ -107,11 +107,7 @@ _ACTIVE = 0.1
 class MultiScaleEstimator(PlainEstimator):
     """Estimates T with one solver, first on projector blocks, then inside those that matter.
 
-    The pixels of a square camera block look at nearly the same part of the projector, so they share
-    candidates. At each scale, from blocks of 8 x 8 pixels down to single ones, the solver estimates
-    the rows of the camera block on the candidate projector blocks. A projector block scores the sum
-    of its shares of each row's light. Those with a high score and their neighbours are split into
-    four. `docs/multi-scale.md` gives the reasons. A tile is a strip of camera blocks.
+    `docs/multi-scale.md` has the steps and their reasons. A tile is a strip of camera blocks.
 
     A further diagnostic, candidates, says on how many projector pixels each row was estimated. The
     gap is that of the restricted problem: it says nothing about pixels that a coarser scale left

@@ -23,33 +23,22 @@ from lightmatrix.resources.threads import core_threads
 
 @dataclass(frozen=True)
 class ResourceEstimate:
-    """The memory that an estimate takes at most, and the order of magnitude of its time.
+    """The memory that an estimate takes at most, and the order of magnitude of its time."""
 
-    Parameters
-    ----------
-    memory, temporary : int
-        Bytes of memory at its peak, and of temporary files.
-    seconds : float, optional
-        Order of magnitude of the time, from a count of operations; None where it is not known.
-    available : int
-        Bytes of memory that the estimate may take.
-    tile_rows : int
-        Camera samples that are solved at a time.
-    coherent : bool
-        Whether camera pixels learn from their neighbours, unless photographs speak against it.
-    limited : bool
-        Whether a memory limit, and not the free memory, says what is available.
-    workers : int
-        Processes that take this memory together.
-    """
-
+    # Bytes of memory at its peak, and of temporary files.
     memory: int
     temporary: int
+    # The time by a count of operations; None where it is not known.
     seconds: float | None
+    # Bytes of memory that it may take.
     available: int
+    # Camera samples that are solved at a time.
     tile_rows: int
+    # Whether camera pixels learn from their neighbours, unless photographs speak against it.
     coherent: bool
+    # Whether a memory limit, and not the free memory, says what is available.
     limited: bool = False
+    # Processes that take this memory together.
     workers: int = 1
 
     @property
@@ -78,30 +67,18 @@ class ResourceEstimate:
         return f"up to {amount(self.memory)} of memory{shared}{disk}{time}"
 
     def check(self) -> None:
-        """Refuse an estimate that does not fit into memory.
-
-        Raises
-        ------
-        InputError
-            Saying how much memory it takes, how much there is, and what takes less.
-        """
+        """Refuse an estimate that does not fit into memory, saying what takes less."""
         if not self.fits:
-            raise InputError(
-                f"the estimate takes up to {amount(self.memory)} of memory, "
-                f"{amount(self.available)} are {'allowed' if self.limited else 'free'}",
-                hint=self.advice,
-            )
+            takes = f"the estimate takes up to {amount(self.memory)} of memory"
+            there = f"{amount(self.available)} are {'allowed' if self.limited else 'free'}"
+            raise InputError(f"{takes}, {there}", hint=self.advice)
 
     def as_dict(self) -> dict[str, Any]:
         """The same, JSON-ready."""
         return {
-            "memory_bytes": self.memory,
-            "temporary_bytes": self.temporary,
-            "seconds": self.seconds,
-            "available_bytes": self.available,
-            "fits": self.fits,
-            "workers": self.workers,
-        }
+            "memory_bytes": self.memory, "temporary_bytes": self.temporary, "seconds": self.seconds,
+            "available_bytes": self.available, "fits": self.fits, "workers": self.workers,
+        }  # fmt: skip
 
 
 def estimate_resources(

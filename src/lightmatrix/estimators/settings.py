@@ -41,9 +41,7 @@ class EstimateSettings:
     Examples
     --------
     >>> import lightmatrix as lm
-    >>> capture = lm.simulate("metal", lm.BernoulliPatterns((64, 64), 32))
-    >>> settings = lm.EstimateSettings(solver="romp")
-    >>> lm.estimate_resources(capture, settings).fits
+    >>> lm.EstimateSettings(solver="romp").fidelity is None
     True
     """
 
@@ -76,10 +74,8 @@ class EstimateSettings:
         if len(names) > 1:
             raise InputError(" and ".join(names), hint="leave out one of the two")
         if self.multi_scale and names:
-            raise InputError(
-                f"{names[0]} with the multi-scale estimate, which solves strips of camera blocks",
-                hint="leave out one of the two",
-            )
+            what = f"{names[0]} with the multi-scale estimate, which solves strips of camera blocks"
+            raise InputError(what, hint="leave out one of the two")
         limit = self.memory_limit
         if limit is not None and limit < 1:
             raise InputError(f"a memory limit of {limit} bytes", hint="give one such as 4GiB")

@@ -262,13 +262,9 @@ class _Search:
 
 
 def refined(
-    capture: Capture,
-    transport: LightTransport,
-    known: Curves,
-    *,
-    camera: bool = True,
+    capture: Capture, transport: LightTransport, known: Curves, *, camera: bool = True,
     curves: bool = True,
-) -> Curves | None:
+) -> Curves | None:  # fmt: skip
     """The curves of a capture, corrected by the T that was estimated under the `known` ones.
 
     The response is a gamma, unless a curve is clearly better or was better before; without `curves`
@@ -338,10 +334,8 @@ def _solved(seen: Prediction, changes: Array) -> tuple[Array, Array] | None:
 
 
 def _undetermined(what: str = "camera's response") -> InputError:
-    return InputError(
-        f"the photographs do not determine the {what}",
-        hint="measure it with `lightmatrix response`, or give one, such as gamma:2.2",
-    )
+    hint = "measure it with `lightmatrix response`, or give one, such as gamma:2.2"
+    return InputError(f"the photographs do not determine the {what}", hint=hint)
 
 
 def _refuse_patterns(capture: Capture, *, projector: bool) -> None:

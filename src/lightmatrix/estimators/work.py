@@ -165,12 +165,9 @@ class _Stopped(Exception):  # noqa: N818 - nobody sees it; it ends a tile that n
 
 
 def _solve_side_by_side(
-    solve_tile: SolveTile,
-    spans: list[Span],
-    together: int,
-    keep: Callable[[int, int, SparseRows], None],
-    report: Callable[[int], None],
-) -> None:
+    solve_tile: SolveTile, spans: list[Span], together: int,
+    keep: Callable[[int, int, SparseRows], None], report: Callable[[int], None],
+) -> None:  # fmt: skip
     """Solve tiles, `together` of them at a time, and `keep` each at once.
 
     While the core solves the rows of one tile on all cores, Python prepares those of another: so no

@@ -1,9 +1,5 @@
 """Estimates by several processes, here or on other machines, on Dask's scheduler (extra cluster).
 
-`dask_pool` starts workers, or connects to those of a cluster, and checks them. `DaskPool.solve`
-hands out tiles, and gives those that end to the checkpoint. `solve_tile` runs in a worker: it opens
-an estimate once, and solves tiles of it.
-
 The pool waits for tiles with `distributed.wait`. `distributed.as_completed` has one deadline for
 all tiles, so it could not notice that every worker is gone.
 """
@@ -103,21 +99,12 @@ class DaskPool:
         return 3 * max(1, len(self.threads))
 
     def solve(
-        self,
-        work: Work,
-        step: str,
-        spans: list[Span],
-        finished: Checkpoint | TilesInMemory,
+        self, work: Work, step: str, spans: list[Span], finished: Checkpoint | TilesInMemory,
         report: Callable[[int], None],
-    ) -> None:
+    ) -> None:  # fmt: skip
         """Let workers solve tiles of a step whose earlier steps are finished; see `WorkerPool`.
 
-        Raises
-        ------
-        ClusterError
-            If all workers are gone, or a tile has killed several of them.
-        LightMatrixError
-            As an estimate in one process.
+        A ClusterError says that all workers are gone, or that a tile has killed several of them.
         """
         from distributed import wait
 
@@ -177,29 +164,22 @@ def _tile_error(future: Any, status: str, span: Span) -> Exception:
     if isinstance(error, LightMatrixError):
         return error
     if type(error).__name__ == "KilledWorker":
-        return ClusterError(
-            f"rows {span[0]} to {span[1]}: {error.allowed_failures + 1} workers died while "
-            "solving them, one after the other",
-            hint=f"probably memory: use fewer workers, memory or tile_rows. {_CONTINUE}",
-        )
+        hint = f"probably memory: use fewer workers, memory or tile_rows. {_CONTINUE}"
+        died = f"{error.allowed_failures + 1} workers died while solving them, one after the other"
+        return ClusterError(f"rows {span[0]} to {span[1]}: {died}", hint=hint)
     return _worker_error("a worker", error)
 
 
 def _worker_error(address: str, error: BaseException) -> ClusterError:
     if isinstance(error, ImportError):
-        return ClusterError(
-            f"{address}: does not have this version of lightmatrix ({error})", hint=_SAME_VERSIONS
-        )
+        what = f"{address}: does not have this version of lightmatrix ({error})"
+        return ClusterError(what, hint=_SAME_VERSIONS)
     return ClusterError(f"{address}: {_words(error)}", hint=_CONTINUE)
 
 
 def _compare(address: str, found: Mapping[str, str], wanted: Mapping[str, str]) -> None:
-    differing = [
-        f"{name} {found.get(name)}, not {own}"
-        for name, own in wanted.items()
-        if found.get(name) != own
-    ]
-    if differing:
+    others = {name: own for name, own in wanted.items() if found.get(name) != own}
+    if differing := [f"{name} {found.get(name)}, not {own}" for name, own in others.items()]:
         raise ClusterError(f"{address}: has {', '.join(differing)}", hint=_SAME_VERSIONS)
 
 
@@ -211,13 +191,8 @@ def _words(error: BaseException) -> str:
 def dask_pool(workers: int | None = None, cluster: str | None = None) -> Iterator[DaskPool]:
     """A pool of new processes or of the workers at `cluster`.
 
-    Raises
-    ------
-    MissingExtraError
-        If Dask is missing.
-    ClusterError
-        If workers cannot be started, the scheduler does not answer or has none, or one of them has
-        other versions.
+    A ClusterError says that workers cannot be started, the scheduler does not answer or has none,
+    or one of them has other versions.
     """
     load_extra("distributed", "estimates by several processes need Dask", "cluster")
     with ExitStack() as stack:
@@ -281,10 +256,8 @@ def _started(workers: int) -> Iterator[Client]:
             )
             client = stack.enter_context(Client(cluster, set_as_default=False))
         except (OSError, RuntimeError, TimeoutError) as error:
-            raise ClusterError(
-                f"{workers} workers could not be started ({_words(error)})",
-                hint="use fewer of them, or none",
-            ) from error
+            what = f"{workers} workers could not be started ({_words(error)})"
+            raise ClusterError(what, hint="use fewer of them, or none") from error
         yield client
 
 
@@ -354,16 +327,12 @@ class _Pickler(pickle.Pickler):
             return Path, (os.path.abspath(obj),)
         kind = type(obj)
         if is_dataclass(kind) and kind.__module__.startswith("lightmatrix."):
+            values = {part.name: getattr(obj, part.name) for part in fields(obj)}
             # A private field with a default factory is a cache and starts empty.
-            return _rebuild, (
-                kind,
-                {
-                    part.name: part.default_factory()
-                    if part.name.startswith("_") and part.default_factory is not MISSING
-                    else getattr(obj, part.name)
-                    for part in fields(obj)
-                },
-            )
+            for part in fields(obj):
+                if part.name.startswith("_") and part.default_factory is not MISSING:
+                    values[part.name] = part.default_factory()
+            return _rebuild, (kind, values)
         return NotImplemented
 
 
@@ -378,11 +347,9 @@ def _rebuild(kind: type, values: dict[str, Any]) -> Any:
 def versions() -> dict[str, str]:
     """The versions that results depend on."""
     return {
-        "lightmatrix": __version__,
-        "python": ".".join(platform.python_version_tuple()[:2]),
-        "numpy": np.__version__,
-        "scipy": scipy.__version__,
-    }
+        "lightmatrix": __version__, "python": ".".join(platform.python_version_tuple()[:2]),
+        "numpy": np.__version__, "scipy": scipy.__version__,
+    }  # fmt: skip
 
 
 # ---- in a worker
@@ -411,13 +378,9 @@ def describe_worker(dask_worker: Any) -> dict[str, str]:
 
 
 def solve_tile(
-    span: Span,
-    digest: str,
-    packed: bytes,
-    step: str,
-    before: Mapping[str, bytes],
+    span: Span, digest: str, packed: bytes, step: str, before: Mapping[str, bytes],
     wanted: Mapping[str, str],
-) -> SparseRows:
+) -> SparseRows:  # fmt: skip
     """Solve the rows `span` of a step of a packed estimate, given the pickled rows `before` it."""
     from distributed import get_worker
 

@@ -102,6 +102,15 @@ def estimated_error_map(transport: LightTransport) -> Map:
     return _of_errors("Estimated error per camera pixel", "estimated ", errors)
 
 
+def changes_map(transport: LightTransport) -> Map:
+    """The photograph with which each camera pixel changed last; grey for those that did not."""
+    since, unknown = (_diagnostic(transport, name) for name in ("since", "unknown"))
+    shares = [percent(float(np.mean(each > 0))) for each in (since, unknown)]
+    title = f"Changed: {shares[0]}; not known yet: {shares[1]}"
+    values = np.where(since > 0, since, np.nan)
+    return Map(title, "number of the photograph", values, 1, max(2.0, since.max()))
+
+
 def error_map(values: NDArray[np.floating]) -> Map:
     """Relative error of each camera pixel against the truth, (rows, cols); NaN where T is dark."""
     return _of_errors("Error against the truth", "", values.astype(float))

@@ -72,6 +72,7 @@ VIEWS: dict[str, _View] = {
     "gap": _of_map(maps.gap_map),
     "footprint": _of_map(maps.footprint_map),
     "estimated-error": _of_map(maps.estimated_error_map),
+    "changes": _of_map(maps.changes_map),
     "depth": _of_map(lambda shape: depth_map(shape.depth, shape.geometry.units), of_shape=True),
     "normals": _View(
         lambda shape: normals_picture(shape.camera_normals),
@@ -101,8 +102,9 @@ def show(
     view : str
         "row" and "column" of T; "dual", the scene seen from the projector; "correspondence", the
         projector pixel that each camera pixel sees most; "spectrum", the 50 largest singular
-        values; a diagnostic of an estimate: "clipping", "gap", "footprint" or "estimated-error"
-        (the estimated error); or "depth" and "normals" of the surface, as `triangulate` finds them.
+        values; a diagnostic of an estimate: "clipping", "gap", "footprint", "estimated-error" or,
+        of a `Tracker`, "changes"; or "depth" and "normals" of the surface, as `triangulate` finds
+        them.
     index : int
         For a row: row and column of the camera pixel and, for a colour camera, channel. For a
         column: row and column of the projector pixel. Other views have no index.

@@ -48,7 +48,7 @@ class RigModel:
     >>> import lightmatrix as lm
     >>> patterns = lm.BernoulliPatterns((64, 64), 32)
     >>> capture = lm.simulate("metal", patterns, exposure=0.15, faults={"previous": 0.1})
-    >>> model = lm.fit_rig(capture)
+    >>> model = lm.fit_rig(capture.crop((16, 16), (32, 32)))
     >>> model.names, round(float(model.values["previous"][0]), 2)
     (('previous',), 0.1)
     """

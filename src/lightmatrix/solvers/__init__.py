@@ -10,14 +10,6 @@ from lightmatrix.solvers.problem import Problem, Result, Status
 from lightmatrix.solvers.romp import ROMP
 
 __all__ = [
-    "ADMM",
-    "ROMP",
-    "ActiveSet",
-    "Fidelity",
-    "Problem",
-    "Result",
-    "SaturationADMM",
-    "Solver",
-    "Status",
-    "solve",
-]
+    "ADMM", "ROMP", "ActiveSet", "Fidelity", "Problem", "Result", "SaturationADMM", "Solver",
+    "Status", "solve",
+]  # fmt: skip

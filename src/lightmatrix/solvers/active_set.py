@@ -123,11 +123,9 @@ def as_result(
     rows = solved_rows(
         csr_array((solved.values, solved.indices, indptr), shape=shape),
         background if cells is None else np.column_stack([background, cells]),
-        iterations=solved.passes,
-        converged=solved.converged,
-        gap=solved.gap,
+        iterations=solved.passes, converged=solved.converged, gap=solved.gap,
         objective=solved.objective,
-    )
+    )  # fmt: skip
     return Result(rows, Status.CONVERGED if solved.converged.all() else Status.ITERATION_LIMIT)
 
 
@@ -174,16 +172,10 @@ class PseudoSamples:
 
 
 def solve_weighted(
-    problem: Problem,
-    candidates: Candidates,
-    cells: Cells,
-    solver: ActiveSet,
-    *,
-    pseudo_samples: PseudoSamples | None = None,
-    background: NDArray[np.float32] | None = None,
-    start: SparseRows | None = None,
-    progress: Progress | None = None,
-) -> Result:
+    problem: Problem, candidates: Candidates, cells: Cells, solver: ActiveSet, *,
+    pseudo_samples: PseudoSamples | None = None, background: NDArray[np.float32] | None = None,
+    start: SparseRows | None = None, progress: Progress | None = None,
+) -> Result:  # fmt: skip
     """Solve each row on its candidates (penalties v) and the cells (penalties w).
 
     ::

@@ -150,13 +150,9 @@ class _Finished:
         return sum(map(len, self.order))
 
     def add(
-        self,
-        rows: NDArray[np.integer],
-        problem: Problem,
-        state: Any,
-        iteration: int,
+        self, rows: NDArray[np.integer], problem: Problem, state: Any, iteration: int,
         converged: NDArray[np.bool_],
-    ) -> None:
+    ) -> None:  # fmt: skip
         coefficients, background = self.solver.solution(problem, state)
         x = csr_array(np.where(np.isfinite(coefficients), coefficients, 0))
         background = np.where(np.isfinite(background), background, 0)

@@ -189,21 +189,13 @@ class Result:
 
 
 def solved_rows(
-    coefficients: csr_array,
-    background: NDArray[Any],
-    *,
-    iterations: NDArray[np.int32],
-    converged: NDArray[np.bool_],
-    gap: Floats,
-    objective: Floats,
-) -> SparseRows:
+    coefficients: csr_array, background: NDArray[Any], *, iterations: NDArray[np.int32],
+    converged: NDArray[np.bool_], gap: Floats, objective: Floats,
+) -> SparseRows:  # fmt: skip
     """The rows of a `Result`; the background is (m,) or (m, 1 + C), diagnostics are (m,)."""
     diagnostics = {
-        "iterations": iterations,
-        "converged": converged,
-        "gap": gap,
-        "objective": objective,
-    }
+        "iterations": iterations, "converged": converged, "gap": gap, "objective": objective,
+    }  # fmt: skip
     columns = background if background.ndim == 2 else background[:, None]
     return SparseRows(coefficients, columns, diagnostics)
 

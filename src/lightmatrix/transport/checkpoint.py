@@ -14,7 +14,7 @@ import hashlib
 import json
 import re
 from collections.abc import Iterable, Iterator, Mapping
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from dataclasses import replace
 from pathlib import Path
 from types import TracebackType
@@ -52,11 +52,8 @@ class Checkpoint:
     def __init__(
         self, path: Path, kept: RunningResults, token: str, overwrite: bool, claim: ExitStack
     ) -> None:
-        self._path = path
-        self._kept = kept
-        self._overwrite = overwrite
-        self._claim = claim
-        self._token = token
+        self._path, self._kept, self._token = path, kept, token
+        self._overwrite, self._claim = overwrite, claim
         # The undamaged tiles of each step that was asked for.
         self._spans: dict[str, list[Span]] = {}
 
@@ -110,9 +107,7 @@ class Checkpoint:
         """Rows of the finished, undamaged tiles of a step, in order and without overlap."""
         if step not in self._spans:
             spans = [span for _, other, span in self._files() if other == step]
-            self._spans[step] = _without_overlap(
-                s for s in spans if self._tile(step, s) is not None
-            )
+            self._spans[step] = _without_overlap(s for s in spans if self._is_whole(step, s))
         return list(self._spans[step])
 
     def write(self, start: int, stop: int, rows: SparseRows, step: str = ROWS) -> None:
@@ -135,14 +130,10 @@ class Checkpoint:
         self._spans[step] = []
 
     def finish(
-        self,
-        *,
-        camera_shape: tuple[int, ...],
-        projector_shape: tuple[int, int],
-        background_grid: tuple[int, int] = (1, 1),
-        provenance: Mapping[str, Any] | None = None,
+        self, *, camera_shape: tuple[int, ...], projector_shape: tuple[int, int],
+        background_grid: tuple[int, int] = (1, 1), provenance: Mapping[str, Any] | None = None,
         step: str = ROWS,
-    ) -> LightTransport:
+    ) -> LightTransport:  # fmt: skip
         """Join the tiles on disk into the output, so that T is in memory once, and remove them."""
         spans = self.spans(step)
         edges = [0, *(stop for _, stop in spans)]
@@ -171,29 +162,35 @@ class Checkpoint:
         found = [match for name in self._kept.names if (match := form.fullmatch(name))]
         return [(match[0], match[1], (int(match[2]), int(match[3]))) for match in found]
 
-    def _tile(self, step: str, span: Span) -> SparseRows | None:
-        """A finished tile; None if it is missing, damaged, or was written for another token."""
+    def _tile(self, step: str, span: Span) -> SparseRows:
+        """A finished tile; an InputError says that it is missing, damaged, or of another token."""
         name = tile_name(step, span)
-        try:
-            arrays = read_npz(self._kept.file(name))
-            if str(arrays.pop(_MARK, "")) != f"{name} of {self._token}":
-                return None
-            rows = SparseRows.from_arrays(arrays)
-        except InputError:
-            return None
-        return rows if rows.count == span[1] - span[0] else None
+        arrays = read_npz(self._kept.file(name))
+        if str(arrays.pop(_MARK, "")) != f"{name} of {self._token}":
+            raise InputError(f"{name}: belongs to another estimate")
+        rows = SparseRows.from_arrays(arrays)
+        if rows.count != span[1] - span[0]:
+            raise InputError(f"{name}: holds {rows.count} rows")
+        return rows
+
+    def _is_whole(self, step: str, span: Span) -> bool:
+        with suppress(InputError):
+            self._tile(step, span)
+            return True
+        return False
 
     def _tiles(self, step: str) -> Iterator[SparseRows]:
         """Finished tiles one after the other, so that they are never all in memory."""
 
         def whole(span: Span) -> SparseRows:
-            tile = self._tile(step, span)
-            if tile is None:
+            try:
+                return self._tile(step, span)
+            except InputError as error:
                 raise InputError(
-                    f"{self._kept.path}: the tile {tile_name(step, span)} was damaged meanwhile",
+                    f"{self._kept.path}: the tile {tile_name(step, span)} was damaged meanwhile "
+                    f"({error.message})",
                     hint="run the same estimate again; it computes that tile anew",
-                )
-            return tile
+                ) from error
 
         return work_ahead(whole, self.spans(step))
 

@@ -139,11 +139,8 @@ def _write_index(part: Path, matrix: StoredTransport, progress: Callable[[int, i
             end = end + row.nnz
             yield arrays(end, row)
 
-    shapes = {
-        "camera_shape": [pixels + cells, 1],
-        "projector_shape": [samples, 1],
-        "background_grid": [1, 1],
-    }
+    shapes = {"camera_shape": [pixels + cells, 1], "projector_shape": [samples, 1]}
+    shapes["background_grid"] = [1, 1]
     fill_store(part, parts(), shapes, {}, _CHUNK, QUICK)
 
 
@@ -161,11 +158,6 @@ class ColumnIndex:
     Examples
     --------
     See `index_columns`.
-
-    >>> import lightmatrix as lm
-    >>> lm.ColumnIndex.open("gone.zarr")  # doctest: +IGNORE_EXCEPTION_DETAIL
-    Traceback (most recent call last):
-    lightmatrix.errors.InputError: gone.zarr: no such file
     """
 
     matrix: StoredTransport
@@ -222,10 +214,8 @@ class ColumnIndex:
             hint = "give one for each"
             raise InputError(f"{change.shape} values for {pixels.shape} pixels", hint=hint)
         if len(pixels) and not (pixels.min() >= 0 and pixels.max() < self.matrix.shape[1]):
-            raise InputError(
-                f"pixels up to {pixels.max()} of a projector of {self.matrix.shape[1]}",
-                hint="count them from 0, row by row",
-            )
+            what = f"pixels up to {pixels.max()} of a projector of {self.matrix.shape[1]}"
+            raise InputError(what, hint="count them from 0, row by row")
         cells, sizes = self._cells
         means = np.bincount(cells[pixels], change / sizes[cells[pixels]], len(sizes))
         count = self.matrix.shape[1]

@@ -121,12 +121,9 @@ def correspondence(transport: TransportOperator) -> Correspondence:
 
 
 def strongest_places(
-    matrix: csr_array,
-    background: NDArray[np.float64],
-    shape: tuple[int, int],
-    other_shape: tuple[int, int],
-    reach: int = REACH,
-) -> Correspondence:
+    matrix: csr_array, background: NDArray[np.float64], shape: tuple[int, int],
+    other_shape: tuple[int, int], reach: int = REACH,
+) -> Correspondence:  # fmt: skip
     """The strongest place of each row of a matrix, whose columns are pixels of another device.
 
     Rows are the pixels of a device of `shape`, `background` (rows,) is light of each that has no

@@ -30,13 +30,11 @@ _SUMMARY_KEYS = ("estimator", "solver", "regularization", "certificate", "patter
 _STATISTICS: dict[str, tuple[str, Callable[[NDArray[Any]], Any]]] = {
     "clipped_samples": ("clipped_share", np.mean),
     "rows_half_clipped": ("clipped_share", lambda shares: np.mean(shares > 0.5)),
-    "iterations_median": ("iterations", np.median),
-    "converged_rows": ("converged", np.mean),
-    "gap_median": ("gap", np.nanmedian),
-    "gap_max": ("gap", np.nanmax),
+    "iterations_median": ("iterations", np.median), "converged_rows": ("converged", np.mean),
+    "gap_median": ("gap", np.nanmedian), "gap_max": ("gap", np.nanmax),
     "rows_searched_everywhere": ("searched_everywhere", np.mean),
     "rows_certified_everywhere": ("certified_everywhere", np.nanmean),
-}
+}  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False)
@@ -190,12 +188,10 @@ class LightTransport(TransportOperator):
         """The light transport of a rectangle of camera pixels."""
         rows = region.samples(self.camera_shape)
         return replace(
-            self,
-            sparse=self.sparse[rows],
-            background=self.background[rows],
+            self, sparse=self.sparse[rows], background=self.background[rows],
             camera_shape=(*region.shape, *self.camera_shape[2:]),
             diagnostics={name: values[rows] for name, values in self.diagnostics.items()},
-        )
+        )  # fmt: skip
 
     def cropped_like(self, estimate: LightTransport) -> LightTransport:
         """The part that `estimate` covers: of cropped photographs, of one of several projectors."""

@@ -64,13 +64,10 @@ class Operator(ABC):
             return result.reshape(self.shape[0], *values.shape[1:])
         if values.shape == taken:
             return self.multiplied(_floating(values).reshape(-1, 1)).reshape(made)
-        size = " x ".join(map(str, taken))
-        raise InputError(
-            f"a product of a matrix of {self.shape[0]} x {self.shape[1]} with values of shape "
-            f"{values.shape}",
-            hint=f"give a vector of {self.shape[1]}, several as ({self.shape[1]}, k), or an image "
-            f"of {size}",
-        )
+        rows, size = self.shape[1], " x ".join(map(str, taken))
+        hint = f"give a vector of {rows}, several as ({rows}, k), or an image of {size}"
+        what = f"a product of a matrix of {self.shape[0]} x {rows} with values of shape"
+        raise InputError(f"{what} {values.shape}", hint=hint)
 
     # NumPy must leave `array @ transport` to this class, which refuses it.
     __array_ufunc__ = None
@@ -278,11 +275,9 @@ def checked_patterns(
     values = real_array("a pattern", patterns)
     # Before its values, which a view may have without end.
     if values.shape[-2:] != projector_shape or values.ndim not in (2, 3):
-        raise InputError(
-            f"the pattern has shape {values.shape}, but the projector has "
-            f"{projector_shape[0]} x {projector_shape[1]}",
-            hint="resize the pattern to the projector",
-        )
+        size, hint = " x ".join(map(str, projector_shape)), "resize the pattern to the projector"
+        what = f"the pattern has shape {values.shape}, but the projector has {size}"
+        raise InputError(what, hint=hint)
     # Written so that it refuses NaN, too.
     if values.size and not (values.min() >= 0 and values.max() <= 1):
         raw = values.dtype.kind in "iu"

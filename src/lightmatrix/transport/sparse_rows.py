@@ -40,11 +40,14 @@ class SparseRows:
 
     def rows(self, index: slice | NDArray[np.integer]) -> SparseRows:
         """Some of the rows, in the order of the index."""
-        return SparseRows(
-            csr_array(self.coefficients[index]),
-            self.background[index],
-            {name: values[index] for name, values in self.diagnostics.items()},
-        )
+        diagnostics = {name: values[index] for name, values in self.diagnostics.items()}
+        return SparseRows(csr_array(self.coefficients[index]), self.background[index], diagnostics)
+
+    def replaced(self, places: NDArray[np.int64], new: SparseRows) -> SparseRows:
+        """These rows with new ones at some places."""
+        order = np.arange(self.count)
+        order[places] = self.count + np.arange(new.count)
+        return SparseRows.joined([self, new]).rows(order)
 
     def single(self) -> SparseRows:
         """The same rows in single precision."""
@@ -59,25 +62,19 @@ class SparseRows:
         """
         if len(parts) == 1:
             return parts[0]
-        return cls(
-            stack_rows([part.coefficients for part in parts]),
-            np.concatenate([part.background for part in parts]),
-            {
-                name: np.concatenate([part.diagnostics[name] for part in parts])
-                for name in parts[0].diagnostics
-            },
-        )
+        each = {name: [p.diagnostics[name] for p in parts] for name in parts[0].diagnostics}
+        diagnostics = {name: np.concatenate(values) for name, values in each.items()}
+        background = np.concatenate([part.background for part in parts])
+        return cls(stack_rows([part.coefficients for part in parts]), background, diagnostics)
 
     def arrays(self) -> dict[str, NDArray[Any]]:
         """The rows as named arrays, for `from_arrays`."""
         return {
-            "data": self.coefficients.data,
-            "indices": self.coefficients.indices,
-            "indptr": self.coefficients.indptr,
-            "shape": np.array(self.coefficients.shape),
+            "data": self.coefficients.data, "indices": self.coefficients.indices,
+            "indptr": self.coefficients.indptr, "shape": np.array(self.coefficients.shape),
             "background": self.background,
             **{_DIAGNOSTIC + name: values for name, values in self.diagnostics.items()},
-        }
+        }  # fmt: skip
 
     @classmethod
     def from_arrays(cls, arrays: Mapping[str, NDArray[Any]]) -> Self:
@@ -87,11 +84,8 @@ class SparseRows:
             parts = arrays["data"], arrays["indices"], arrays["indptr"]
             matrix, background = csr_array(parts, shape=(count, pixels)), arrays["background"]
             matrix.check_format(full_check=True)
-            diagnostics = {
-                name.removeprefix(_DIAGNOSTIC): values
-                for name, values in arrays.items()
-                if name.startswith(_DIAGNOSTIC)
-            }
+            named = [name for name in arrays if name.startswith(_DIAGNOSTIC)]
+            diagnostics = {name.removeprefix(_DIAGNOSTIC): arrays[name] for name in named}
             if background.shape[:-1] != (count,):
                 raise ValueError(f"a background of shape {background.shape} for {count} rows")
             for name, values in diagnostics.items():

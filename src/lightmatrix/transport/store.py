@@ -111,15 +111,10 @@ def save(path: str | Path, transport: LightTransport, *, overwrite: bool = False
 
 
 def save_rows(
-    path: str | Path,
-    parts: Iterable[SparseRows],
-    *,
-    camera_shape: tuple[int, ...],
-    projector_shape: tuple[int, int],
-    background_grid: tuple[int, int],
-    provenance: Mapping[str, Any],
-    overwrite: bool = False,
-) -> None:
+    path: str | Path, parts: Iterable[SparseRows], *, camera_shape: tuple[int, ...],
+    projector_shape: tuple[int, int], background_grid: tuple[int, int],
+    provenance: Mapping[str, Any], overwrite: bool = False,
+) -> None:  # fmt: skip
     """Write a matrix as `save` does, from parts with all rows in order, one at a time in memory."""
     with atomic_folder(path, STORE, overwrite=overwrite) as part:
         shapes = {
@@ -131,13 +126,9 @@ def save_rows(
 
 
 def fill_store(
-    folder: Path,
-    arrays: Iterable[Mapping[str, NDArray[Any]]],
-    shapes: Mapping[str, Any],
-    provenance: Mapping[str, Any],
-    chunk: int | None = None,
-    blosc: BloscCodec = SMALL,
-) -> None:
+    folder: Path, arrays: Iterable[Mapping[str, NDArray[Any]]], shapes: Mapping[str, Any],
+    provenance: Mapping[str, Any], chunk: int | None = None, blosc: BloscCodec = SMALL,
+) -> None:  # fmt: skip
     """Write a matrix into an empty folder, from parts of its arrays as `write_parts` takes them."""
     group = zarr.open_group(folder, mode="w", zarr_format=3)
     group.create_group("diagnostics")
@@ -298,14 +289,6 @@ def open_colour(folder: str | Path) -> ColourTransport:
     ------
     InputError
         If one of them is missing or damaged.
-
-    Examples
-    --------
-    >>> import lightmatrix as lm
-    >>> known = lm.truth("metal").transport()
-    >>> lm.save_colour("saved", lm.ColourTransport(known, known, known))
-    >>> lm.open_colour("saved").projector_shape
-    (64, 64)
     """
     red, green, blue = (open(path) for path in colour_paths(folder))
     return ColourTransport(red, green, blue)
@@ -401,11 +384,9 @@ class StoredTransport(TransportOperator):
                     raise ValueError(f"{name} holds {arrays[name].dtype}, not {np.dtype(dtype)}")
             samples = math.prod(camera)
             wanted = {
-                "indptr": (samples + 1,),
-                "indices": arrays["data"].shape,
-                "background": (samples, high * wide),
-                **dict.fromkeys(diagnostics, (samples,)),
-            }
+                "indptr": (samples + 1,), "indices": arrays["data"].shape,
+                "background": (samples, high * wide), **dict.fromkeys(diagnostics, (samples,)),
+            }  # fmt: skip
             for name, shape in wanted.items():
                 if arrays[name].shape != shape:
                     raise ValueError(f"{name} has shape {arrays[name].shape}, not {shape}")
@@ -449,11 +430,9 @@ class StoredTransport(TransportOperator):
         entries = slice(int(ends[0]), int(ends[-1]))
         with as_damage_error(self.place, self.remedy):
             return checked_matrix(
-                self.arrays["data"].read(entries),
-                self.arrays["indices"].read(entries),
-                ends - ends[0],
-                (stop - start, self.shape[1]),
-            )
+                self.arrays["data"].read(entries), self.arrays["indices"].read(entries),
+                ends - ends[0], (stop - start, self.shape[1]),
+            )  # fmt: skip
 
     def some_rows(self, start: int, stop: int) -> SparseRows:
         """Rows without their diagnostics, which images do not need."""
@@ -469,10 +448,8 @@ class StoredTransport(TransportOperator):
         """The diagnostics of some rows by name, (stop - start,) each."""
         arrays = {name: self.arrays[name] for name in self.arrays if name not in _ARRAYS}
         with as_damage_error(self.place, self.remedy):
-            return {
-                name.removeprefix("diagnostics/"): array.read(slice(start, stop))
-                for name, array in arrays.items()
-            }
+            values = {name: array.read(slice(start, stop)) for name, array in arrays.items()}
+        return {name.removeprefix("diagnostics/"): each for name, each in values.items()}
 
     def blocks(self) -> Iterator[tuple[int, SparseRows]]:
         """All rows in blocks of bounded size, without diagnostics: (first row, rows)."""

@@ -113,21 +113,21 @@ class CoherentEstimator(Estimator):
     def plan(self, capture: Capture) -> Plan:
         """The estimate before it is made."""
         rounds = schedule(capture.camera_shape, capture.patterns.pixels, self.windows)
-        solver = RowSolver(
-            capture, self._solver, self.regularization, self.trust, self.candidates, self.sizes,
-            self.background_grid, narrow=rounds[0].spacing > 1,
-        )  # fmt: skip
+        solver = self.row_solver(capture, narrow=rounds[0].spacing > 1)
         work = Rounds(solver, rounds, self.tile_rows, self.judged)
         return Plan(work, self._provenance(capture, solver.penalty), solver.backgrounds.grid)
+
+    def row_solver(self, capture: Capture, *, narrow: bool = False) -> RowSolver:
+        """What solves rows of a capture with these parameters."""
+        own = self._solver, self.regularization, self.trust, self.candidates, self.sizes
+        return RowSolver(capture, *own, self.background_grid, narrow)
 
     def _provenance(self, capture: Capture, regularization: float) -> dict[str, object]:
         made_by = solver_provenance(self._solver)
         made_by["solver_parameters"] |= {
-            "trust": self.trust,
-            "windows": [list(pair) for pair in self.windows],
-            "candidates": self.candidates,
-            "sizes": list(self.sizes),
-        }
+            "trust": self.trust, "windows": [list(pair) for pair in self.windows],
+            "candidates": self.candidates, "sizes": list(self.sizes),
+        }  # fmt: skip
         certificate = (
             "the weighted problem of each row on its likeliest pixels, with expected samples"
         )

@@ -1,17 +1,10 @@
 """What the rows around a row say of it: which atoms it probably holds, and its pseudo-samples.
 
 Neighbouring camera pixels have much the same footprint, moved by a pixel or so. How it moves is the
-Jacobian of the correspondence. It is measured, and not derived from the sizes of camera and
-projector. At first the strongest pixels of many rows are wrong, but they are wrong at random: among
-the displacements between neighbouring camera pixels the true one stands out as a peak, whatever the
-scale, the angle or the part that projector and camera see of each other. Each of several projectors
-has a Jacobian of its own.
-
-Where neighbours' rows, moved back by the Jacobian, hold light, there a row is likely to hold some.
-And each neighbour's row, moved back and scaled to the known samples, is a guess at this one.
-Guesses count by how well they explain these samples. The pseudo-samples are their mean; the less
-the guesses differ, the more the pseudo-samples weigh. They stand in for clipped samples and for
-patterns that were never shown (`docs/coherent.md`).
+Jacobian of the correspondence: among the displacements between the strongest pixels of neighbours
+the true one is a peak, however many rows are wrong. Moved back by it, a neighbour's light makes
+atoms likely, and its row is a guess at this one's samples. The pseudo-samples are the mean of these
+guesses. They stand in for clipped samples and for patterns never shown (`docs/coherent.md`).
 """
 
 from __future__ import annotations
@@ -197,11 +190,8 @@ class CameraGrid:
         place = coarser._places(self)
         entries = np.zeros(self.count, np.int64)
         entries[place] = np.diff(rows.coefficients.indptr)
-        parts = (
-            rows.coefficients.data,
-            rows.coefficients.indices,
-            np.append(0, np.cumsum(entries)).astype(rows.coefficients.indptr.dtype),
-        )
+        ends = np.append(0, np.cumsum(entries)).astype(rows.coefficients.indptr.dtype)
+        parts = rows.coefficients.data, rows.coefficients.indices, ends
         background = np.zeros((self.count, rows.background.shape[1]), rows.background.dtype)
         background[place] = rows.background
         diagnostics = {}
@@ -344,14 +334,9 @@ class Neighbourhood:
         return max(0, start - reach), min(self.rows.count, stop + reach)
 
     def pseudo_samples(
-        self,
-        unseen: PatternSet,
-        samples: Samples,
-        clipped: NDArray[np.bool_],
-        level: float,
-        rows: NDArray[np.int64],
-        background: NDArray[np.float32],
-    ) -> PseudoSamples:
+        self, unseen: PatternSet, samples: Samples, clipped: NDArray[np.bool_], level: float,
+        rows: NDArray[np.int64], background: NDArray[np.float32],
+    ) -> PseudoSamples:  # fmt: skip
         """Pseudo-samples of m ascending rows in place of clipped samples and under unseen patterns.
 
         `samples` are (m, K), `clipped` ones lower bounds; deviations are relative to `level`.
@@ -382,13 +367,9 @@ class Neighbourhood:
         return PseudoSamples(unseen, values, weight)
 
     def _expected(
-        self,
-        unseen: PatternSet,
-        samples: Samples,
-        level: float,
-        rows: NDArray[np.int64],
+        self, unseen: PatternSet, samples: Samples, level: float, rows: NDArray[np.int64],
         background: NDArray[np.float32],
-    ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:  # fmt: skip
         """Samples that neighbours expect of some rows, and their variances, (m, K + E)."""
         if self.projectors == 1:
             start, prepared = int(rows[0]), (self.atoms.prepared, unseen.prepared)
@@ -479,15 +460,9 @@ class Neighbourhood:
         return np.clip(belief, constants.pixels_least, 1).astype(np.float32).ravel()
 
     def likely_atoms(
-        self,
-        reach: tuple[int, int],
-        most: int,
-        trust: float,
-        known: NDArray[np.integer],
-        rows: NDArray[np.int64],
-        *,
-        first: bool = False,
-    ) -> Candidates:
+        self, reach: tuple[int, int], most: int, trust: float, known: NDArray[np.integer],
+        rows: NDArray[np.int64], *, first: bool = False,
+    ) -> Candidates:  # fmt: skip
         """The likeliest atoms of some ascending rows, with penalties by the light of neighbours.
 
         `reach` has half widths of the windows in camera and projector pixels, `most` limits a row's

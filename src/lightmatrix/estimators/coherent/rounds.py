@@ -72,13 +72,6 @@ def unchanged(rows: SparseRows) -> SparseRows:
     return replace(rows, diagnostics={**rows.diagnostics, CHANGE: np.zeros(rows.count, np.float32)})
 
 
-def replaced(rows: SparseRows, new: SparseRows, places: NDArray[np.int64]) -> SparseRows:
-    """Unchanged rows, with new ones at some places."""
-    order = np.arange(rows.count)
-    order[places] = rows.count + np.arange(new.count)
-    return SparseRows.joined([unchanged(rows), new]).rows(order)
-
-
 # Diagnostics where light grows: whether a row has searched all projector pixels; and whether no
 # atom beside its candidates would enter it, NaN for rows that were not checked.
 SEARCHED, CERTIFIED = "searched_everywhere", "certified_everywhere"
@@ -199,7 +192,8 @@ class Rounds(Work):
         solved, _ = self.solver.near(
             samples.rows(moving), rows[moving], this_round, neighbours, progress
         )
-        return replaced(before, with_change(_for_next_round(solved, part), part), moving)
+        new = with_change(_for_next_round(solved, part), part)
+        return unchanged(before).replaced(moving, new)
 
     def _search_unexplained(
         self, samples: Samples, solved: Result, rows: SparseRows, share: float, progress: Progress
@@ -214,7 +208,7 @@ class Rounds(Work):
         )
         again = _searched(solved)
         lit = np.flatnonzero(np.diff(again.coefficients.indptr) > 0)
-        return replaced(rows, again.rows(lit), unexplained[lit]) if len(lit) else rows
+        return unchanged(rows).replaced(unexplained[lit], again.rows(lit)) if len(lit) else rows
 
     def _hold_out(
         self, neighbours: Neighbourhood, start: int, stop: int, progress: Progress
@@ -296,21 +290,13 @@ class Rounds(Work):
         if solved.cells.shape[1]:
             background += solved.cells
         atoms = rows_with_diagnostics(samples, solved)
-        return replace(
-            atoms,
-            coefficients=solver.atoms.expand(atoms.coefficients),
-            background=background.astype(np.float32),
-        )
+        pixels = solver.atoms.expand(atoms.coefficients)
+        return replace(atoms, coefficients=pixels, background=background.astype(np.float32))
 
     def _judge(
-        self,
-        neighbours: Neighbourhood,
-        misfit: NDArray[np.float32],
-        missed: NDArray[np.float32],
-        start: int,
-        stop: int,
-        progress: Progress,
-    ) -> SparseRows:
+        self, neighbours: Neighbourhood, misfit: NDArray[np.float32], missed: NDArray[np.float32],
+        start: int, stop: int, progress: Progress,
+    ) -> SparseRows:  # fmt: skip
         """The rows start..stop of the result, which also say how far to trust them."""
         solver, rows = self.solver, np.arange(start, stop)
         samples = self.capture.samples(start, stop)

@@ -282,15 +282,7 @@ _FEWEST = 8
 
 @dataclass(frozen=True, eq=False)
 class Predicted:
-    """The predicted samples of m rows under K patterns: of their atoms and of their background.
-
-    Parameters
-    ----------
-    atoms, background : (m, K)
-        Light in units of camera sample.
-    brightness : (K,)
-        Mean of each pattern.
-    """
+    """Predicted samples of m rows under K patterns, (m, K) each, and the patterns' means, (K,)."""
 
     atoms: NDArray[np.float32]
     background: NDArray[np.float32]
@@ -313,20 +305,14 @@ def predicted_samples(
     )
     if solved.cells.shape[1]:
         light = light + solved.cells[index] @ solver.backgrounds.shown_means
-    return Predicted(
-        np.asarray(own @ patterns.columns(used).T, np.float32).reshape(light.shape),
-        np.asarray(light, np.float32),
-        brightness,
-    )
+    of_atoms = np.asarray(own @ patterns.columns(used).T, np.float32).reshape(light.shape)
+    return Predicted(of_atoms, np.asarray(light, np.float32), brightness)
 
 
 def residual_diagnostics(
-    solver: RowSolver,
-    weighted: WeightedRows,
-    solved: Result,
-    pixels: csr_array,
+    solver: RowSolver, weighted: WeightedRows, solved: Result, pixels: csr_array,
     chosen: NDArray[np.int64],
-) -> dict[str, NDArray[Any]]:
+) -> dict[str, NDArray[Any]]:  # fmt: skip
     """The diagnostics of solved rows that their samples and residuals give.
 
     `pixels` are the rows as pixels. `only_bounded` and `glint` are of all rows, `constant_light`
@@ -343,11 +329,9 @@ def residual_diagnostics(
     # times as bright as the rest clip in 0.77 to 1. Chosen on 180 small captures.
     many = 0.72 + 1.5 / samples.clipped.shape[1]
     return {
-        "only_bounded": bounded,
-        "glint": bounded & (clipped > many),
-        "constant_light": constant,
+        "only_bounded": bounded, "glint": bounded & (clipped > many), "constant_light": constant,
         "bend": bent,
-    }
+    }  # fmt: skip
 
 
 def squared_residual(samples: Samples, predicted: Predicted) -> NDArray[np.float32]:

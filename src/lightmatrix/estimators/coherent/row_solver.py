@@ -111,11 +111,8 @@ class Backgrounds:
     @computed_once
     def _means(self) -> NDArray[np.float32]:
         """Mean of each pattern over each cell, (B, K + E) in [0, 1]."""
-        parts = [
-            self._pooling @ chunk.T
-            for one in (self.shown, self.unseen)
-            for _, chunk in one.chunks()
-        ]
+        chunks = (chunk for one in (self.shown, self.unseen) for _, chunk in one.chunks())
+        parts = [self._pooling @ chunk.T for chunk in chunks]
         return np.clip(np.concatenate(parts, axis=1), 0, 1).astype(np.float32)
 
     @computed_once
@@ -235,26 +232,20 @@ class RowSolver:
     def backgrounds(self) -> Backgrounds:
         """The cells of the background, at most one a pixel."""
         shape, several = self.capture.projector_shape, max(1, len(self.capture.projectors))
-        grid = (
-            min(several * self.background_grid[0], shape[0]),
-            min(self.background_grid[1], shape[1]),
-        )
+        down, right = self.background_grid
+        grid = min(several * down, shape[0]), min(right, shape[1])
         return Backgrounds(grid, self.capture.patterns, self.unseen.single)
 
     def everywhere(
         self, samples: Samples, progress: Progress | None = None, *, brief: bool = False
     ) -> Result:
         """Solve each row by itself on all atoms; in two passes if it may be `brief`."""
-        problem = self._problem(samples, FIRST_REGULARIZATION * self.level)
-        passes = self.solver.max_passes
+        problem = self.first_problem(samples)
+        most = min(2, self.solver.max_passes) if brief else self.solver.max_passes
         # A gap of 1 % suffices to show where light may be. Until it is reached there would be 3.5
         # passes; but where every row has neighbours that have searched, two give the same errors.
-        solver = replace(
-            self.solver,
-            tolerance=max(1e-2, self.solver.tolerance),
-            max_passes=min(2, passes) if brief else passes,
-        )
-        return solver.solve(problem, progress)
+        tolerance = max(1e-2, self.solver.tolerance)
+        return replace(self.solver, tolerance=tolerance, max_passes=most).solve(problem, progress)
 
     def unexplained(self, samples: Samples, solved: Result, share: float) -> NDArray[np.int64]:
         """Rows whose samples the solution does not explain, but other atoms might.
@@ -277,12 +268,9 @@ class RowSolver:
         return np.flatnonzero(bright & wrong)
 
     def weighted_rows(
-        self,
-        samples: Samples,
-        rows: NDArray[np.int64],
-        this_round: Round,
+        self, samples: Samples, rows: NDArray[np.int64], this_round: Round,
         neighbours: Neighbourhood,
-    ) -> WeightedRows:
+    ) -> WeightedRows:  # fmt: skip
         """The problem of some rows, ascending, with what their neighbours say of them."""
         assert this_round.window is not None
         problem = self._problem(samples, self.penalty)
@@ -315,13 +303,9 @@ class RowSolver:
         )
 
     def near(
-        self,
-        samples: Samples,
-        rows: NDArray[np.int64],
-        this_round: Round,
-        neighbours: Neighbourhood,
-        progress: Progress | None = None,
-    ) -> tuple[Result, WeightedRows]:
+        self, samples: Samples, rows: NDArray[np.int64], this_round: Round,
+        neighbours: Neighbourhood, progress: Progress | None = None,
+    ) -> tuple[Result, WeightedRows]:  # fmt: skip
         """Solve rows, ascending, on their likeliest atoms; returns their problem too."""
         weighted = self.weighted_rows(samples, rows, this_round, neighbours)
         solved = solve_weighted(
@@ -336,6 +320,10 @@ class RowSolver:
         backgrounds = self.backgrounds
         centres = csr_array(neighbours.centres[start:stop])
         return backgrounds.under_patterns(backgrounds.spread(centres))
+
+    def first_problem(self, samples: Samples) -> Problem:
+        """The problem of rows of which nothing is known."""
+        return self._problem(samples, FIRST_REGULARIZATION * self.level)
 
     def _problem(self, samples: Samples, penalty: float) -> Problem:
         """The problem of rows of atoms, for a penalty of single pixels."""

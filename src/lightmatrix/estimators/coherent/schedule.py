@@ -1,11 +1,9 @@
 """The rounds of a coherent estimate: which camera pixels are solved, and where they seek light.
 
-In a small frame every camera pixel first searches all projector pixels. The cost of this grows with
-the product of both. In other frames only seeds search. After some rounds among themselves, their
-light grows to camera pixels that are closer and closer, at last to all, as matches do in PatchMatch
-stereo (Barnes et al. 2009). Camera pixels whose samples this does not explain then search for
-themselves. Seeds are every second camera pixel along both axes, and in large frames every fourth to
-32nd one.
+In a small frame every camera pixel first searches all projector pixels, which costs the product of
+both. In others only seeds search: every second camera pixel along both axes, in large frames every
+fourth to 32nd. Their light grows to all others, as matches do in PatchMatch stereo (Barnes et al.
+2009); camera pixels whose samples this does not explain then search for themselves.
 """
 
 from __future__ import annotations
@@ -100,15 +98,10 @@ def schedule(
     for spacing, own in finer:
         searched = min(GROWTH.search_after, len(own) - 1)
         for i, window in enumerate(own):
-            rounds.append(
-                Round(
-                    spacing,
-                    window,
-                    rounds[-1].age + 1,
-                    search_unexplained=share if i + 1 == searched else 0.0,
-                    skip_settled=i >= searched and window == own[i - 1],
-                )
-            )
+            searching = share if i + 1 == searched else 0.0
+            settled = i >= searched and window == own[i - 1]
+            age = rounds[-1].age + 1
+            rounds.append(Round(spacing, window, age, False, False, searching, settled))
     last = rounds.pop()
     return (*rounds, Round(last.spacing, last.window, last.age, last=True))
 
@@ -123,10 +116,8 @@ def _windows_by_level(
         return [windows[: GROWTH.near_seed_rounds], windows[GROWTH.near_seed_rounds :]]
     between = (windows[0], *windows[-GROWTH.settling - 1 : -1])
     return [
-        windows[:-1],
-        *([between] * (len(steps) - 2)),
-        (windows[0], *windows[-GROWTH.settling :]),
-    ]
+        windows[:-1], *([between] * (len(steps) - 2)), (windows[0], *windows[-GROWTH.settling :]),
+    ]  # fmt: skip
 
 
 def is_large(samples: int, pixels: int) -> bool:

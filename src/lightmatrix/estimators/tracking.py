@@ -1,0 +1,360 @@
+"""`lm.Tracker`: T that follows a scene, photograph by photograph (`docs/tracking.md`).
+
+Each photograph is predicted before it is used. What the prediction misses tells which rows changed
+and when, by Page's cumulative sum (Biometrika 1954); other rows stay bit by bit. Those that changed
+are solved again with the photographs since then. Eight black and white ones tell 256 projector
+pixels apart, not all of them. But T knows how far, and along which line, depth moves light: only
+there rows search. They are unknown until they predict photographs that they have not used.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import uniform_filter
+from scipy.sparse import csr_array
+
+from lightmatrix.capture.capture import Capture, capture_of_samples, open_capture
+from lightmatrix.capture.exposures import frame_weights
+from lightmatrix.capture.frames import ArrayStack
+from lightmatrix.capture.samples import Samples
+from lightmatrix.errors import InputError
+from lightmatrix.estimators.coherent.estimator import CoherentEstimator
+from lightmatrix.estimators.coherent.neighbourhood import REACH, Neighbourhood
+from lightmatrix.estimators.coherent.row_solver import RowSolver
+from lightmatrix.estimators.coherent.schedule import Round
+from lightmatrix.estimators.estimate import estimate
+from lightmatrix.geometry.matches import fit_homography, moved
+from lightmatrix.patterns.colour import ColourPatterns
+from lightmatrix.patterns.pattern_set import ImagePatterns, PatternSet
+from lightmatrix.ranges import real_array
+from lightmatrix.solvers.active_set import Candidates, Cells, solve_weighted
+from lightmatrix.solvers.problem import Result
+from lightmatrix.transport.correspondence import correspondence
+from lightmatrix.transport.matrix import LightTransport
+from lightmatrix.transport.sparse_rows import SparseRows
+
+# A change multiplies the squares missed by this at least; less goes on as an error of T. The sums
+# of log-likelihood ratios from which a region has changed, and a row within it. Without a change
+# they stay below 2 in 64 photographs of 64 x 64 camera pixels (`python -m benchmarks.track`).
+_RATIO, _REGION, _ROW = 25.0, 10.0, 2.0
+# Photographs since a change with which a row is solved first; those that judge whether it is known;
+# and those up to which it is searched whether known or not. Chosen by hand.
+_FIRST, _JUDGED, _SEARCHED = 4, 3, 8
+# What neighbours say of rows: after a search three times, of others the last time.
+_ROUNDS = (Round(1, (2, 1), 3), Round(1, (2, 1), 4), Round(1, (1, 1), 5, last=True))
+
+
+class Update(NamedTuple):
+    """What a photograph said of the scene."""
+
+    # Its number, from 1 on.
+    photograph: int
+    # Camera samples that it showed to have changed, and those whose rows are not known yet.
+    changed: NDArray[np.bool_]
+    unknown: NDArray[np.bool_]
+    # The relative error of its prediction by all other rows.
+    missed: float
+
+
+class Tracker:
+    """T after each further photograph of a scene in which things move.
+
+    Parameters
+    ----------
+    capture : Capture, str or Path
+        The first K photographs; further ones slide through a window of K.
+    transport : LightTransport, optional
+        T of these. None: it is estimated.
+
+    Raises
+    ------
+    InputError
+        If T does not fit the capture or has no light, or a projector shows colours.
+
+    Examples
+    --------
+    >>> import lightmatrix as lm
+    >>> capture = lm.simulate("metal", lm.BernoulliPatterns((64, 64), 33), exposure=0.15)
+    >>> tracker = lm.Tracker(capture.select(range(32)))
+    >>> step = tracker.update(capture.frame(32), capture.patterns.images(32)[0])
+    >>> step.photograph, step.changed.shape
+    (1, (64, 64))
+    """
+
+    def __init__(
+        self, capture: Capture | str | Path, transport: LightTransport | None = None
+    ) -> None:
+        # What the rig did to further photographs is not known.
+        self._capture = replace(open_capture(capture), correction=None)
+        if isinstance(self._capture.patterns, ColourPatterns) or self._capture.projectors:
+            hint = "track photographs of one projector, in grey"
+            raise InputError("several projectors or colours at once", hint=hint)
+        self._given = transport or estimate(capture, progress=False)
+        if self._given.image_shapes != (self._capture.camera_shape, self._capture.projector_shape):
+            hint = "give the matrix of these photographs"
+            raise InputError(f"photographs of other sizes than those of {self._given}", hint=hint)
+        self._camera: tuple[int, ...] = (*self._given.camera_shape, 1)[:3]
+        self._light = SparseRows(self._given.sparse, self._given.background)
+        self._centres, self._steps = _parallax(self._given)
+        # The window: patterns (K, N) and samples (M, K); photograph n stands in column n mod K.
+        self._shown, seen = self._capture.patterns.dense(), self._capture.samples()
+        levels, weights = seen.clip_levels_of_all(), seen.weights_of_all()
+        self._samples = Samples(seen.values.copy(), seen.clipped.copy(), levels, weights)
+        self._longest = float(self._capture.exposures.max())
+        misses = _squares(self._samples, self._predicted(self._light, self._shown)).T
+        # Photographs that T was estimated from are missed by less than others: squares were 1 to 3
+        # times as large on `l_objects` at 64 x 64.
+        self._usual = 4 * self._around(misses.mean(axis=0)) + 1e-12
+        # The variance of the camera's noise is at most this: most rows are right but for noise.
+        self._noise = float(np.quantile(self._usual, 0.25)) / 4
+        rows = len(self._usual)
+        self.photographs, self.since = 0, np.zeros(rows, np.int64)
+        # Squares by which rows missed the last photographs, infinite until they are solved; and
+        # those of the photographs that they were solved with.
+        self._missed, self._misfit = misses[-_JUDGED:], np.zeros(rows)
+        # Cumulative sums of rows and of the regions around them, and where the latter began.
+        (self._own, self._region), self._began = np.zeros((2, rows)), self.since.copy()
+        # Rows that were solved again, in order, as atoms; and the light of all rows times the
+        # contrast of the patterns, to which misses are relative.
+        self._rows, self._atoms, self._length = self.since[:0], self._light, np.ones(rows)
+
+    def update(
+        self, photograph: NDArray[Any], pattern: NDArray[Any], *, exposure: float | None = None
+    ) -> Update:
+        """Take a further photograph into T: raw levels as those of the capture.
+
+        The pattern, (rows, cols), is in [0, 1]; the exposure in the capture's unit (None: that of
+        its first frame). An InputError refuses sizes and types other than the capture's.
+        """
+        first = self._capture.select([0])
+        frames = ArrayStack(np.asarray(photograph)[None])
+        patterns: PatternSet = ImagePatterns(real_array("a pattern", pattern)[None])
+        if first.bin_projector != (1, 1):
+            patterns = patterns.coarse(first.bin_projector)
+        wanted = first.frames.shape, first.frames.dtype, first.projector_shape
+        if (frames.shape, frames.dtype, patterns.shape) != wanted:
+            raise InputError(
+                f"a photograph {frames.shape} {frames.dtype} of a pattern {patterns.shape}",
+                hint=f"give raw levels {wanted[0]} {wanted[1]}, and a pattern {wanted[2]}",
+            )
+        decoder = first.decoder if exposure is None else replace(first.decoder, exposure=exposure)
+        return self._add(replace(first, patterns=patterns, frames=frames, decoder=decoder))
+
+    def follow(self, capture: Capture) -> Iterator[Update]:
+        """Take the photographs of another capture by this camera into T, one by one."""
+        return (self._add(capture.select([k])) for k in range(capture.count))
+
+    @property
+    def transport(self) -> LightTransport:
+        """T now.
+
+        Its diagnostics have the photograph with which each row changed (`since`, 0: none) and
+        whether it is `unknown`, with an estimated error of 1. That of other rows that changed is
+        what they missed the last photographs by.
+        """
+        changed, unknown = self.since > 0, self._unknown
+        diagnostics = {name: values.copy() for name, values in self._given.diagnostics.items()}
+        for values in diagnostics.values():
+            values[changed] = np.nan if values.dtype.kind == "f" else 0
+        # At least a tenth of what they missed counts as error, as elsewhere.
+        wrong = np.maximum(self._lately - self._noise, 0.1 * self._lately)
+        error = np.where(unknown, 1, np.sqrt(wrong) / self._length)
+        before = diagnostics.get("estimated_error", np.full(len(changed), np.nan))
+        diagnostics["estimated_error"] = np.where(changed, error, before).astype(np.float32)
+        diagnostics |= {"since": self.since.copy(), "unknown": unknown.astype(np.float32)}
+        return replace(
+            self._given, sparse=self._light.coefficients, background=self._light.background,
+            diagnostics=diagnostics,
+            provenance={**self._given.provenance, "tracked_photographs": self.photographs},
+        )  # fmt: skip
+
+    def _add(self, one: Capture) -> Update:
+        self.photographs += 1
+        column, known, seen = self.photographs % len(self._shown), ~self._unknown, one.samples()
+        exposures = np.array([self._longest, one.exposures[0]])
+        if (weights := frame_weights(exposures)) is not None:
+            seen = replace(seen, weights=seen.weights_of_all() * weights[1])
+        self._shown[column] = one.patterns.dense()[0]
+        for name, new in vars(replace(seen, weights=seen.weights_of_all())).items():
+            getattr(self._samples, name)[:, column] = new if new.ndim == 1 else new[:, 0]
+        latest = self._samples.frames(np.array([column]))
+        missed = _squares(latest, self._predicted(self._light, self._shown[[column]]))[:, 0]
+        changed = self._changes(missed) & known
+        self.since[changed] = self._began[changed]
+        self._own[changed] = 0
+        self._missed = np.concatenate([self._missed[1:], missed[None]])
+        self._missed[:, changed] = np.inf
+        # Rows that were not solved since they changed have predicted nothing.
+        self._missed[-1, self._learning & (self._seen_by <= _FIRST)] = np.inf
+        # If no T explains the photographs since a change, there was another one meanwhile.
+        misfit = np.maximum(self._misfit, self._around(self._misfit))
+        lost = ~known & (self._seen_by > 2 * _SEARCHED) & (misfit > _RATIO * self._usual)
+        self.since[lost] = self.photographs + 1 - _SEARCHED
+        self._solve()
+        right = known & ~changed & latest.counted[:, 0]
+        error = np.sqrt(missed[right].sum() / max(np.square(latest.values[right]).sum(), 1e-30))
+        shape, unknown = self._given.camera_shape, self._unknown
+        maps = changed.reshape(shape), unknown.reshape(shape)
+        return Update(self.photographs, *maps, float(error))
+
+    def _predicted(self, light: SparseRows, shown: NDArray[np.float32]) -> NDArray[np.float32]:
+        """What rows of T show under patterns (k, N), (m, k)."""
+        diffuse = light.background @ (self._given.pooling @ shown.T)
+        return np.asarray(light.coefficients @ shown.T + diffuse, np.float32)
+
+    def _around(self, values: NDArray[Any]) -> NDArray[np.float64]:
+        """Means over squares of three camera pixels a side, (M,)."""
+        image = values.reshape(self._camera).astype(np.float64)
+        return np.asarray(uniform_filter(image, (3, 3, 1), mode="nearest").ravel())
+
+    def _changes(self, missed: NDArray[np.float32]) -> NDArray[np.bool_]:
+        """The rows that have changed by now, (M,)."""
+        self._began[self._region == 0] = self.photographs
+        # Rows that are learned anew miss more at first.
+        usual = np.where(self._learning, np.maximum(self._usual, self._lately), self._usual)
+        # What is not known yet says nothing of the rows beside it.
+        around = self._around(np.where(self._unknown, 0, missed))
+        for sums, misses in ((self._own, missed), (self._region, around)):
+            sums += ((1 - 1 / _RATIO) * misses / usual - np.log(_RATIO)) / 2
+            # From the largest sum it falls to zero within a dozen photographs.
+            np.clip(sums, 0, 2 * _REGION, out=sums)
+        return (self._region > _REGION) & (self._own > _ROW)
+
+    @property
+    def _seen_by(self) -> NDArray[np.int64]:
+        """How many photographs show each row as it is since it changed, (M,)."""
+        return self.photographs + 1 - self.since
+
+    @property
+    def _learning(self) -> NDArray[np.bool_]:
+        """Rows that changed within the window, (M,)."""
+        return (self.since > 0) & (self._seen_by <= len(self._shown))
+
+    @property
+    def _lately(self) -> NDArray[np.float64]:
+        """Mean squares by which rows, or the regions around them, missed the last photographs."""
+        misses = self._missed.mean(axis=0)
+        return np.maximum(misses, self._around(np.where(np.isfinite(misses), misses, 0)))
+
+    @property
+    def _unknown(self) -> NDArray[np.bool_]:
+        # From an error of 0.2 on an estimate is called doubtful. Three standard deviations of the
+        # camera's noise are no error.
+        return (self.since > 0) & ~(self._lately <= (0.2 * self._length) ** 2 + 9 * self._noise)
+
+    def _solve(self) -> None:
+        """Solve the rows that changed with the photographs since then."""
+        rows = np.flatnonzero(self._learning & (self._seen_by >= _FIRST))
+        if not len(rows):
+            return
+        seen_by = self._seen_by[rows]
+        # Columns of the window, the latest last.
+        most = int(seen_by.max())
+        columns = np.arange(self.photographs + 1 - most, self.photographs + 1) % len(self._shown)
+        shown, samples = self._shown[columns], self._samples.rows(rows).frames(columns)
+        weights = samples.weights_of_all() * (np.arange(most) >= most - seen_by[:, None])
+        samples = replace(samples, weights=weights)
+        # The part of the camera around them, where other rows stand as they are in T.
+        row, col, _ = np.unravel_index(rows, self._camera)
+        top, left = (max(0, int(each.min()) - 2 * REACH) for each in (row, col))
+        part = np.arange(len(self.since)).reshape(self._camera)[
+            top : row.max() + 2 * REACH + 1, left : col.max() + 2 * REACH + 1
+        ]
+        camera, part = part.shape, part.ravel()
+        patterns = ImagePatterns(shown.reshape(most, *self._given.projector_shape))
+        solver = CoherentEstimator(background_grid=self._given.background_grid).row_solver(
+            capture_of_samples(patterns, samples, camera[:2], self._longest)
+        )
+        atoms, light = solver.atoms, self._light.rows(part)
+        matrix = light.coefficients
+        usable = np.repeat(~self._learning[part], np.diff(matrix.indptr))
+        data = (matrix.data * usable / atoms.gains[0]).astype(np.float32)
+        shape = (len(part), atoms.pixels)
+        matrix = csr_array((data, matrix.indices, matrix.indptr), shape=shape)
+        matrix.eliminate_zeros()
+        beside = SparseRows(matrix, light.background.sum(axis=1, keepdims=True))
+        # Rows that are not known are searched; of others the last estimate is the start.
+        search = (seen_by <= _SEARCHED) | self._unknown[rows]
+        fresh, again = np.flatnonzero(search), np.flatnonzero(~search)
+        found = self._search(solver, samples.rows(fresh), rows[fresh])
+        before = self._atoms.rows(np.searchsorted(self._rows, rows[again]))
+        order = np.argsort(np.concatenate([fresh, again]))
+        now = (SparseRows.joined([found, before]) if len(again) else found).rows(order)
+        places, known = np.searchsorted(part, rows), list[NDArray[np.float32]]()
+        for this_round in _ROUNDS:
+            due = np.arange(len(rows)) if this_round.last else fresh
+            if len(due):
+                around = beside.replaced(places, now)
+                neighbours = Neighbourhood(around, camera, atoms, known_jacobians=known)
+                known = [neighbours.jacobian]
+                solved, _ = solver.near(samples.rows(due), places[due], this_round, neighbours)
+                now = now.replaced(due, _lit(solved))
+        shares = solver.backgrounds.spread(csr_array(neighbours.centres[places]))
+        background = (solved.background[:, None] * shares + solved.cells).astype(np.float32)
+        new = SparseRows(atoms.expand(now.coefficients), background)
+        squares = _squares(samples, self._predicted(new, shown)).sum(axis=1)
+        self._misfit[rows] = squares / np.maximum(weights.sum(axis=1), 1e-9)
+        self._length[rows] = atoms.single_contrast * solver.backgrounds.lengths(new)
+        self._light = self._light.replaced(rows, new)
+        self._rows, self._atoms = rows, now
+
+    def _search(self, solver: RowSolver, samples: Samples, rows: NDArray[np.int64]) -> SparseRows:
+        """Rows by themselves, on the atoms where their light may be."""
+        shape, planes = solver.capture.projector_shape, solver.atoms.planes
+        plane = np.repeat(np.arange(planes) * (shape[0] * shape[1]), len(self._steps))
+        # Indices of 64 MiB at a time.
+        step, parts = max(1, (1 << 23) // len(plane)), []
+        for start in range(0, max(1, len(rows)), step):
+            some = slice(start, start + step)
+            place = self._centres[rows[some] // self._camera[2], None] + self._steps
+            inside = np.tile(((place >= 0) & (place < shape)).all(axis=2), planes)
+            index = (np.tile(place @ (shape[1], 1), planes) + plane)[inside].astype(np.int32)
+            ends = np.append(0, np.cumsum(inside.sum(axis=1)))
+            atoms = Candidates(ends, index, np.ones(len(index), np.float32))
+            problem = solver.first_problem(samples.rows(some))
+            none = Cells.none(solver.capture.patterns)
+            parts.append(_lit(solve_weighted(problem, atoms, none, solver.solver)))
+        return SparseRows.joined(parts)
+
+
+def _squares(samples: Samples, predicted: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Weighted squares of what predictions miss, (m, k); clipped samples are lower bounds."""
+    off = samples.values - predicted
+    off[samples.clipped & (off < 0)] = 0
+    return np.asarray(np.square(off) * samples.weights_of_all())
+
+
+def _lit(solved: Result) -> SparseRows:
+    """Solved rows with one background each, as their neighbours see them."""
+    rows = solved.rows.single()
+    return SparseRows(rows.coefficients, rows.background[:, :1])
+
+
+def _parallax(transport: LightTransport) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Where light of camera pixels may lie in the projector, by what T knows of the scene.
+
+    That of a plane lies where a homography says, (P, 2). Depth moves it from there along a line:
+    (J, 2) are the steps that occur, and three pixels more.
+    """
+    matches = correspondence(transport)
+    assert matches.light is not None
+    lit = matches.light > 0.02 * np.quantile(matches.light, 0.99)
+    if lit.sum() < 4:
+        raise InputError("a matrix without light", hint="take photographs of a lit scene")
+    camera = np.moveaxis(np.indices(lit.shape, np.float64), 0, -1)
+    place = matches.place[lit].astype(np.float64)
+    plane = fit_homography(camera[lit], place, np.ones(len(place)))
+    off = place - moved(plane, camera[lit])
+    _, axes = np.linalg.eigh(off.T @ off)
+    # Few rows are wrong.
+    low, high = np.quantile(off @ axes, (0.01, 0.99), axis=0)
+    reach = int(np.ceil(np.hypot(*np.maximum(-low, high)))) + 4
+    steps = np.indices((2 * reach + 1, 2 * reach + 1)).reshape(2, -1).T - reach
+    inside = ((steps @ axes >= low - 3) & (steps @ axes <= high + 3)).all(axis=1)
+    return np.rint(moved(plane, camera.reshape(-1, 2))).astype(np.int64), steps[inside]
