@@ -497,6 +497,7 @@ def test_every_command_is_compared_with_its_function() -> None:
     # One command for cameras and projectors, which are two functions; one for a page that is served
     # and a page that is written. A function called map would hide Python's.
     named_otherwise = {"info", "patterns", "calibrate", "capture", "response", "view", "map"}
+    named_otherwise |= {"track"}  # The class Tracker.
     assert commands == {name for name in dir(lm) if name in commands} | named_otherwise
 
 

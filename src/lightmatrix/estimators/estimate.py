@@ -239,12 +239,10 @@ def estimate(
                 return replace(transport, provenance={**transport.provenance, FINDINGS: kept})
 
             transport = run(
-                capture,
-                output=None if folder or output is None else Path(output),
-                overwrite=overwrite,
+                capture, output=None if folder or output is None else Path(output),
                 remarks={FINDINGS: [each.as_dict() for each in findings], **remarks},
-                review=without_faults,
-            )
+                overwrite=overwrite, review=without_faults,
+            )  # fmt: skip
     if folder is not None:
         save_projectors(folder, transport, overwrite=overwrite)
     return transport

@@ -179,13 +179,9 @@ def _held_bytes(capture: Capture, coherent: bool, active_set: bool, sample_bytes
     elif active_set:
         # The active set keeps this many values of patterns and no more.
         values = min(values, 1 << 25)
-    size = (
-        pixel * patterns.pixels
-        + value * values
-        + grey * patterns.pixels * capture.count * _is_grey(patterns)
-        + row * rows
-        + (sample + sample_bytes - 1) * rows * capture.count
-    )
+    size = pixel * patterns.pixels + value * values + row * rows
+    size += grey * patterns.pixels * capture.count * _is_grey(patterns)
+    size += (sample + sample_bytes - 1) * rows * capture.count
     if coherent:
         # The regression of what the rig did takes up to 320,000 samples and their margins, and
         # changes 64 MiB of patterns at a time.

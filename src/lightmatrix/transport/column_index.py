@@ -157,7 +157,11 @@ class ColumnIndex:
 
     Examples
     --------
-    See `index_columns`.
+    >>> import lightmatrix as lm
+    >>> lm.save("indexed.zarr", lm.truth("metal").transport())
+    >>> lm.index_columns("indexed.zarr")
+    >>> lm.ColumnIndex.open("indexed.zarr").matrix.shape
+    (4096, 4096)
     """
 
     matrix: StoredTransport

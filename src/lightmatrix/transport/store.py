@@ -152,12 +152,11 @@ def _arrays(parts: Iterable[SparseRows]) -> Iterator[dict[str, NDArray[Any]]]:
         matrix = rows.coefficients
         ends = np.concatenate([first, entries + matrix.indptr[1:].astype(np.int64)])
         yield {
-            "indptr": ends,
-            "indices": np.asarray(matrix.indices, np.int32),
+            "indptr": ends, "indices": np.asarray(matrix.indices, np.int32),
             "data": np.asarray(matrix.data, np.float32),
             "background": np.asarray(rows.background, np.float32),
             **{f"diagnostics/{name}": values for name, values in rows.diagnostics.items()},
-        }
+        }  # fmt: skip
         entries, first = entries + int(matrix.nnz), first[:0]
 
 
@@ -289,6 +288,14 @@ def open_colour(folder: str | Path) -> ColourTransport:
     ------
     InputError
         If one of them is missing or damaged.
+
+    Examples
+    --------
+    >>> import lightmatrix as lm
+    >>> known = lm.truth("metal").transport()
+    >>> lm.save_colour("saved", lm.ColourTransport(known, known, known))
+    >>> lm.open_colour("saved").projector_shape
+    (64, 64)
     """
     red, green, blue = (open(path) for path in colour_paths(folder))
     return ColourTransport(red, green, blue)

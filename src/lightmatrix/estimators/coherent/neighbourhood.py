@@ -138,11 +138,8 @@ def _commonest(steps: list[NDArray[np.int64]], reach: int) -> tuple[float, float
     r, c = np.unravel_index(int(sums.argmax()), sums.shape)
     around = np.pad(counts, 1)[r : r + 3, c : c + 3]
     down, right = np.mgrid[-1:2, -1:2]
-    total = around.sum()
-    return (
-        float((around * down).sum() / total) + int(r) - reach,
-        float((around * right).sum() / total) + int(c) - reach,
-    )
+    place = [float((around * each).sum() / around.sum()) for each in (down, right)]
+    return place[0] + int(r) - reach, place[1] + int(c) - reach
 
 
 def _slope(place: NDArray[np.int64], axis: int) -> NDArray[np.float32]:
