@@ -4,17 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lightmatrix.defaults import COHERENT_UP_TO
 
-if TYPE_CHECKING:
-    from lightmatrix.patterns.pattern_set import PatternSet
-
 Floats = NDArray[np.float64]
+# A `PatternSet`, which is not imported, since it imports this file.
+Patterns = Any
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,7 +29,7 @@ class Inverse:
     lone: bool = False
 
 
-def inverse_of(patterns: PatternSet) -> Inverse | None:
+def inverse_of(patterns: Patterns) -> Inverse | None:
     """The inverse of patterns that light one pixel each, and of as many as pixels or more.
 
     None if least squares amplify the noise by far more than orthogonal patterns do.
@@ -63,7 +62,7 @@ def inverse_of(patterns: PatternSet) -> Inverse | None:
     return Inverse(lambda y: np.asarray(y @ matrix @ inverted), gains)
 
 
-def lights_one(patterns: PatternSet) -> bool:
+def lights_one(patterns: Patterns) -> bool:
     """Whether each pattern lights one pixel at most."""
     if patterns.sums.max() > 1 + 1e-6:
         return False
@@ -71,7 +70,7 @@ def lights_one(patterns: PatternSet) -> bool:
 
 
 def _hadamard(
-    patterns: PatternSet, size: int, selected: NDArray[np.int64], position: NDArray[np.int64]
+    patterns: Patterns, size: int, selected: NDArray[np.int64], position: NDArray[np.int64]
 ) -> Inverse:
     """The fast inverse of a complete set, one of which is white; see `PatternSet.transform`."""
     white = int(np.flatnonzero(selected == 0)[0])
