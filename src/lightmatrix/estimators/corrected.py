@@ -74,7 +74,7 @@ def corrected(
     model, best, now = RigModel(), first, capture
     before: LightTransport | None = None
     # Estimates row by row hold no photographs out.
-    if prediction_error(first) is None:
+    if not allowed or prediction_error(first) is None:
         return model, first
     # What a large fault leaves as long as it is not known well looks like others. So others are
     # looked for at first, and again once those that were found are settled.
@@ -90,7 +90,8 @@ def corrected(
         more = better is not None and better.values.keys() != model.values.keys()
         left = 1.0
         if better is not None:
-            without = better.corrected(capture, _ahead(best, before))
+            moved = "shift" in better.values
+            without = better.corrected(capture, _ahead(best, before if moved else None))
             transport = estimate(without)
             left = _missed(transport) / max(_missed(best), 1e-12)
             if left <= (_CLEARLY if number and more else _BETTER):

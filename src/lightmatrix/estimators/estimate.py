@@ -223,12 +223,12 @@ def estimate(
                 for sentence in model.sentences:
                     warn(f"rig: {sentence}: corrected")
                 # What may not be corrected, or cannot be, is found all the same.
-                left = [name for name in TERMS if name not in allowed]
+                others = [name for name in TERMS if name not in allowed] if check else []
                 if prediction_error(first) is None:
-                    left = list(TERMS)
-                elif left and RigModel().refined(capture, capture, first, left) is None:
-                    left = []
-                found = rig_findings(capture, findings, left) if check and left else []
+                    others = list(TERMS) if check else []
+                elif others and RigModel().refined(capture, capture, first, others) is None:
+                    others = []
+                found = rig_findings(capture, findings, others) if others else []
                 if not (model.names or found):
                     return None
                 warn_of(found)
