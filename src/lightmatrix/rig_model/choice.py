@@ -29,10 +29,11 @@ def choose_terms(
     of the `largest` that was taken out before. Rows count by the inverse of what they miss anyway,
     so that glossy rows invent no curve.
     """
-    enough = seen.free >= 3
+    # Rows tell something if three samples or more are left beside what T has swallowed.
+    telling = seen.free >= 3
     found: dict[str, Array] = {}
     errors: dict[str, Array] = {}
-    if enough.sum() < 100:
+    if telling.sum() < 100:
         return found, errors, largest
     asked = {each.name: each for each in terms}
     every = {name: each.regressors(seen) for name, each in asked.items()}
@@ -43,9 +44,10 @@ def choose_terms(
         for name, each in asked.items()
     }
     left = seen.left
+    # Once more, with the weights of what is left.
     for _ in range(2):
         missed = (left**2).sum(axis=1) / np.maximum(seen.free, 1)
-        weight = np.where(enough, 1 / (missed + np.median(missed[enough])), 0)
+        weight = np.where(telling, 1 / (missed + np.median(missed[telling])), 0)
         regression = Regression(seen, regressors, per_frame, weight)
         found, errors = _forward(regression, asked, least, known)
         if not found:
@@ -70,19 +72,19 @@ def _forward(
     explained, first = 0.0, 0.0
     while True:
         candidates = []
-        for name in regression.numbers:
+        for name in regression.number_count:
             if name in chosen or name not in terms:
                 continue
             numbers, stated, together = regression.solve([*chosen, name])
             more, rest = together - explained, regression.total - explained
-            by_chance = regression.numbers[name] / free * (regression.total - together)
+            by_chance = regression.number_count[name] / free * (regression.total - together)
             # It explains at least 25 times what as many random numbers would.
             score = more - 25 * by_chance
-            least, most = terms[name].between
+            lowest, highest = terms[name].between
             after = numbers[name]
             if name in known:
                 after = terms[name].added(known[name], after)
-            if not terms[name].per_frame and not least <= after.sum() <= most:
+            if not terms[name].per_frame and not lowest <= after.sum() <= highest:
                 continue
             # It explains at least a hundredth of what is left.
             if score <= 0 or more < max(0.01 * rest, _BESIDE * first):
@@ -92,12 +94,12 @@ def _forward(
                 continue
             if regression.size(name, numbers[name]) > smallest[name]:
                 candidates.append((score, name, numbers, stated, together))
-        most = max((each[0] for each in candidates), default=0.0)
+        best = max((each[0] for each in candidates), default=0.0)
         # Numbers that all frames share go before those of each frame. A camera with a gamma of 2.2
         # changes glossy scenes as light that varies does, and explains half of what that explains;
         # where light truly varies, no curve explains more than a fiftieth of it.
         common = [
-            each for each in candidates if not terms[each[1]].per_frame and each[0] >= most / 4
+            each for each in candidates if not terms[each[1]].per_frame and each[0] >= best / 4
         ]
         candidates = common or candidates
         # Of terms that explain nearly the same, the one with the fewest numbers is there: light
@@ -105,7 +107,7 @@ def _forward(
         enough = 0.75 * max((each[0] for each in candidates), default=0.0)
         alike = [each for each in candidates if each[0] >= enough]
         candidate = min(
-            alike, key=lambda each: (regression.numbers[each[1]], -each[0]), default=None
+            alike, key=lambda each: (regression.number_count[each[1]], -each[0]), default=None
         )
         if candidate is None:
             # Pictures that move are blurred in T, which looks as if the camera sharpened them.

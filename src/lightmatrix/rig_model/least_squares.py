@@ -7,8 +7,9 @@ sum_j x_j f_j:
 
     minimize  sum over rows m of  w_m || R_m (r_m - sum_j x_j f_jm) ||^2,
 
-where R_m projects. A number of one frame only has a regressor that is zero in all other frames, so
-its normal equations are sums over rows of products of two frames' values.
+where R_m projects. The regressor of a number of one frame is zero in all other frames, so that the
+normal equations are sums over rows of products of two frames' values. The weights w_m are 1 over
+the variance of what a row misses, and the standard errors are right as far as they are.
 """
 
 from __future__ import annotations
@@ -43,7 +44,7 @@ class Regression:
         return float((self.weight[:, None] * self.seen.left**2).sum())
 
     @cached_property
-    def numbers(self) -> dict[str, int]:
+    def number_count(self) -> dict[str, int]:
         """How many numbers each term has."""
         return {
             name: len(each) * (self.seen.count if self.per_frame[name] else 1)
@@ -97,7 +98,8 @@ class Regression:
                     blocks[i][j] = np.diag((weight * f * g).sum(axis=0)) - self._swallowed(f, g)
             block = np.block(blocks)
             if one == two:
-                # The mean over the frames is T's own: a change that all share explains nothing.
+                # The mean over the frames is T's own: a change that all share explains nothing. A
+                # strong penalty, ten times the mean of the diagonal, holds it at 0.
                 mean = np.full((count, count), 10 * np.trace(block) / len(block) / count)
                 block += np.kron(np.eye(len(first)), mean)
         elif self.per_frame[one]:
@@ -109,16 +111,17 @@ class Regression:
         self._blocks[one, two], self._blocks[two, one] = block, block.T
         return block
 
-    def _side(self, name: str) -> Array:
+    def _right_hand_side(self, name: str) -> Array:
         along = "pmk,mk->pk" if self.per_frame[name] else "pmk,mk->p"
         return np.einsum(along, self._parts[name], self.weight[:, None] * self.seen.left).ravel()
 
     def solve(self, names: Sequence[str]) -> tuple[dict[str, Array], dict[str, Array], float]:
         """Numbers of some terms, (P,) or (P, K), their standard errors, and what they explain."""
         part = np.block([[self._block(one, two) for two in names] for one in names])
-        side = np.concatenate([self._side(name) for name in names])
+        side = np.concatenate([self._right_hand_side(name) for name in names])
         scale = 1 / np.sqrt(np.maximum(np.diag(part), 1e-30))
         strength, vectors = np.linalg.eigh(part * scale * scale[:, None])
+        # Weaker directions are rounding errors of regressors that depend on each other.
         kept = strength > 1e-6 * strength[-1]
         strength, vectors = strength[kept], vectors[:, kept]
         along = vectors.T @ (side * scale)
@@ -126,7 +129,7 @@ class Regression:
         errors = scale * np.sqrt((vectors**2 / strength).sum(axis=1))
         found, stated, start = {}, {}, 0
         for name in names:
-            stop = start + self.numbers[name]
+            stop = start + self.number_count[name]
             shape = (len(self.regressors[name]), -1) if self.per_frame[name] else (-1,)
             found[name] = numbers[start:stop].reshape(shape)
             stated[name] = errors[start:stop].reshape(shape)

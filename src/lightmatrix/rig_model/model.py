@@ -34,8 +34,8 @@ class RigModel:
     values : mapping of str to array
         The numbers of each term that is there: (P, K), or (P,) where all frames share them. gain:
         share by which a frame is brighter than the first. ambient: light added, in clip levels at
-        exposure 1. shift: camera pixels down and to the right. rows: shares of a sine and a cosine
-        along the rows. previous: share of the picture before. camera-curve and projector-curve: the
+        exposure 1. shift: camera pixels down and to the right. rows: shares of slow waves along the
+        rows. previous: share of the picture before. camera-curve and projector-curve: the
         undeclared gamma less 1. crosstalk: share lost across and down. sharpening,
         camera-sharpening: strength of three rings around a pixel. dynamic-contrast: change of the
         light from black to white. tone-mapping: power of the light around. black: share of the

@@ -54,11 +54,13 @@ class Prediction:
     # An orthonormal basis of what T may hold wrongly in each row, (m, d, K): the columns of its
     # strongest pixels, a constant, and T p itself, since an l1 estimate is too dark as a whole.
     basis: Array
+    # Samples that count and do not clip, (m, K); how many of a row are left beside its basis, (m,).
     usable: NDArray[np.bool_]
     free: NDArray[np.int64]
     # The constant that least squares find in each row beside the rest of the basis, and the
     # variance that noise of one gives it, (2, m).
     constants: Array
+    # What T p misses, without what the basis explains, (m, K).
     left: Array = field(init=False)
 
     def __post_init__(self) -> None:
@@ -76,6 +78,7 @@ class Prediction:
         # Rows that hardly vary hold little but noise.
         if usable.any():
             usable &= spread > 0.1 * np.quantile(spread[usable], 0.9)
+        # Rows that clip in more than three photographs of ten are left out, too: they tell little.
         chosen = np.flatnonzero(usable)
         samples = samples.rows(chosen)
         around = predicted_light(transport, places.reshape(-1), capture.patterns)

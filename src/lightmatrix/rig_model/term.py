@@ -32,20 +32,20 @@ class Draft:
     lag: NDArray[np.int64] | None = None
     patterns: list[PatternChange] = field(default_factory=list)
     images: list[ImageChange] = field(default_factory=list)
-    # `shift` says where each frame lies, (2, K), in camera pixels down and to the right. `back`
-    # moves images back by what else moved them.
+    # `shift` says where each frame lies, (2, K), in camera pixels down and to the right. Terms that
+    # move or brighten images undo it in `back`, for what T p misses.
     shift: Array | None = None
     back: list[ImageChange] = field(default_factory=list)
 
 
 class Term(ABC):
-    """One thing that a rig does wrong, with unknown numbers, (P, K) for each frame, or (P,).
+    """One thing that a rig does wrong, with P unknown numbers, or P of each frame, (P, K).
 
-    A photograph changes by the sum of each number times its regressor.
+    The photographs change by the sum of each number times its regressor, an image of m samples.
     """
 
-    # The term's name, and whether each frame has numbers of its own. Their mean is then T's, and
-    # those of the first frame are zero where T is that of the first photograph.
+    # `per_frame` terms have numbers for each frame. T is that of the first frame, whose numbers are
+    # 0 (`of_first_frame`), or of the mean over all frames.
     name: ClassVar[str]
     per_frame: ClassVar[bool] = False
     of_first_frame: ClassVar[bool] = True
@@ -69,7 +69,7 @@ class Term(ABC):
 
     @abstractmethod
     def take_out(self, values: Array, draft: Draft) -> None:
-        """Write into the draft how the term is taken out of the capture, or put into T p."""
+        """Write into the draft how the term is taken out, or what to predict with it."""
 
     @abstractmethod
     def sentence(self, values: Array) -> str:
