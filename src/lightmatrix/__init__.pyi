@@ -4,26 +4,12 @@
 from ._version import __version__ as __version__
 
 # Patterns.
-from .patterns.bits import (
-    BernoulliPatterns as BernoulliPatterns,
-    BitPatterns as BitPatterns,
-)
-from .patterns.blocks import (
-    BlockPatterns as BlockPatterns,
-)
-from .patterns.colour import (
-    ColourPatterns as ColourPatterns,
-    colour_bernoulli as colour_bernoulli,
-)
-from .patterns.folder import (
-    read_patterns as read_patterns,
-    write_patterns as write_patterns,
-)
+from .patterns.bits import BernoulliPatterns as BernoulliPatterns, BitPatterns as BitPatterns
+from .patterns.blocks import BlockPatterns as BlockPatterns
+from .patterns.colour import ColourPatterns as ColourPatterns, colour_bernoulli as colour_bernoulli
+from .patterns.folder import read_patterns as read_patterns, write_patterns as write_patterns
 from .patterns.making import make_patterns as make_patterns
-from .patterns.pattern_set import (
-    ImagePatterns as ImagePatterns,
-    PatternSet as PatternSet,
-)
+from .patterns.pattern_set import ImagePatterns as ImagePatterns, PatternSet as PatternSet
 
 # Captures, photographed and simulated.
 from .capture.decoder import Decoder as Decoder
@@ -34,24 +20,15 @@ from .capture.capture import Capture as Capture
 from .capture.convert import convert as convert
 from .capture.packing import pack as pack
 from .capture.settings import ReadSettings as ReadSettings
-from .files.images import (
-    read_image as read_image,
-    write_image as write_image,
-)
-from .simulation.library import (
-    scenes as scenes,
-    truth as truth,
-)
+from .files.images import read_image as read_image, write_image as write_image
+from .simulation.library import scenes as scenes, truth as truth
 from .simulation.simulate import simulate as simulate
 from .simulation.procedural import ProceduralScene as ProceduralScene
 from .simulation.renderer import render as render
 from .simulation.truth import Truth as Truth
 
 # Rigs that photograph, real and virtual.
-from .rig.rig_measurements import (
-    RigMeasurements as RigMeasurements,
-    measure_rig as measure_rig,
-)
+from .rig.rig_measurements import RigMeasurements as RigMeasurements, measure_rig as measure_rig
 from .rig.capturing import CaptureSettings as CaptureSettings
 from .rig.capturing import take_capture as take_capture
 from .rig.devices.registry import (
@@ -63,10 +40,7 @@ from .rig.rig import open_rig as open_rig
 from .rig.showing import project as project
 
 # Geometry of a rig.
-from .shape.calibrate import (
-    calibrate_rig as calibrate_rig,
-    self_calibrate as self_calibrate,
-)
+from .shape.calibrate import calibrate_rig as calibrate_rig, self_calibrate as self_calibrate
 from .geometry.rig_geometry import RigGeometry as RigGeometry
 
 # What is wrong with a capture.
@@ -116,10 +90,7 @@ from .judgement.evaluate import evaluate_colour as evaluate_colour
 from .transport.column_index import ColumnIndex as ColumnIndex, index_columns as index_columns
 from .transport.store import StoredTransport as StoredTransport, open as open, save as save
 from .transport.npz import export as export
-from .transport.store import (
-    open_colour as open_colour,
-    save_colour as save_colour,
-)
+from .transport.store import open_colour as open_colour, save_colour as save_colour
 from .transport.matrix import ColourTransport as ColourTransport
 from .transport.correspondence import (
     Correspondence as Correspondence,
@@ -138,23 +109,12 @@ from .uses.projector_map import (
     map_projector as map_projector,
     map_projectors as map_projectors,
 )
-from .uses.probing import (
-    max_min as max_min,
-    probe as probe,
-)
-from .report.views import (
-    show as show,
-)
-from .shape.triangulation import (
-    geometry_of as geometry_of,
-    triangulate as triangulate,
-)
+from .uses.probing import max_min as max_min, probe as probe
+from .report.views import show as show
+from .shape.triangulation import geometry_of as geometry_of, triangulate as triangulate
 from .shape.layers import layers as layers
 from .uses.separation import separate as separate
-from .judgement.judgement import (
-    Verdicts as Verdicts,
-    verdicts as verdicts,
-)
+from .judgement.judgement import Verdicts as Verdicts, verdicts as verdicts
 
 # Plans and the demo.
 from .demo import demo as demo

@@ -153,9 +153,7 @@ class PreparedPatterns:
     ) -> PreparedPatterns: ...
     @staticmethod
     def from_dense(
-        matrix: NDArray[np.float32],
-        means: NDArray[np.float64],
-        instructions: str | None = None,
+        matrix: NDArray[np.float32], means: NDArray[np.float64], instructions: str | None = None
     ) -> PreparedPatterns: ...
     def scores(self, e: NDArray[np.float64]) -> tuple[NDArray[np.int16], NDArray[np.float64]]:
         """One correlation pass over rows of (M, K).

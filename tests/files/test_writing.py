@@ -119,8 +119,11 @@ def test_a_run_stopped_between_its_files_is_not_in_the_way(
     if old:
         put("old", overwrite=False)
     monkeypatch.setattr("lightmatrix.files.writing.os.replace", stopping)
+    # Runs in the background ignore Ctrl-C.
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
     with pytest.raises(KeyboardInterrupt):
         put("new", overwrite=True)
+    signal.signal(signal.SIGINT, before)
     assert [each.name for each in sorted(tmp_path.iterdir())] == [*names] * old
     assert {each.read_text() for each in tmp_path.iterdir()} <= {"old"}
     monkeypatch.setattr("lightmatrix.files.writing.os.replace", replace)

@@ -39,8 +39,7 @@ from lightmatrix.patterns.pattern_set import ImagePatterns, PatternSet
 from lightmatrix.patterns.stripes import is_separable
 from lightmatrix.resources.threads import one_blas_thread, side_by_side
 
-# Frames are not compared with each other if there are fewer, or fewer camera pixels that can be
-# predicted: chance then looks like a fault.
+# Fewer frames, or fewer camera pixels that can be predicted, tell no fault from chance.
 _FEWEST_FRAMES, _FEWEST_ROWS = 12, 20
 # If more than a quarter of the frames are odd, the cause is not in single frames.
 _MOST_ODD = 0.25
@@ -239,10 +238,6 @@ def check_interchanged(survey: Survey) -> list[Finding]:
     message = "the photographs have a few exact grey values, and the patterns have noise"
     advice = "patterns and photographs seem to be in each other's place: exchange the folders"
     return [Finding("interchanged", (), message, advice)]
-
-
-# In the two functions below, `disorder` and `unrelated` are what the checks of the order and of the
-# relation found.
 
 
 def _check_by_pairs(

@@ -188,8 +188,8 @@ class CodeLattice:
         near = []
         for code in self.codes.codes:
             lines, left = self.lines(code, frames)
+            # Scrambled fibres have no neighbours, but each pattern and its inverse add up.
             if any(inverse >= 0 for _, inverse in code.bits) and np.median(left) < 0.1:
-                # Scrambled fibres have no neighbours, but each pattern and its inverse add up.
                 return False
             line = lines[0]
             a, b = line[self.pairs[:, : self.neighbours]]

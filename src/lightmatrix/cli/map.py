@@ -10,7 +10,7 @@ from typer import Option
 import lightmatrix as lm
 from lightmatrix.cli.options import Json, Overwrite, Store, described, refuse
 from lightmatrix.cli.terminal import answer
-from lightmatrix.files.colours import stores_within
+from lightmatrix.files.colours import holds_colour, stores_within
 
 
 @described(
@@ -35,7 +35,7 @@ def map(
     pixel. A picture in the camera's view then lands where the camera sees it. The folder of several
     projectors gives one .mpcdi with a region and a blend mask for each.
     """
-    if stores_within(scene):
+    if stores_within(scene) and not holds_colour(scene):
         refuse({"--geometry": geometry, "--reverse": reverse}, "several projectors")
         several = lm.map_projectors(scene, output=output, overwrite=overwrite)
     else:

@@ -78,7 +78,8 @@ def simulate(
     folder: camera-1, camera-2.
     """
     cameras = next((one.cameras for one in lm.scenes() if one.name == scene), 1)
-    places = [output] if cameras == 1 else [output / f"camera-{k}" for k in range(1, cameras + 1)]
+    several = [output / f"camera-{k}{output.suffix}" for k in range(1, cameras + 1)]
+    places = several if cameras > 1 else [output]
     for place in places:
         check_output(place, CAPTURE, overwrite=overwrite)
     summaries = []

@@ -40,7 +40,7 @@ def track(
     overwrite: Overwrite = False,
     as_json: Json = False,
 ) -> None:
-    """Let T follow a scene in which things move, photograph by photograph.
+    """Let T follow a scene in which things move.
 
     Rows of T that follow the photographs stay as they are. Those that changed are estimated again,
     and unknown until they predict photographs; `show SCENE.zarr changes` draws them.
@@ -59,15 +59,18 @@ def track(
         else _watched(tracker, capture, watch)
     )
     lines, started = list[dict[str, Any]](), time.perf_counter()
-    with suppress(KeyboardInterrupt):
-        for step in steps:
-            seconds, started = time.perf_counter() - started, time.perf_counter()
-            shares = {name: float(getattr(step, name).mean()) for name in ("changed", "unknown")}
-            lines.append({"missed": step.missed, **shares, "seconds": seconds})
-            if not as_json:
-                named = ", ".join(f"{100 * lines[-1][n]:.2g} % {n}" for n in ("missed", *shares))
-                say(f"photograph {step.photograph}: {named}; {seconds:.2f} s")
-    lm.save(output, tracker.transport, overwrite=overwrite)
+    try:
+        with suppress(KeyboardInterrupt):
+            for step in steps:
+                seconds, started = time.perf_counter() - started, time.perf_counter()
+                shares = {n: float(getattr(step, n).mean()) for n in ("changed", "unknown")}
+                lines.append({"missed": step.missed, **shares, "seconds": seconds})
+                if not as_json:
+                    named = [f"{100 * lines[-1][n]:.2g} % {n}" for n in ("missed", *shares)]
+                    say(f"photograph {step.photograph}: {', '.join(named)}; {seconds:.2f} s")
+    finally:
+        # T as far as it got is saved, whatever ends the photographs.
+        lm.save(output, tracker.transport, overwrite=overwrite)
     result = {"output": output, "photographs": lines, **tracker.transport.summary()}
     answer(as_json, result, f"{output}: T after {len(lines)} photographs")
 

@@ -223,10 +223,10 @@ def estimate(
                 for sentence in model.sentences:
                     warn(f"rig: {sentence}: corrected")
                 # What may not be corrected, or cannot be, is found all the same.
-                others = [name for name in TERMS if name not in allowed] if check else []
-                if prediction_error(first) is None:
-                    others = list(TERMS) if check else []
-                elif others and RigModel().refined(capture, capture, first, others) is None:
+                untested = prediction_error(first) is None
+                others = [n for n in TERMS if untested or n not in allowed] if check else []
+                seen = others and not untested
+                if seen and RigModel().refined(capture, capture, first, others) is None:
                     others = []
                 found = rig_findings(capture, findings, others) if others else []
                 if not (model.names or found):

@@ -147,7 +147,10 @@ class Tracker:
         return self._add(replace(first, patterns=patterns, frames=frames, decoder=decoder))
 
     def follow(self, capture: Capture) -> Iterator[Update]:
-        """Take the photographs of another capture by this camera into T, one by one."""
+        """Take the photographs of another capture into T one by one; refuse other sizes."""
+        shapes = capture.camera_shape, capture.projector_shape
+        if shapes != (self._capture.camera_shape, self._capture.projector_shape):
+            raise InputError(f"a capture of other sizes: {shapes}", hint="bin and crop it alike")
         return (self._add(capture.select([k])) for k in range(capture.count))
 
     @property
@@ -185,7 +188,8 @@ class Tracker:
             getattr(self._samples, name)[:, column] = new if new.ndim == 1 else new[:, 0]
         latest = self._samples.frames(np.array([column]))
         missed = _squares(latest, self._predicted(self._light, self._shown[[column]]))[:, 0]
-        changed = self._changes(missed) & known
+        # Rows that were never explained within the window may have changed again meanwhile.
+        changed = self._changes(missed) & (known | ~self._learning)
         self.since[changed] = self._began[changed]
         self._own[changed] = 0
         self._missed = np.concatenate([self._missed[1:], missed[None]])
@@ -195,6 +199,8 @@ class Tracker:
         # If no T explains the photographs since a change, there was another one meanwhile.
         misfit = np.maximum(self._misfit, self._around(self._misfit))
         lost = ~known & (self._seen_by > 2 * _SEARCHED) & (misfit > _RATIO * self._usual)
+        # Nor does the window hold photographs of a row that it left unknown, so it begins anew.
+        lost |= ~known & ~self._learning
         self.since[lost] = self.photographs + 1 - _SEARCHED
         self._solve()
         right = known & ~changed & latest.counted[:, 0]

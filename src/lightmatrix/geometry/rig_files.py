@@ -85,6 +85,9 @@ def _content(file: Path) -> Values:
         if start == b"MATLAB 5":
             return dict(loadmat(file, simplify_cells=True))
         text = read_text(file).strip()
+        model = re.search(r"distortion_model\W+(\w+)", text)
+        if model and model[1] not in ("plumb_bob", "rational_polynomial"):
+            raise InputError(f"{file}: a lens of the model {model[1]}", hint="use plumb_bob")
         if text.startswith("{"):
             return dict(parse_json(text, str(file)))
         if text.startswith("<"):
@@ -196,6 +199,10 @@ def _ros(contents: Contents) -> Values | None:
         if len(parts) != len(names) or parts[3].size != 12:
             return None
         shared = parts[3].reshape(3, 4)
+        if np.linalg.matrix_rank(shared[:, :3]) < 3:
+            raise InputError(
+                f"{file}: is not calibrated: its P has no inverse", hint="calibrate it"
+            )
         shift = np.linalg.solve(shared[:, :3], shared[:, 3])
         # The second device of a pair stands beside the origin.
         order = "proj" in file.name.lower(), float(np.abs(shift).max())

@@ -480,10 +480,7 @@ class RigGeometry:
 
     @staticmethod
     def load(
-        path: str | Path,
-        *,
-        camera_shape: Shape | None = None,
-        projector_shape: Shape | None = None,
+        path: str | Path, *, camera_shape: Shape | None = None, projector_shape: Shape | None = None
     ) -> RigGeometry:
         """Read a geometry that `save`, or the calibration of another program, wrote.
 

@@ -96,7 +96,6 @@ class AtomPatterns(PatternSet):
         finest quarter of the patterns decides, since these tell neighbours apart.
         """
         shares: list[float] = []
-        # Every so many lines and columns of a large projector suffice.
         step = max(1, min(self.shape) // 256)
         for _, chunk in self.single.chunks():
             for image in chunk.reshape(-1, *self.shape):

@@ -30,18 +30,21 @@ class Black(Term):
         dark = np.mean(1 / seen.capture.exposures - seen.samples.clip_levels_of_all(), axis=1)
         missed = (seen.left**2).sum(axis=1) / np.maximum(seen.free, 1)
         level, scatter = seen.constants
-        known = np.flatnonzero((seen.free >= 3) & (dark > 0) & (scatter > 0))
+        known = np.flatnonzero((seen.free >= 3) & (scatter > 0))
         if not known.size:
             return None
-        weight = (1 / (scatter * (missed + np.median(missed))))[known]
+        # The noise of the black frame is in all samples of a row alike, so it is in the constant.
+        weight = (1 / ((scatter + 1) * (missed + np.median(missed))))[known]
         level, dark = level[known], dark[known]
-        # Groups of pixels that lie beside each other, since there are dark ones in some.
+        # Groups of pixels that lie beside each other, since there are dark ones in some. That noise
+        # is in `dark` with the opposite sign, so only sums of many pixels are compared.
         most, share = 0.0, 0.0
         for some in np.array_split(np.arange(len(known)), max(1, len(known) // 64)):
-            along = (weight * dark)[some] / max((weight * dark**2)[some].sum(), 1e-12)
-            ratio = along @ level[some]
-            error = np.linalg.norm(along * (level - ratio * dark)[some])
-            most, share = min((most, share), (ratio + 4 * error, -ratio))
+            total, light = (weight * dark)[some].sum(), (weight * level)[some].sum()
+            off = weight[some] * (level[some] - light / weight[some].sum())
+            error = np.sqrt(max(weight[some].sum(), (off**2).sum()))
+            if total > 0:
+                most, share = min((most, share), ((light + 4 * error) / total, -light / total))
         size = share * np.sqrt((dark**2).mean() / (seen.predicted**2).mean())
         return np.array([min(share, 0.99)]) if most < -0.02 and size > self.least else None
 

@@ -13,7 +13,6 @@ from lightmatrix.rig_model.term import Term
 
 Array = NDArray[np.float64]
 
-
 # A term explains at least this share of what the first one does, and changes the photographs by
 # this share of what was taken out before. A smaller one may be a trace of large ones.
 _BESIDE = 0.1

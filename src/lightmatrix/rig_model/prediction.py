@@ -78,7 +78,6 @@ class Prediction:
         # Rows that hardly vary hold little but noise.
         if usable.any():
             usable &= spread > 0.1 * np.quantile(spread[usable], 0.9)
-        # Rows that clip in more than three photographs of ten are left out, too: they tell little.
         chosen = np.flatnonzero(usable)
         samples = samples.rows(chosen)
         around = predicted_light(transport, places.reshape(-1), capture.patterns)

@@ -91,11 +91,7 @@ class View:
         x, y = (self.position[0], self.position[1]) if self.target is None else (0.0, 0.0)
         across, down = x * cols / self.width, -y * cols / self.width
         return np.array(
-            [
-                [focal, 0, (cols - 1) / 2 + across],
-                [0, focal, (rows - 1) / 2 + down],
-                [0, 0, 1],
-            ]
+            [[focal, 0, (cols - 1) / 2 + across], [0, focal, (rows - 1) / 2 + down], [0, 0, 1]]
         )
 
     def matrix(self, shape: tuple[int, int]) -> NDArray[np.float64]:

@@ -106,8 +106,13 @@ class Checkpoint:
     def spans(self, step: str = ROWS) -> list[Span]:
         """Rows of the finished, undamaged tiles of a step, in order and without overlap."""
         if step not in self._spans:
-            spans = [span for _, other, span in self._files() if other == step]
-            self._spans[step] = _without_overlap(s for s in spans if self._is_whole(step, s))
+            spans = list[Span]()
+            for _, other, span in self._files():
+                if other == step:
+                    with suppress(InputError):
+                        self._tile(step, span)
+                        spans.append(span)
+            self._spans[step] = _without_overlap(spans)
         return list(self._spans[step])
 
     def write(self, start: int, stop: int, rows: SparseRows, step: str = ROWS) -> None:
@@ -172,12 +177,6 @@ class Checkpoint:
         if rows.count != span[1] - span[0]:
             raise InputError(f"{name}: holds {rows.count} rows")
         return rows
-
-    def _is_whole(self, step: str, span: Span) -> bool:
-        with suppress(InputError):
-            self._tile(step, span)
-            return True
-        return False
 
     def _tiles(self, step: str) -> Iterator[SparseRows]:
         """Finished tiles one after the other, so that they are never all in memory."""

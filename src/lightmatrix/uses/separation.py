@@ -385,10 +385,7 @@ def crossing_spots(
 
 
 def outshone_spots(
-    place: Floats,
-    parallax: Floats,
-    light: Floats,
-    doubtful: NDArray[np.bool_],
+    place: Floats, parallax: Floats, light: Floats, doubtful: NDArray[np.bool_]
 ) -> NDArray[np.bool_]:
     """Doubtful spots whose projector pixel lights another surface more brightly, (n,).
 

@@ -181,11 +181,7 @@ def check_image(image: NDArray[np.uint8], shape: tuple[int, int]) -> None:
 
 
 class Camera(ABC):
-    """Takes photographs. Subclasses have a kind, open the device and set the attributes below.
-
-    They also override `_exposure_range`, `_read_exposure` and `_write_exposure`, unless the
-    exposure is only stated.
-    """
+    """Takes photographs. Subclasses have a kind, open the device and set the attributes below."""
 
     kind: ClassVar[str]
     # Seconds to wait for a frame beyond its exposure.
@@ -271,6 +267,7 @@ class Camera(ABC):
         """Facts that only this kind of camera has."""
         return {}
 
+    # The next three must be there unless the exposure is only stated.
     def _exposure_range(self) -> tuple[float, float]:
         raise NotImplementedError
 
