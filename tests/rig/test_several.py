@@ -98,7 +98,7 @@ def test_white_is_even_where_both_shine(both: Truth, stores: Path) -> None:
         return float(seen.std() / seen.mean())
 
     assert found.reachable.mean() > 0.7
-    # With the true T it is 0.013.
+    # Compensation by the true T misses 0.013.
     assert uneven(found.patterns) < 0.035
     assert uneven([np.ones((32, 32))] * 2) > 0.2
 

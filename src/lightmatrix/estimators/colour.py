@@ -306,7 +306,7 @@ def estimate_colour(
         **geometry.provenance, **capture_provenance(capture), "estimator": "colour",
         FINDINGS: [finding.as_dict() for finding in findings],
     }  # fmt: skip
-    # Of each primary the geometry, three times a camera pixel, times the gains (n, 3).
+    # T of a primary has each row of the geometry three times, times that channel's gain (n, 3).
     pixel = np.repeat(np.arange(samples.pixels), PRIMARIES)
     diagnostics = {key: values[pixel] for key, values in geometry.diagnostics.items()}
     diagnostics["clipped_share"] = samples.clipped.mean(axis=2, dtype=np.float32).ravel()

@@ -81,7 +81,7 @@ def corrected(
     others = True
     for number in range(_MOST_ESTIMATES):
         better = model.refined(now, capture, best, allowed if others else tuple(model.values))
-        # What was found by itself goes first, or not at all.
+        # Terms that are found without the regression, which states errors, go first or not at all.
         alone = number == 0 and better is not None and not better.errors
         # Moved pictures are known better by a better T, also where their numbers are right.
         if not (better or others) and now.correction and now.correction.added is not None:
@@ -123,7 +123,7 @@ def corrected(
 
 
 def _ahead(now: LightTransport, before: LightTransport | None) -> LightTransport:
-    """T after another half of its last step, since T of moved pictures is reached by small ones."""
+    """T half a step further: the estimates of moved pictures approach T by small steps."""
     if before is None or before.background.shape != now.background.shape:
         return now
     sparse, background = 1.5 * now.sparse, 1.5 * now.background - 0.5 * before.background

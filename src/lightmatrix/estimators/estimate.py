@@ -15,7 +15,7 @@ With workers, 3 hands the tiles to `DaskPool.solve` (`workers.py`), and each wor
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import replace
 from functools import partial
@@ -25,7 +25,7 @@ from typing import Any
 from lightmatrix.capture.camera_curve import AUTOMATIC, Response
 from lightmatrix.capture.capture import Capture, open_capture
 from lightmatrix.capture.found_response import FOUND_RESPONSE, with_projector, with_response
-from lightmatrix.check.finding import FINDINGS
+from lightmatrix.check.finding import FINDINGS, Finding
 from lightmatrix.check.refusals import refuse_unordered, refuse_unusable, warn_of
 from lightmatrix.errors import InputError, warn
 from lightmatrix.estimators.choice import choose_estimator
@@ -213,39 +213,42 @@ def estimate(
             better = "which predicts photographs held out better than coherent=True"
             warn(f"estimating row by row, {better}")
         with _bar("estimating", progress is True) as bar:
-            run = partial(
-                estimator.estimate, progress=progress if callable(progress) else bar, pool=pool
-            )
-
-            def without_faults(first: LightTransport) -> LightTransport | None:
-                """T without what the rig did, which is told; None if nothing is known of it."""
-                model, transport = corrected(capture, first, run, allowed)
-                for sentence in model.sentences:
-                    warn(f"rig: {sentence}: corrected")
-                # What may not be corrected, or cannot be, is found all the same.
-                untested = prediction_error(first) is None
-                others = [n for n in TERMS if untested or n not in allowed] if check else []
-                seen = others and not untested
-                if seen and RigModel().refined(capture, capture, first, others) is None:
-                    others = []
-                found = rig_findings(capture, findings, others) if others else []
-                if not (model.names or found):
-                    return None
-                warn_of(found)
-                # A finding of what is corrected spoils T no more.
-                known = transport.provenance[FINDINGS]
-                kept = [each for each in known if each["kind"] not in model.names]
-                kept += [each.as_dict() for each in found]
-                return replace(transport, provenance={**transport.provenance, FINDINGS: kept})
-
+            report = progress if callable(progress) else bar
+            run = partial(estimator.estimate, progress=report, pool=pool)
             transport = run(
                 capture, output=None if folder or output is None else Path(output),
                 remarks={FINDINGS: [each.as_dict() for each in findings], **remarks},
-                overwrite=overwrite, review=without_faults,
+                overwrite=overwrite,
+                review=partial(_without_faults, capture, run, allowed, findings if check else None),
             )  # fmt: skip
     if folder is not None:
         save_projectors(folder, transport, overwrite=overwrite)
     return transport
+
+
+def _without_faults(
+    capture: Capture, run: Callable[[Capture], LightTransport], allowed: Sequence[str],
+    findings: list[Finding] | None, first: LightTransport,
+) -> LightTransport | None:  # fmt: skip
+    """Warn of what the rig did, and return T without it; None if nothing was found.
+
+    If there are `findings` of `check`, what may not be corrected, or cannot be, is looked for, too.
+    """
+    model, transport = corrected(capture, first, run, allowed)
+    for sentence in model.sentences:
+        warn(f"rig: {sentence}: corrected")
+    others, found = [name for name in TERMS if name not in allowed], list[Finding]()
+    if findings is not None and prediction_error(first) is None:
+        found = rig_findings(capture, findings)
+    elif findings is not None and others and RigModel().refined(capture, capture, first, others):
+        found = rig_findings(capture, findings, others)
+    if not (model.names or found):
+        return None
+    warn_of(found)
+    # A finding of what is corrected spoils T no more.
+    kept = [each for each in transport.provenance[FINDINGS] if each["kind"] not in model.names]
+    kept += [each.as_dict() for each in found]
+    return replace(transport, provenance={**transport.provenance, FINDINGS: kept})
 
 
 def _bar(title: str, shown: bool) -> AbstractContextManager[Any]:

@@ -39,14 +39,14 @@ from lightmatrix.transport.correspondence import correspondence
 from lightmatrix.transport.matrix import LightTransport
 from lightmatrix.transport.sparse_rows import SparseRows
 
-# A change multiplies the squares missed by this at least; less goes on as an error of T. The sums
-# of log-likelihood ratios from which a region has changed, and a row within it. Without a change
-# they stay below 2 in 64 photographs of 64 x 64 camera pixels (`python -m benchmarks.track`).
+# What multiplies the squares missed by less than the first is no change but an error of T. A region
+# has changed, and a row within it, if sums of log-likelihood ratios exceed the other two. They stay
+# below 2 in 64 photographs of a still scene of 64 x 64 pixels (`python -m benchmarks.track`).
 _RATIO, _REGION, _ROW = 25.0, 10.0, 2.0
-# Photographs since a change with which a row is solved first; those that judge whether it is known;
-# and those up to which it is searched whether known or not. Chosen by hand.
+# Numbers of photographs: a row is solved from so many since its change on; so many judge whether it
+# is known; up to so many it is searched whether known or not. Chosen by hand.
 _FIRST, _JUDGED, _SEARCHED = 4, 3, 8
-# What neighbours say of rows: after a search three times, of others the last time.
+# Rows that were searched learn from their neighbours in all three rounds, others in the last.
 _ROUNDS = (Round(1, (2, 1), 3), Round(1, (2, 1), 4), Round(1, (1, 1), 5, last=True))
 
 
@@ -358,7 +358,7 @@ def _parallax(transport: LightTransport) -> tuple[NDArray[np.int64], NDArray[np.
     plane = fit_homography(camera[lit], place, np.ones(len(place)))
     off = place - moved(plane, camera[lit])
     _, axes = np.linalg.eigh(off.T @ off)
-    # Few rows are wrong.
+    # A hundredth of the rows on either side may be wrong.
     low, high = np.quantile(off @ axes, (0.01, 0.99), axis=0)
     reach = int(np.ceil(np.hypot(*np.maximum(-low, high)))) + 4
     steps = np.indices((2 * reach + 1, 2 * reach + 1)).reshape(2, -1).T - reach

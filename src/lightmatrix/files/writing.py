@@ -210,7 +210,7 @@ def atomic_files(
         placed: list[Path] = []
         try:
             for target, part in zip(targets, parts, strict=True):
-                # Of several, old ones come back if this is stopped; see `_remove_temporary`.
+                # If this is stopped, the old files come back; see `_remove_temporary`.
                 if len(parts) > 1:
                     if os.path.lexists(target):
                         os.rename(target, part.with_name("old"))

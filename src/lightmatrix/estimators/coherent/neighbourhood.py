@@ -319,7 +319,7 @@ class Neighbourhood:
     camera: tuple[int, int, int]
     atoms: AtomPatterns
     spacing: int = 1
-    # Of each projector; empty: they are measured.
+    # The Jacobians of each projector, if they are known; else they are measured.
     known_jacobians: Sequence[NDArray[np.float32]] = ()
     # Their pixels stand one above the other among the atoms.
     projectors: int = 1

@@ -36,10 +36,8 @@ class AravisCamera(GenICamCamera):
         if self._camera.is_gv_device() and not self._camera.get_device().is_controller():
             # Closing must not talk to a camera that does not listen to us.
             self._gone = True
-            raise self._error(
-                "another program has the camera",
-                "close it there; a program that was killed gives it back after some seconds",
-            )
+            hint = "close it there; a program that was killed gives it back after some seconds"
+            raise self._error("another program has the camera", hint)
         vendor, model = self._camera.get_vendor_name(), self._camera.get_model_name()
         self._name = f"{vendor} {model} {self._camera.get_device_serial_number()}"
         self._configure()

@@ -26,9 +26,9 @@ def stacked(pictures: Sequence[NDArray[Any]], sizes: Sequence[tuple[int, int]]) 
     shapes = [picture.shape[:2] for picture in pictures]
     if shapes != [tuple(size) for size in sizes]:
         listed = " and ".join(f"{rows} x {cols}" for rows, cols in sizes)
+        hint = "give one picture for each projector, in their order"
         raise InputError(
-            f"{len(shapes)} pictures of {shapes}, for projectors of {listed}",
-            hint="give one picture for each projector, in their order",
+            f"{len(shapes)} pictures of {shapes}, for projectors of {listed}", hint=hint
         )
     rows, cols = (max(sides) for sides in zip(*sizes, strict=True))
     whole = np.zeros((len(sizes), rows, cols, *pictures[0].shape[2:]), pictures[0].dtype)
