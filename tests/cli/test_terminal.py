@@ -266,3 +266,22 @@ def test_completion_installs(
     assert "installed" in capfd.readouterr().out
     written = (tmp_path / ".bashrc").read_text()
     assert "lightmatrix" in written
+
+
+def test_ctrl_c_that_a_finalizer_swallows_comes_again() -> None:
+    code = (
+        "import os, signal, sys, time\n"
+        "from lightmatrix import cli\n"
+        "class Finalized:\n"
+        "    def __del__(self):\n"
+        "        os.kill(os.getpid(), signal.SIGINT)\n"
+        "        time.sleep(0.2)\n"
+        "def work():\n"
+        "    Finalized()\n"
+        "    time.sleep(60)\n"
+        "cli.main = work\n"
+        "signal.signal(signal.SIGINT, signal.default_int_handler)\n"
+        "cli.console()\n"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=50)
+    assert (done.returncode, done.stdout, done.stderr) == (130, "", "")

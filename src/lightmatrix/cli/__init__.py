@@ -12,6 +12,11 @@ import importlib
 import os
 import signal
 import sys
+import threading
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from sys import UnraisableHookArgs
 
 # New objects after which Python looks for garbage. Loading libraries makes hundreds of thousands
 # that stay; with Python's own 700 this took 0.07 s. Commands make little garbage.
@@ -48,6 +53,7 @@ def console() -> None:
         os.environ.setdefault("OPENBLAS_THREAD_TIMEOUT", IDLE_CYCLES)
         _load()
         stop_when_terminated()
+        sys.unraisablehook = _stop_again
         code = main()
     except KeyboardInterrupt:
         code = 130
@@ -60,6 +66,17 @@ def stop_when_terminated() -> None:
     """Let SIGTERM end a command like Ctrl-C: what it has begun to write is removed."""
     if signal.getsignal(signal.SIGTERM) is signal.SIG_DFL:
         signal.signal(signal.SIGTERM, signal.default_int_handler)
+
+
+def _stop_again(lost: UnraisableHookArgs) -> None:
+    """Send a signal again whose KeyboardInterrupt was raised in a finalizer, where Python drops it.
+
+    It comes a moment later, when the finalizer is over.
+    """
+    if lost.exc_type is KeyboardInterrupt:
+        threading.Timer(0.01, os.kill, [os.getpid(), signal.SIGTERM]).start()
+    else:
+        sys.__unraisablehook__(lost)
 
 
 def keep_freed_memory() -> None:
