@@ -34,7 +34,7 @@ from lightmatrix.pictures.style import COLOURS, figure, fix_ticks, save
 from lightmatrix.planning.plan import plan
 from lightmatrix.simulation import library
 from lightmatrix.simulation.colour import in_all_primaries, of_primary
-from lightmatrix.simulation.realism import defocus
+from lightmatrix.simulation.realism import camera_defocus, defocus
 from lightmatrix.simulation.simulate import SimulatedCapture, simulate
 from lightmatrix.simulation.truth import Truth, binned
 from lightmatrix.transport.matrix import LightTransport
@@ -147,6 +147,10 @@ CHANGED: dict[str, Callable[[Truth], Truth]] = {
     "blur 0.7": lambda truth: defocus(truth, 0.7),
     "blur 1": lambda truth: defocus(truth, 1.0),
     "blur 2": lambda truth: defocus(truth, 2.0),
+    "blur 4": lambda truth: defocus(truth, 4.0),
+    "camera blur 0.7": lambda truth: camera_defocus(truth, 0.7),
+    "camera blur 1": lambda truth: camera_defocus(truth, 1.0),
+    "camera blur 2": lambda truth: camera_defocus(truth, 2.0),
     "blur 0 to 2": lambda truth: varying_defocus(truth, depth_blur(truth, 2.0)),
     "camera 2x coarser": lambda truth: binned(truth, 2, 1),
     "camera 4x coarser": lambda truth: binned(truth, 4, 1),
@@ -159,6 +163,8 @@ PHOTOGRAPHED: dict[str, dict[str, Any]] = {
     "noise 0.01": {"noise": 0.01},
     "noise 0.03": {"noise": 0.03},
     "12 bits, shot noise": {"bits": 12, "noise": 0.001, "shot_noise": 0.005},
+    "full well of 10,500": {"full_well": 10_500},
+    "full well of 2,000": {"full_well": 2_000},
     "response off by 5 %": {},
 }
 # Cameras, and projectors of random grey patterns, that are not linear: the camera's response, and

@@ -8,6 +8,7 @@
 //!   single columns by `columns`.
 //! - `coherent` predicts from neighbouring rows which pixels a row holds and what its clipped samples
 //!   are, and solves rows on these pixels with the same solver.
+//! - `places` multiplies rows whose light lies at fixed places with patterns.
 //! - `problem` defines what solvers take and return. `bits`, `words`, `atoms`, `hadamard` and
 //!   `product` store patterns and multiply with them.
 //! - `vector` and `octet` hold the inner loops, which `simd` compiles for each instruction set.
@@ -36,6 +37,7 @@ mod dots;
 pub mod float;
 pub mod hadamard;
 mod octet;
+pub mod places;
 pub mod problem;
 pub mod product;
 pub mod simd;

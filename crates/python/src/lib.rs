@@ -1,13 +1,14 @@
 //! The Python module `lightmatrix._core`: it checks and converts arguments, releases the GIL and calls the
 //! core. No arithmetic.
 //!
-//! Functions are in `products` (pattern products), `planes` (blurred images), `solver` (prepared patterns,
+//! Functions are in `products` (pattern products), `planes` (blurred images), `places` (rows at fixed places), `solver` (prepared patterns,
 //! the active-set solver) and `coherent`. `arrays` and `input` check arguments, `threads` runs the core.
 //! `_core.pyi` documents the module for Python.
 
 mod arrays;
 mod coherent;
 mod input;
+mod places;
 mod planes;
 mod products;
 mod sets;
@@ -24,6 +25,7 @@ static ALLOCATOR: Aligned = Aligned;
 #[pymodule]
 fn _core(module: &Bound<'_, PyModule>) -> PyResult<()> {
     products::register(module)?;
+    places::register(module)?;
     planes::register(module)?;
     solved::register(module)?;
     solver::register(module)?;

@@ -111,7 +111,7 @@ _reporting = functools.partial(Option, rich_help_panel="Check and report")
         help="Which faults of the rig to look for in the photographs and to take out of T: all, "
         "none, or some of gain, exposure, ambient, shift, rows, previous, camera-curve, "
         "projector-curve, crosstalk, sharpening, camera-sharpening, dynamic-contrast, "
-        "tone-mapping, black.",
+        "tone-mapping, black, camera-blur.",
     ),
     report=Option(
         metavar="DIR",

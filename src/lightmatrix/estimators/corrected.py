@@ -6,12 +6,17 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
+
 from lightmatrix.capture.capture import Capture, open_capture
 from lightmatrix.check.refusals import refuse_unusable
 from lightmatrix.errors import InputError
 from lightmatrix.estimators.choice import choose_estimator
+from lightmatrix.estimators.defocused import defocused
+from lightmatrix.rig_model.camera_blur import CameraBlur
 from lightmatrix.rig_model.model import RIG, RigModel
 from lightmatrix.rig_model.terms import TERMS, allowed_terms
+from lightmatrix.solvers.loop import Progress
 from lightmatrix.transport.matrix import LightTransport, prediction_error
 
 # Up to eight estimates follow the first one: two suffice for six faults at once, pictures that move
@@ -66,6 +71,7 @@ def corrected(
     first: LightTransport,
     estimate: Callable[[Capture], LightTransport],
     allowed: Sequence[str] = tuple(TERMS),
+    progress: Progress | None = None,
 ) -> tuple[RigModel, LightTransport]:
     """What the rig did wrong, and T without it; `first` is the estimate with all faults.
 
@@ -118,7 +124,13 @@ def corrected(
             transport = estimate(simpler.corrected(capture, best)) if rest else first
             if _missed(transport) * _CLEARLY <= _missed(best):
                 model, best = simpler, transport
-    provenance = {**first.provenance, **({RIG: model.as_dict()} if model.names else {})}
+    if CameraBlur.name in allowed and (
+        focused := defocused(model.corrected(capture, best), best, progress)
+    ):
+        blur, best = focused
+        model = replace(model, values={**model.values, CameraBlur.name: np.array([blur])})
+    proof = {"certificate": best.provenance["certificate"]}
+    provenance = {**first.provenance, **proof, **({RIG: model.as_dict()} if model.names else {})}
     return model, replace(best, provenance=provenance)
 
 

@@ -129,9 +129,9 @@ def estimate(
         Which faults of the rig are looked for in the photographs and taken out of T, see `fit_rig`:
         all, none, or some of "gain", "exposure", "ambient", "shift", "rows", "previous",
         "camera-curve", "projector-curve", "crosstalk", "sharpening", "camera-sharpening",
-        "dynamic-contrast", "tone-mapping" and "black". A correction stays only if photographs held
-        out are predicted better with it; estimates row by row hold none out, and are never
-        corrected. The exposure of T is then that of the first frame.
+        "dynamic-contrast", "tone-mapping", "black" and "camera-blur". A correction stays only if
+        photographs held out are predicted better with it; estimates row by row hold none out, and
+        are never corrected. The exposure of T is then that of the first frame.
     progress : bool or callable
         Whether to show a bar on a terminal and in notebooks; or what to call with (done, total)
         rows.
@@ -219,7 +219,9 @@ def estimate(
                 capture, output=None if folder or output is None else Path(output),
                 remarks={FINDINGS: [each.as_dict() for each in findings], **remarks},
                 overwrite=overwrite,
-                review=partial(_without_faults, capture, run, allowed, findings if check else None),
+                review=partial(
+                    _without_faults, capture, run, allowed, findings if check else None, report
+                ),
             )  # fmt: skip
     if folder is not None:
         save_projectors(folder, transport, overwrite=overwrite)
@@ -228,13 +230,13 @@ def estimate(
 
 def _without_faults(
     capture: Capture, run: Callable[[Capture], LightTransport], allowed: Sequence[str],
-    findings: list[Finding] | None, first: LightTransport,
+    findings: list[Finding] | None, progress: Progress | None, first: LightTransport,
 ) -> LightTransport | None:  # fmt: skip
     """Warn of what the rig did, and return T without it; None if nothing was found.
 
     If there are `findings` of `check`, what may not be corrected, or cannot be, is looked for, too.
     """
-    model, transport = corrected(capture, first, run, allowed)
+    model, transport = corrected(capture, first, run, allowed, progress)
     for sentence in model.sentences:
         warn(f"rig: {sentence}: corrected")
     others, found = [name for name in TERMS if name not in allowed], list[Finding]()

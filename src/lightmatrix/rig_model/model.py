@@ -39,7 +39,7 @@ class RigModel:
         undeclared gamma less 1. crosstalk: share lost across and down. sharpening,
         camera-sharpening: strength of three rings around a pixel. dynamic-contrast: change of the
         light from black to white. tone-mapping: power of the light around. black: share of the
-        black frame that is too much.
+        black frame that is too much. camera-blur: its standard deviation in camera pixels.
     errors : mapping of str to array
         Their standard errors, of the same shapes.
 

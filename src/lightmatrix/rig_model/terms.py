@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 from lightmatrix.rig_model.ambient import Ambient
 from lightmatrix.rig_model.black import Black
+from lightmatrix.rig_model.camera_blur import CameraBlur
 from lightmatrix.rig_model.camera_curve import CameraCurve
 from lightmatrix.rig_model.crosstalk import Crosstalk
 from lightmatrix.rig_model.dynamic_contrast import DynamicContrast
@@ -38,6 +39,7 @@ TERMS: dict[str, type[Term]] = {
         CameraCurve,
         Black,
         Torn,
+        CameraBlur,
     )
 }
 

@@ -1,0 +1,363 @@
+"""T of a camera that is out of focus, whose rows are mixtures of sharp ones.
+
+Each camera pixel then sees what its neighbours see, too, so that a row of T has many times the
+entries of a sharp one, more than a few photographs tell. But T = C S: C blurs images of the camera,
+and the rows of S are sparse. All rows of S are estimated together, from what C makes of them,
+
+    min over S >= 0 of  1/2 ||C S P - Y||^2 + penalty sum(S),
+
+by accelerated proximal steps (FISTA, Beck and Teboulle 2009; restarts, O'Donoghue and Candes 2015).
+Their light may only lie where the rows of a first T lie, or beside their strongest entries. The
+penalty is what noise alone would give a place, and the noise is what the last step left (scaled
+lasso, Sun and Zhang 2012). What the samples of a row have in common belongs to its background.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import correlate1d, gaussian_filter1d
+from scipy.optimize import minimize_scalar
+from scipy.sparse import csr_array, eye_array, kron
+
+from lightmatrix import _core
+from lightmatrix.capture.capture import Capture
+from lightmatrix.capture.samples import Samples
+from lightmatrix.estimators.camera_window import window_of_light
+from lightmatrix.estimators.coherent.row_errors import (
+    HeldOut,
+    held_out_energy,
+    noise_of,
+    smooth_misfit,
+    squared_misfit,
+)  # fmt: skip
+from lightmatrix.patterns.atoms import AtomPatterns
+from lightmatrix.regions import Region
+from lightmatrix.resources.threads import one_blas_thread
+from lightmatrix.solvers.loop import Progress
+from lightmatrix.transport.matrix import LightTransport, prediction_error
+from lightmatrix.transport.sparse_rows import SparseRows, footprint_sizes
+
+Array = NDArray[np.float32]
+
+# Standard deviations of the camera's blur that are tried first, in its pixels.
+_BLURS = (0.7, 1.4, 2.4)
+# Camera samples of the trials that find the blur, and of a strip of the camera, which takes about
+# 200 MiB with 32 patterns.
+_TRIED, _TOGETHER = 1600, 1 << 15
+# Diagnostics of the first T that say nothing of rows that are solved together.
+_OF_SINGLE_ROWS = {"objective", "certified_everywhere", "searched_everywhere"}
+# Pixels at the border of such a window that see what lies outside.
+_BORDER = 5
+# Most steps, and steps after which places without light are left out. Matte scenes take 300 steps,
+# glossy ones 600.
+_STEPS, _PART = 800, 50
+
+
+def defocused(
+    capture: Capture, first: LightTransport, progress: Progress | None = None
+) -> tuple[float, LightTransport] | None:
+    """The blur of the camera in its pixels, and T estimated with it; None if it is in focus.
+
+    `first` is an estimate of `capture` that takes each row by itself. The blur is the one with
+    which photographs held out are predicted best. T stays only if it predicts them better than
+    `first` by a tenth.
+    """
+    held, before = HeldOut.choose(capture.patterns), prediction_error(first)
+    small = min(capture.camera_shape[:2]) < 4 * _BORDER
+    if small or not len(held.judged) or before is None or not _is_soft(capture):
+        return None
+    with one_blas_thread():
+        blur = _found_blur(capture, first, held)
+        if blur is None:
+            return None
+        transport = _estimate(capture, first, blur, held, progress)
+    after = prediction_error(transport)
+    return (blur, transport) if after is not None and after < 0.9 * before else None
+
+
+def _is_soft(capture: Capture) -> bool:
+    """Whether neighbouring pixels differ so little that the camera may be out of focus.
+
+    Differences of neighbours have 0.7 to 0.9 times the energy of those of pixels further apart
+    under random patterns, 0.5 to 0.6 times with a blur of half a pixel, 0.3 with 0.7 pixels. A
+    blurred projector looks alike.
+    """
+    some = capture.select(np.linspace(0, capture.count - 1, min(8, capture.count)).astype(int))
+    window = window_of_light(some, np.arange(some.count), 1 << 16)
+    some = some if window is None else some.window(*window)
+    values = some.samples(0, some.rows).values.reshape(*some.camera_shape[:2], -1, some.count)
+    values = values - values.mean(axis=-1, keepdims=True)
+    near, far = (
+        sum(float(np.square(correlate1d(values, kernel, axis)).sum()) for axis in (0, 1))
+        for kernel in ([1, -2, 1], [1, 0, -2, 0, 1])
+    )
+    return near < 0.6 * far
+
+
+def _found_blur(capture: Capture, first: LightTransport, held: HeldOut) -> float | None:
+    """The blur that predicts photographs held out best in a window of the camera, if any helps."""
+    high, wide = capture.camera_shape[:2]
+    window = window_of_light(capture, np.arange(min(8, capture.count)), _TRIED)
+    if window is not None:
+        corner, whole = (window[0].start, window[1].start), (high, wide)
+        high, wide = (side.stop - side.start for side in window)
+        first = first.crop(Region(corner, (high, wide), whole))
+        capture = capture.window(*window)
+    inner = np.zeros((high, wide, capture.rows // (high * wide)), np.bool_)
+    inner[_BORDER:-_BORDER, _BORDER:-_BORDER] = True
+
+    def missed(blur: float) -> float:
+        strip = _Strip.of(capture, first, blur, slice(0, high)).without(held.frames).solved(0.05)
+        missed, _ = held_out_energy(strip.samples, strip.predicted[:, held.judged], held.judged)
+        return float(missed[inner.ravel()].mean())
+
+    tried = {blur: missed(blur) for blur in _BLURS}
+    best = min(tried, key=lambda blur: tried[blur])
+    if tried[best] > 0.8 * missed(0):
+        return None
+    # With five per cent more, T is nearly the same.
+    around, exact = (best / 1.6, best * 1.6), {"xatol": 0.05 * best}
+    return float(minimize_scalar(missed, bounds=around, method="bounded", options=exact).x)
+
+
+def _estimate(
+    capture: Capture, first: LightTransport, blur: float, held: HeldOut, progress: Progress | None
+) -> LightTransport:
+    """T with a blur, strip by strip, and how well it predicts the frames held out."""
+    lines, width = capture.camera_shape[0], capture.rows // capture.camera_shape[0]
+    around, high = int(np.ceil(6 * blur)), max(1, _TOGETHER // width)
+    parts = []
+    for top in range(0, lines, high):
+        near = slice(max(0, top - around), min(lines, top + high + around))
+        place = slice(top * width, min(lines, top + high) * width)
+        own = slice(place.start - near.start * width, place.stop - near.start * width)
+        whole = _Strip.of(capture, first, blur, near)
+        tried = whole.without(held.frames).solved()
+        samples, predicted = whole.samples.rows(own), tried.predicted[own][:, held.judged]
+        rest = np.square(tried.missed).sum(axis=1) / np.maximum(tried.known.sum(axis=1), 1)
+        missed, seen = held_out_energy(samples, predicted, held.judged)
+        own_facts = {
+            "misfit": squared_misfit(samples, predicted, held.judged), "missed": missed,
+            "seen": seen, "rest": rest[own],
+            # Where hardly a sample around does not clip, a row stays as it is.
+            "solved": (whole.blurred(whole.known).mean(axis=1) > 0.1)[own].astype(np.float32),
+        }  # fmt: skip
+        rows = whole.solved().rows(capture.patterns.pixels)
+        parts.append(replace(rows.rows(np.arange(own.start, own.stop)), diagnostics=own_facts))
+        if progress is not None:
+            progress(place.stop, capture.rows)
+    rows = SparseRows.joined(parts)
+    facts = dict(rows.diagnostics)
+    kept = np.flatnonzero(facts["solved"] == 0)
+    if len(kept):
+        rows = rows.replaced(kept, SparseRows(first.sparse, first.background, facts).rows(kept))
+    camera = lines, capture.camera_shape[1], width // capture.camera_shape[1]
+    misfit = smooth_misfit(facts["misfit"], camera, noise_of(facts["rest"]))
+    squares = rows.coefficients.multiply(rows.coefficients).sum(axis=1)
+    squares = squares + (rows.background**2) @ (1 / np.diff(first.pooling.indptr))
+    contrast = AtomPatterns(capture.patterns, (0.0,)).neighbour_contrast
+    with np.errstate(divide="ignore", invalid="ignore"):
+        own_error = np.sqrt(misfit / np.asarray(squares)) / contrast
+        missed = np.sqrt(facts["missed"] / facts["seen"].mean(dtype=np.float64))
+    footprint, no_gap = footprint_sizes(rows.coefficients), np.full(capture.rows, np.nan)
+    names = "estimated_error", "prediction_error", "footprint", "gap"
+    new = dict(zip(names, (own_error, missed, footprint, no_gap), strict=True))
+    old = {key: each for key, each in first.diagnostics.items() if key not in _OF_SINGLE_ROWS}
+    return replace(
+        first, sparse=rows.coefficients, background=rows.background,
+        diagnostics={**old, **{key: each.astype(np.float32) for key, each in new.items()}},
+        provenance={**first.provenance, "certificate": "none, rows are solved together"},
+    )  # fmt: skip
+
+
+@dataclass(frozen=True, eq=False)
+class _Strip:
+    """Whole lines of the camera, m samples under K patterns, that are solved together."""
+
+    samples: Samples
+    # Which samples count and do not clip, (m, K).
+    known: Array
+    # The background of the first T, (m, B), and its cells under the patterns, (B, K).
+    background: Array
+    cells: Array
+    # Where each row's places begin, (m + 1,), the projector pixel of each among `pixels`, and the
+    # light of S there.
+    starts: NDArray[np.int64]
+    places: NDArray[np.int64]
+    light: Array
+    # The n projector pixels that occur, their patterns less their means, (n, K), and these, (n, 1).
+    pixels: NDArray[np.int64]
+    columns: Array
+    means: Array
+    # C down and across the camera, and the sizes (lines, columns, channels).
+    blurs: tuple[csr_array, csr_array]
+    shape: tuple[int, int, int]
+
+    @classmethod
+    def of(cls, capture: Capture, first: LightTransport, blur: float, lines: slice) -> _Strip:
+        """The strip with light where the first T has its own."""
+        cols, channels = capture.camera_shape[1], int(np.prod(capture.camera_shape[2:]))
+        height, width = lines.stop - lines.start, cols * channels
+        rows = slice(lines.start * width, lines.stop * width)
+        samples = capture.samples(rows.start, rows.stop)
+        known = samples.counted & ~samples.clipped & capture.valid[rows, None]
+        starts, places, light = _places(csr_array(first.sparse[rows]), capture.projector_shape)
+        pixels, at = np.unique(places, return_inverse=True)
+        columns = np.ascontiguousarray(capture.patterns.columns(pixels).T, np.float32)
+        means = columns.mean(axis=1, keepdims=True)
+        cells = np.concatenate([first.pooling @ part.T for _, part in capture.patterns.chunks()], 1)
+        return cls(
+            samples, known.astype(np.float32), first.background[rows], cells.astype(np.float32),
+            starts, at.astype(np.int64), light, pixels, columns - means, means,
+            (_blur(height, blur), _blur(cols, blur)), (height, cols, channels),
+        )  # fmt: skip
+
+    def without(self, frames: NDArray[np.int64]) -> _Strip:
+        """The strip without what some frames say."""
+        known = self.known.copy()
+        known[:, frames] = 0
+        return replace(self, known=known)
+
+    def blurred(self, images: Array, *, adjoint: bool = False) -> Array:
+        """C applied to images (m, K)."""
+        down, across = (each.T if adjoint else each for each in self.blurs)
+        height, cols, _ = self.shape
+        after = (down @ images.reshape(height, -1)).reshape(height, cols, -1).transpose(1, 0, 2)
+        after = (across @ after.reshape(cols, -1)).reshape(cols, height, -1).transpose(1, 0, 2)
+        return after.reshape(images.shape)
+
+    def shown(self, light: Array, columns: Array) -> Array:
+        """C S P of light at the places."""
+        return self.blurred(_core.light_at_places(self.starts, self.places, columns, light))
+
+    def gathered(self, samples: Array) -> Array:
+        """The adjoint of `shown`, of samples (m, K)."""
+        samples = self.blurred(samples, adjoint=True)
+        return _core.gathered_at_places(self.starts, self.places, self.columns, samples)
+
+    def centred(self, values: Array) -> Array:
+        """The known ones of values (m, K), less their mean in each row."""
+        counted = np.maximum(self.known.sum(axis=1, keepdims=True), 1)
+        return (values - (values * self.known).sum(axis=1, keepdims=True) / counted) * self.known
+
+    @property
+    def low(self) -> Array:
+        """What the background gives the samples, (m, K)."""
+        return self.background @ self.cells
+
+    @property
+    def missed(self) -> Array:
+        """What the known samples are more than C S P, (m, K)."""
+        return self.centred(self.samples.values - self.low - self.shown(self.light, self.columns))
+
+    @property
+    def predicted(self) -> Array:
+        """All samples as C S P says, with the mean of the known ones, (m, K)."""
+        shown = self.low + self.shown(self.light, self.columns)
+        counted = np.maximum(self.known.sum(axis=1, keepdims=True), 1)
+        rest = ((self.samples.values - shown) * self.known).sum(axis=1, keepdims=True)
+        return shown + rest / counted
+
+    def solved(self, tolerance: float = 0.01) -> _Strip:
+        """The strip with its light estimated from the known samples.
+
+        It is done when `_PART` steps change it by less than the tolerance.
+        """
+        strip = self._descended(1.0, _STEPS, tolerance)
+        lit = strip._at(strip.light > 0)
+        # The penalty makes all light a little too weak. Less of it does where the places are known.
+        return lit._descended(0.2, _PART, tolerance)
+
+    def _descended(self, share: float, steps: int, tolerance: float) -> _Strip:
+        """The strip after so many steps with a share of the penalty, or when they change little."""
+        strip, light, ahead, pace, before = self, self.light, self.light, 1.0, self.light
+        target = self.centred(self.samples.values - self.low)
+        counted = np.maximum(self.known.sum(axis=1), 1)
+        length = 1 / self._curvature()
+        # The norm of what a unit of light at a place gives all samples.
+        norm = np.sqrt(np.square(self.columns).sum(axis=1).mean() * self.known.mean())
+        norm *= np.prod(
+            [np.sqrt(np.square(each.data).sum() / each.shape[0]) for each in self.blurs]
+        )
+        for step in range(1, steps + 1):
+            left = strip.centred(strip.shown(ahead, strip.columns)) - target
+            noise = np.sqrt(np.median(np.square(left).sum(axis=1) / counted))
+            slope, penalty = strip.gathered(left), np.float32(share * noise * norm)
+            new = np.maximum(ahead - np.float32(length) * (slope + penalty), 0)
+            way = new - light
+            if np.vdot(ahead - new, way) > 0:
+                pace = 1.0
+            following = (1 + np.sqrt(1 + 4 * pace**2)) / 2
+            ahead = new + np.float32((pace - 1) / following) * way
+            light, pace = new, following
+            if step % _PART == 0:
+                if np.linalg.norm(light - before) < tolerance * np.linalg.norm(light):
+                    break
+                # Places that are far from having light are left out.
+                stay = (light > 0) | (ahead > 0) | (slope < -penalty / 2) | (step < 3 * _PART)
+                strip, ahead, before = (
+                    replace(strip, light=light)._at(stay),
+                    ahead[stay],
+                    light[stay],
+                )
+                light = before
+        return replace(strip, light=light)
+
+    def _at(self, stay: NDArray[np.bool_]) -> _Strip:
+        """The strip at some of its places."""
+        starts = np.concatenate([[0], np.cumsum(stay)])[self.starts]
+        return replace(self, starts=starts, places=self.places[stay], light=self.light[stay])
+
+    def _curvature(self) -> float:
+        """At least the largest curvature of the squares, by power iteration."""
+        way, size = np.random.default_rng(0).random(len(self.places), np.float32), 1.0
+        for _ in range(15):
+            way = self.gathered(self.centred(self.shown(way, self.columns)))
+            size = float(np.linalg.norm(way))
+            way /= np.float32(max(size, 1e-30))
+        return 1.05 * size
+
+    def rows(self, pixels: int) -> SparseRows:
+        """The rows of T = C S, with what their light leaves of the samples as background."""
+        shape = len(self.starts) - 1, pixels
+        sharp = csr_array((self.light, self.pixels[self.places], self.starts), shape=shape)
+        across = kron(self.blurs[1], eye_array(self.shape[2], dtype=np.float32))
+        mixed = csr_array(kron(self.blurs[0], across) @ sharp)
+        most = np.repeat(mixed.max(axis=1).toarray().ravel(), np.diff(mixed.indptr))
+        # A thousandth of the strongest entry is less than noise leaves of it.
+        mixed.data[mixed.data < 1e-3 * most] = 0
+        mixed.eliminate_zeros()
+        rest = self.samples.values - self.low - self.shown(self.light, self.columns + self.means)
+        rest = (rest * self.known).sum(axis=1) / np.maximum(self.known.sum(axis=1), 1)
+        even = rest / max(float(self.cells.sum(axis=0).mean()), 1e-6)
+        return SparseRows(mixed, np.maximum(self.background + even[:, None], 0))
+
+
+def _places(
+    rows: csr_array, shape: tuple[int, int]
+) -> tuple[NDArray[np.int64], NDArray[np.int64], Array]:
+    """The places of rows of T: their entries, and the pixels around the strongest ones."""
+    count, pixels = rows.shape
+    owner = np.repeat(np.arange(count), np.diff(rows.indptr))
+    most = np.repeat(rows.max(axis=1).toarray().ravel(), np.diff(rows.indptr))
+    strong = rows.data > 0.25 * most
+    down, right = np.divmod(rows.indices[strong].astype(np.int64), shape[1])
+    down = np.clip(down[:, None, None] + np.arange(-1, 2)[:, None], 0, shape[0] - 1)
+    right = np.clip(right[:, None, None] + np.arange(-1, 2), 0, shape[1] - 1)
+    around = (owner[strong, None, None] * pixels + down * shape[1] + right).reshape(-1)
+    keys, at = np.unique(np.append(owner * pixels + rows.indices, around), return_inverse=True)
+    light = np.zeros(len(keys), np.float32)
+    light[at[: len(owner)]] = np.maximum(rows.data, 0)
+    starts = np.searchsorted(keys, np.arange(count + 1) * pixels)
+    return starts, keys % pixels, light
+
+
+def _blur(length: int, blur: float) -> csr_array:
+    """A blur of `length` values by a Gaussian; beyond their ends it sees the last ones."""
+    matrix = np.eye(length, dtype=np.float32)
+    if blur:
+        matrix = gaussian_filter1d(matrix, blur, axis=0, mode="nearest", truncate=3.5)
+    return csr_array(matrix)
