@@ -34,7 +34,10 @@ def test_the_blur_is_found_and_t_is_estimated_with_it(
     capture, first, truth = unfocused
     with pytest.warns(lm.LightMatrixWarning, match=r"out of focus by 1\.0 of its pixels: corr"):
         transport = lm.estimate(capture, progress=False)
-    before, after = lm.evaluate(first, truth, exposure=0.5), lm.evaluate(transport, truth, exposure=0.5)
+    before, after = (
+        lm.evaluate(first, truth, exposure=0.5),
+        lm.evaluate(transport, truth, exposure=0.5),
+    )
     assert after.relative_error < 0.6 * before.relative_error
     assert after.relighting_error < before.relighting_error
     assert RigModel.of(transport).values["camera-blur"][0] == pytest.approx(1, abs=0.1)

@@ -10,17 +10,20 @@ by accelerated proximal steps (FISTA, Beck and Teboulle 2009; restarts, O'Donogh
 Their light may only lie where the rows of a first T lie, or beside their strongest entries. The
 penalty is what noise alone would give a place, and the noise is what the last step left (scaled
 lasso, Sun and Zhang 2012). What the samples of a row have in common belongs to its background.
+
+C is found in a window of the camera: a Gaussian at first, then any kernel, from S by least squares.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import correlate1d, gaussian_filter1d
-from scipy.optimize import minimize_scalar
-from scipy.sparse import csr_array, eye_array, kron
+from scipy.ndimage import correlate1d
+from scipy.optimize import minimize_scalar, nnls
+from scipy.sparse import csr_array
 
 from lightmatrix import _core
 from lightmatrix.capture.capture import Capture
@@ -43,7 +46,7 @@ from lightmatrix.transport.sparse_rows import SparseRows, footprint_sizes
 Array = NDArray[np.float32]
 
 # Standard deviations of the camera's blur that are tried first, in its pixels.
-_BLURS = (0.7, 1.4, 2.4)
+_BLURS = (0.7, 1.0, 1.4, 2.0)
 # Camera samples of the trials that find the blur, and of a strip of the camera, which takes about
 # 200 MiB with 32 patterns.
 _TRIED, _TOGETHER = 1600, 1 << 15
@@ -61,21 +64,24 @@ def defocused(
 ) -> tuple[float, LightTransport] | None:
     """The blur of the camera in its pixels, and T estimated with it; None if it is in focus.
 
-    `first` is an estimate of `capture` that takes each row by itself. The blur is the one with
-    which photographs held out are predicted best. T stays only if it predicts them better than
-    `first` by a tenth.
+    `first` is an estimate of `capture` that takes each row by itself. T stays only if it predicts
+    photographs held out better than `first` by two per cent.
     """
     held, before = HeldOut.choose(capture.patterns), prediction_error(first)
     small = min(capture.camera_shape[:2]) < 4 * _BORDER
     if small or not len(held.judged) or before is None or not _is_soft(capture):
         return None
     with one_blas_thread():
-        blur = _found_blur(capture, first, held)
-        if blur is None:
+        kernel = _found_kernel(capture, first, held)
+        if kernel is None:
             return None
-        transport = _estimate(capture, first, blur, held, progress)
+        transport = _estimate(capture, first, kernel, held, progress)
     after = prediction_error(transport)
-    return (blur, transport) if after is not None and after < 0.9 * before else None
+    if after is None or after > 0.98 * before:
+        return None
+    # The standard deviation along an axis, averaged over both.
+    place = np.arange(len(kernel)) - len(kernel) // 2
+    return float(np.sqrt((kernel * np.add.outer(place**2, place**2)).sum() / 2)), transport
 
 
 def _is_soft(capture: Capture) -> bool:
@@ -97,8 +103,8 @@ def _is_soft(capture: Capture) -> bool:
     return near < 0.6 * far
 
 
-def _found_blur(capture: Capture, first: LightTransport, held: HeldOut) -> float | None:
-    """The blur that predicts photographs held out best in a window of the camera, if any helps."""
+def _found_kernel(capture: Capture, first: LightTransport, held: HeldOut) -> Array | None:
+    """The kernel that predicts photographs held out best in a window of the camera, if it helps."""
     high, wide = capture.camera_shape[:2]
     window = window_of_light(capture, np.arange(min(8, capture.count)), _TRIED)
     if window is not None:
@@ -108,33 +114,49 @@ def _found_blur(capture: Capture, first: LightTransport, held: HeldOut) -> float
         capture = capture.window(*window)
     inner = np.zeros((high, wide, capture.rows // (high * wide)), np.bool_)
     inner[_BORDER:-_BORDER, _BORDER:-_BORDER] = True
+    inside = inner.ravel()
 
-    def missed(blur: float) -> float:
-        strip = _Strip.of(capture, first, blur, slice(0, high)).without(held.frames).solved(0.05)
+    def tried(kernel: Array) -> tuple[float, Array, _Strip]:
+        strip = _Strip.of(capture, first, kernel, slice(0, high)).without(held.frames).solved(0.05)
         missed, _ = held_out_energy(strip.samples, strip.predicted[:, held.judged], held.judged)
-        return float(missed[inner.ravel()].mean())
+        return float(missed[inside].mean()), kernel, strip
 
-    tried = {blur: missed(blur) for blur in _BLURS}
-    best = min(tried, key=lambda blur: tried[blur])
-    if tried[best] > 0.8 * missed(0):
+    found = list[tuple[float, Array, _Strip]]()
+
+    def misses(size: float, shape: Callable[[float], Array]) -> float:
+        found.append(tried(shape(size)))
+        return found[-1][0]
+
+    sizes = {(misses(size, shape), size, shape) for size in _BLURS for shape in (_gaussian, _disk)}
+    _, size, shape = min(sizes, key=lambda each: each[0])
+    around, exact = (size / 1.4, size * 1.4), {"xatol": 0.03 * size}
+    minimize_scalar(misses, args=(shape,), bounds=around, method="bounded", options=exact)
+    least, kernel, strip = min(found, key=lambda each: each[0])
+    if least > 0.8 * tried(np.ones((1, 1), np.float32))[0]:
         return None
-    # With five per cent more, T is nearly the same.
-    around, exact = (best / 1.6, best * 1.6), {"xatol": 0.05 * best}
-    return float(minimize_scalar(missed, bounds=around, method="bounded", options=exact).x)
+    # S has adapted to a wrong kernel at the frames that it was solved with. At those held out it is
+    # less wrong than the kernel, so that a better one follows from them, at last in a few steps.
+    now, worse = strip, 0
+    while worse < 3:
+        missed, fitted, now = tried(now.fitted(held.frames, inside))
+        worse = 0 if missed < 0.95 * least else worse + 1
+        if missed < least:
+            least, kernel = missed, fitted
+    return kernel
 
 
 def _estimate(
-    capture: Capture, first: LightTransport, blur: float, held: HeldOut, progress: Progress | None
+    capture: Capture, first: LightTransport, kernel: Array, held: HeldOut, progress: Progress | None
 ) -> LightTransport:
-    """T with a blur, strip by strip, and how well it predicts the frames held out."""
+    """T with a blurred camera, strip by strip, and how well it predicts the frames held out."""
     lines, width = capture.camera_shape[0], capture.rows // capture.camera_shape[0]
-    around, high = int(np.ceil(6 * blur)), max(1, _TOGETHER // width)
+    around, high = len(kernel), max(1, _TOGETHER // width)
     parts = []
     for top in range(0, lines, high):
         near = slice(max(0, top - around), min(lines, top + high + around))
         place = slice(top * width, min(lines, top + high) * width)
         own = slice(place.start - near.start * width, place.stop - near.start * width)
-        whole = _Strip.of(capture, first, blur, near)
+        whole = _Strip.of(capture, first, kernel, near)
         tried = whole.without(held.frames).solved()
         samples, predicted = whole.samples.rows(own), tried.predicted[own][:, held.judged]
         rest = np.square(tried.missed).sum(axis=1) / np.maximum(tried.known.sum(axis=1), 1)
@@ -192,12 +214,13 @@ class _Strip:
     pixels: NDArray[np.int64]
     columns: Array
     means: Array
-    # C down and across the camera, and the sizes (lines, columns, channels).
+    # The kernel (2 h + 1, 2 h + 1) of C, C and its transpose, and (lines, columns, channels).
+    kernel: Array
     blurs: tuple[csr_array, csr_array]
     shape: tuple[int, int, int]
 
     @classmethod
-    def of(cls, capture: Capture, first: LightTransport, blur: float, lines: slice) -> _Strip:
+    def of(cls, capture: Capture, first: LightTransport, kernel: Array, lines: slice) -> _Strip:
         """The strip with light where the first T has its own."""
         cols, channels = capture.camera_shape[1], int(np.prod(capture.camera_shape[2:]))
         height, width = lines.stop - lines.start, cols * channels
@@ -209,10 +232,11 @@ class _Strip:
         columns = np.ascontiguousarray(capture.patterns.columns(pixels).T, np.float32)
         means = columns.mean(axis=1, keepdims=True)
         cells = np.concatenate([first.pooling @ part.T for _, part in capture.patterns.chunks()], 1)
+        blur = _blur((height, cols, channels), kernel)
         return cls(
             samples, known.astype(np.float32), first.background[rows], cells.astype(np.float32),
             starts, at.astype(np.int64), light, pixels, columns - means, means,
-            (_blur(height, blur), _blur(cols, blur)), (height, cols, channels),
+            kernel, (blur, csr_array(blur.T)), (height, cols, channels),
         )  # fmt: skip
 
     def without(self, frames: NDArray[np.int64]) -> _Strip:
@@ -221,13 +245,9 @@ class _Strip:
         known[:, frames] = 0
         return replace(self, known=known)
 
-    def blurred(self, images: Array, *, adjoint: bool = False) -> Array:
+    def blurred(self, images: Array) -> Array:
         """C applied to images (m, K)."""
-        down, across = (each.T if adjoint else each for each in self.blurs)
-        height, cols, _ = self.shape
-        after = (down @ images.reshape(height, -1)).reshape(height, cols, -1).transpose(1, 0, 2)
-        after = (across @ after.reshape(cols, -1)).reshape(cols, height, -1).transpose(1, 0, 2)
-        return after.reshape(images.shape)
+        return np.asarray(self.blurs[0] @ images)
 
     def shown(self, light: Array, columns: Array) -> Array:
         """C S P of light at the places."""
@@ -235,7 +255,7 @@ class _Strip:
 
     def gathered(self, samples: Array) -> Array:
         """The adjoint of `shown`, of samples (m, K)."""
-        samples = self.blurred(samples, adjoint=True)
+        samples = self.blurs[1] @ samples
         return _core.gathered_at_places(self.starts, self.places, self.columns, samples)
 
     def centred(self, values: Array) -> Array:
@@ -279,9 +299,7 @@ class _Strip:
         length = 1 / self._curvature()
         # The norm of what a unit of light at a place gives all samples.
         norm = np.sqrt(np.square(self.columns).sum(axis=1).mean() * self.known.mean())
-        norm *= np.prod(
-            [np.sqrt(np.square(each.data).sum() / each.shape[0]) for each in self.blurs]
-        )
+        norm *= np.linalg.norm(self.kernel)
         for step in range(1, steps + 1):
             left = strip.centred(strip.shown(ahead, strip.columns)) - target
             noise = np.sqrt(np.median(np.square(left).sum(axis=1) / counted))
@@ -320,12 +338,34 @@ class _Strip:
             way /= np.float32(max(size, 1e-30))
         return 1.05 * size
 
+    def fitted(self, frames: NDArray[np.int64], inside: NDArray[np.bool_]) -> Array:
+        """The kernel that explains some frames and rows best with the light of S; it is even."""
+        known = self.samples.counted & ~self.samples.clipped
+        strip = replace(
+            self, known=(known & np.isin(np.arange(known.shape[1]), frames)) * np.float32(1)
+        )
+        light = _core.light_at_places(self.starts, self.places, self.columns, self.light)
+        (lines, cols, channels), reach = self.shape, len(self.kernel) // 2
+        sides = ((reach, reach), (reach, reach), (0, 0), (0, 0))
+        light = np.pad(light.reshape(lines, cols, channels, -1), sides, mode="edge")
+        moved = [
+            strip.centred(light[down : down + lines, right : right + cols].reshape(known.shape))
+            for down in range(self.kernel.shape[0]) for right in range(self.kernel.shape[1])
+        ]  # fmt: skip
+        parts = np.stack([each[inside].ravel() for each in moved])
+        target = strip.centred(self.samples.values - self.low)[inside].ravel()
+        values, vectors = np.linalg.eigh((parts @ parts.T).astype(np.float64))
+        # Kernels that change the frames by less than noise stay as they are.
+        root = np.sqrt(np.maximum(values, 1e-6 * values[-1]))
+        kernel, _ = nnls((vectors * root).T, (vectors / root).T @ (parts @ target))
+        even = (kernel + kernel[::-1]).reshape(self.kernel.shape)
+        return np.asarray(even / max(even.sum(), 1e-30), np.float32)
+
     def rows(self, pixels: int) -> SparseRows:
         """The rows of T = C S, with what their light leaves of the samples as background."""
         shape = len(self.starts) - 1, pixels
         sharp = csr_array((self.light, self.pixels[self.places], self.starts), shape=shape)
-        across = kron(self.blurs[1], eye_array(self.shape[2], dtype=np.float32))
-        mixed = csr_array(kron(self.blurs[0], across) @ sharp)
+        mixed = csr_array(self.blurs[0] @ sharp)
         most = np.repeat(mixed.max(axis=1).toarray().ravel(), np.diff(mixed.indptr))
         # A thousandth of the strongest entry is less than noise leaves of it.
         mixed.data[mixed.data < 1e-3 * most] = 0
@@ -355,9 +395,35 @@ def _places(
     return starts, keys % pixels, light
 
 
-def _blur(length: int, blur: float) -> csr_array:
-    """A blur of `length` values by a Gaussian; beyond their ends it sees the last ones."""
-    matrix = np.eye(length, dtype=np.float32)
-    if blur:
-        matrix = gaussian_filter1d(matrix, blur, axis=0, mode="nearest", truncate=3.5)
-    return csr_array(matrix)
+def _gaussian(size: float) -> Array:
+    """A kernel of a standard deviation in pixels, as of a lens that is not quite sharp."""
+    place = np.arange(-int(np.ceil(3 * size)), int(np.ceil(3 * size)) + 1)
+    profile = np.exp(-(place**2) / (2 * size**2))
+    kernel = np.outer(profile, profile)
+    return (kernel / kernel.sum()).astype(np.float32)
+
+
+def _disk(size: float) -> Array:
+    """A kernel of a standard deviation in pixels, the image of the aperture of a lens."""
+    reach = int(np.ceil(2 * size)) + 1
+    # Each pixel is the mean of eight by eight places.
+    place = (np.arange((2 * reach + 1) * 8) + 0.5) / 8 - reach - 0.5
+    inside = np.add.outer(place**2, place**2) < (2 * size) ** 2
+    kernel = inside.reshape(2 * reach + 1, 8, 2 * reach + 1, 8).mean(axis=(1, 3))
+    return (kernel / kernel.sum()).astype(np.float32)
+
+
+def _blur(shape: tuple[int, int, int], kernel: Array) -> csr_array:
+    """C of images (lines, columns, channels); beyond their ends it sees the last pixels."""
+    lines, cols, channels = shape
+    place = np.arange(len(kernel)) - len(kernel) // 2
+    down = np.clip(np.arange(lines)[:, None] + place, 0, lines - 1)[:, None, None, :, None]
+    right = np.clip(np.arange(cols)[:, None] + place, 0, cols - 1)[None, :, None, None, :]
+    pixels = ((down * cols + right) * channels + np.arange(channels)[:, None, None]).reshape(-1)
+    count = lines * cols * channels
+    starts = np.arange(count + 1) * kernel.size
+    weights = np.broadcast_to(kernel.ravel(), (count, kernel.size)).ravel()
+    matrix = csr_array((weights, pixels, starts), shape=(count, count))
+    matrix.sum_duplicates()
+    matrix.eliminate_zeros()
+    return matrix
