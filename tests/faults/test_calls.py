@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from scipy.sparse import csr_array
 
 import lightmatrix as lm
 
@@ -147,8 +146,6 @@ CALLS: dict[str, tuple[Callable[[Any], Any], tuple[Any, ...]]] = {
     "export path": (lambda v: lm.export(v, T), PATHS),
     "save": (lambda v: lm.save("new.zarr", v), ARRAYS),
     "export": (lambda v: lm.export("new.npz", v), ARRAYS),
-    "max_min": (lm.max_min, ARRAYS),
-    "probe": (lambda v: lm.probe(v, csr_array((64, 64))), ARRAYS),
     "verdicts": (lm.verdicts, ARRAYS),
     "show_relit": (lambda v: lm.show_relit(v, PICTURE), ARRAYS),
     "singular_values": (lm.singular_values, ARRAYS),

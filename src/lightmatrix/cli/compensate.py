@@ -87,6 +87,7 @@ def compensate(
     else:
         options.refuse(of_rig, "a compensation without a rig")
         options.refuse({"--beside": video and beside}, "a video")
+    options.missing_rig_file(rig_file, with_rig=with_rig)
     response: Any = projector_response
     source = "the rig" if with_rig else projector_response or "the capture of T"
     if response is None and not with_rig and not beside and rig_file.is_file():

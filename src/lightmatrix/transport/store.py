@@ -103,17 +103,14 @@ def save(path: str | Path, transport: LightTransport, *, overwrite: bool = False
     # Checked again, because arrays can be changed, and `open` would refuse what they hold.
     transport = replace(transport)
     rows = SparseRows(transport.sparse, transport.background, transport.diagnostics)
-    save_rows(
-        path, [rows], camera_shape=transport.camera_shape,
-        projector_shape=transport.projector_shape, background_grid=transport.background_grid,
-        provenance=transport.provenance, overwrite=overwrite,
-    )  # fmt: skip
+    shapes = transport.camera_shape, transport.projector_shape, transport.background_grid
+    save_rows(path, [rows], *shapes, transport.provenance, overwrite)
 
 
 def save_rows(
-    path: str | Path, parts: Iterable[SparseRows], *, camera_shape: tuple[int, ...],
+    path: str | Path, parts: Iterable[SparseRows], camera_shape: tuple[int, ...],
     projector_shape: tuple[int, int], background_grid: tuple[int, int],
-    provenance: Mapping[str, Any], overwrite: bool = False,
+    provenance: Mapping[str, Any], overwrite: bool,
 ) -> None:  # fmt: skip
     """Write a matrix as `save` does, from parts with all rows in order, one at a time in memory."""
     with atomic_folder(path, STORE, overwrite=overwrite) as part:
