@@ -162,7 +162,6 @@ CALLS: dict[str, tuple[Callable[[Any], Any], tuple[Any, ...]]] = {
     "compensate ambient": (lambda v: lm.compensate(T, PICTURE, ambient=v), ARRAYS[2:]),
     "compensate mask": (lambda v: lm.compensate(T, PICTURE, mask=v), ARRAYS[2:]),
     "compensate gamma": (lambda v: lm.compensate(T, PICTURE, gamma=v), NUMBERS[1:]),
-    "compensate iterations": (lambda v: lm.compensate(T, PICTURE, iterations=v), WHOLE),
     "compensate_video": (lambda v: lm.compensate_video(T, [v]), ARRAYS[2:]),
     "cancel_global": (lambda v: lm.cancel_global(T, v, direct=T), ARRAYS[2:]),
     "separate": (lambda v: lm.separate(T, pattern=v), ARRAYS[2:]),

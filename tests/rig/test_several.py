@@ -92,6 +92,35 @@ def test_the_parts_of_t_add_up(both: Truth, capture: SimulatedCapture) -> None:
     np.testing.assert_allclose(sum(parts), expected, rtol=1e-4, atol=1e-6)
 
 
+@pytest.mark.parametrize(
+    ("command", "hint"),
+    [
+        *((f"{use} scene", "scene/projector-1.zarr, scene/projector-2.zarr") for use in (
+            "info", "evaluate --truth capture/truth.npz",
+            "separate -o x", "triangulate --geometry g.json -o x.ply",
+        )),
+        ("view scene", "scene/projector-1.zarr"),
+        ("relight scene p.png -o x.png", "scene/projector-1.zarr"),
+        ("show scene correspondence -o x.png", "scene/projector-1.zarr"),
+        ("map scene -o x.exr", "end it in .mpcdi, or map the store of each projector"),
+        *((f"{use} cameras", "cameras/camera-1, cameras/camera-2") for use in (
+            "estimate -o x", "check", "track -o x.zarr", "info", "decode -o x.npz",
+        )),
+    ],
+)  # fmt: skip
+def test_hints_name_what_a_folder_holds(
+    command: str, hint: str, stores: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:  # fmt: skip
+    monkeypatch.chdir(tmp_path)
+    Path("scene").symlink_to(stores / "scene")
+    for k in (1, 2):
+        Path(f"cameras/camera-{k}").mkdir(parents=True)
+    lm.write_image("p.png", np.ones((32, 32)))
+    assert main(command.split()) == 2
+    assert hint in capsys.readouterr().err
+
+
 def test_an_estimate_that_was_stopped_goes_on(
     capture: SimulatedCapture, stores: Path, tmp_path: Path
 ) -> None:
@@ -238,6 +267,7 @@ def test_a_studio(
     lm.write_image("picture.png", np.tile(np.linspace(0.2, 0.8, 16), (16, 1)))
     with_rig = ["--rig", rig, "--rig-file", "rig-1.json"]
     assert main(["compensate", "scene/camera-1", "picture.png", "-o", "show.png"]) == 0
+    assert "show-1.png and show-2.png: wanted white" in capsys.readouterr().out
     assert main(["project", "show-1.png", "show-2.png", *with_rig, "-o", "seen.png"]) == 0
     for shown in ("show-1.png", "."):
         assert main(["project", shown, *with_rig, "-o", "half.png"]) == 2

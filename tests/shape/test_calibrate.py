@@ -473,7 +473,7 @@ def test_an_axis_beside_the_middle_is_refused_unless_it_is_stated(name: str) -> 
     camera = known.geometry.camera_intrinsics
     with pytest.raises(lm.InputError, match="behind the camera or the projector") as refused:
         lm.self_calibrate(matches, camera[0, 0])
-    assert "principal=COL,ROW" in (refused.value.hint or "")
+    assert "(principal)" in (refused.value.hint or "")
     axis = float(camera[0, 2]), float(camera[1, 2])
     rig = lm.self_calibrate(matches, camera[0, 0], principal=axis, baseline=known.geometry.baseline)
     shape = lm.triangulate(matches, rig)

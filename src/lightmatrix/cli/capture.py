@@ -121,7 +121,7 @@ def capture(
                 transport = lm.estimate(captured, **written, progress=report)
             summaries[-1]["estimate"] = {"output": target, **transport.summary()}
             if not as_json:
-                say(f"light transport matrix in {target}")
+                say(f"light transport matrix in {options.written_stores(target)}")
     if as_json:
         show_json(summaries[0] if len(rigs) == 1 else {"output": output, "cameras": summaries})
 

@@ -12,6 +12,7 @@ from typer import Argument, Option
 
 from lightmatrix import defaults
 from lightmatrix.errors import InputError, warn
+from lightmatrix.files.colours import stores_within
 
 _Command = TypeVar("_Command", bound=Callable[..., Any])
 
@@ -89,6 +90,11 @@ Settle = Annotated[
 RigFile = Annotated[
     Path, Option("--rig-file", help="The file that keeps the measurements of the rig.")
 ]
+
+
+def written_stores(output: Path) -> str:
+    """The store that an estimate wrote, or those of several projectors, in words."""
+    return " and ".join(map(str, stores_within(output) or [output]))
 
 
 def missing_rig_file(file: Path, *, with_rig: bool = True) -> None:
