@@ -10,6 +10,7 @@ there rows search. They are unknown until they predict photographs that they hav
 from __future__ import annotations
 
 from collections.abc import Iterator
+from copy import copy
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -23,13 +24,14 @@ from lightmatrix.capture.capture import Capture, capture_of_samples, open_captur
 from lightmatrix.capture.exposures import frame_weights
 from lightmatrix.capture.frames import ArrayStack
 from lightmatrix.capture.samples import Samples
-from lightmatrix.errors import InputError
+from lightmatrix.errors import InputError, warn
 from lightmatrix.estimators.coherent.estimator import CoherentEstimator
 from lightmatrix.estimators.coherent.neighbourhood import REACH, Neighbourhood
 from lightmatrix.estimators.coherent.row_solver import RowSolver
 from lightmatrix.estimators.coherent.schedule import Round
 from lightmatrix.estimators.estimate import estimate
 from lightmatrix.geometry.matches import fit_homography, moved
+from lightmatrix.judgement.judgement import OwnError
 from lightmatrix.patterns.colour import ColourPatterns
 from lightmatrix.patterns.pattern_set import ImagePatterns, PatternSet
 from lightmatrix.ranges import real_array
@@ -102,12 +104,11 @@ class Tracker:
         self._camera: tuple[int, ...] = (*self._given.camera_shape, 1)[:3]
         self._light = SparseRows(self._given.sparse, self._given.background)
         self._centres, self._steps = _parallax(self._given)
-        # The window: patterns (K, N) and samples (M, K); photograph n stands in column n mod K.
-        self._shown, seen = self._capture.patterns.dense(), self._capture.samples()
-        levels, weights = seen.clip_levels_of_all(), seen.weights_of_all()
-        self._samples = Samples(seen.values.copy(), seen.clipped.copy(), levels, weights)
+        # The last photographs, at most K: patterns, (N,), and samples, (M, 1).
+        self._window: tuple[tuple[NDArray[np.float32], Samples], ...] = ()
+        shown, samples = self._capture.patterns.dense(), self._capture.samples()
         self._longest = float(self._capture.exposures.max())
-        misses = _squares(self._samples, self._predicted(self._light, self._shown)).T
+        misses = _squares(samples, self._predicted(self._light, shown)).T
         # Photographs that T was estimated from are missed by less than others: squares were 1 to 3
         # times as large on `l_objects` at 64 x 64.
         self._usual = 4 * self._around(misses.mean(axis=0)) + 1e-12
@@ -123,6 +124,8 @@ class Tracker:
         # Rows that were solved again, in order, as atoms; and the light of all rows times the
         # contrast of the patterns, to which misses are relative.
         self._rows, self._atoms, self._length = self.since[:0], self._light, np.ones(rows)
+        # Whether the user was told that the photographs do not follow the patterns.
+        self._doubted = False
 
     def update(
         self, photograph: NDArray[Any], pattern: NDArray[Any], *, exposure: float | None = None
@@ -158,18 +161,30 @@ class Tracker:
         """T now.
 
         Its diagnostics have the photograph with which each row changed (`since`, 0: none) and
-        whether it is `unknown`, with an estimated error of 1. That of other rows that changed is
-        what they missed the last photographs by.
+        whether it is `unknown`, with an estimated error and a prediction error of 1. Those of other
+        rows that changed are what they missed the last photographs by.
         """
-        changed, unknown = self.since > 0, self._unknown
+        changed, unknown, window = self.since > 0, self._unknown, [each for _, each in self._window]
         diagnostics = {name: values.copy() for name, values in self._given.diagnostics.items()}
-        for values in diagnostics.values():
-            values[changed] = np.nan if values.dtype.kind == "f" else 0
+        for name, values in diagnostics.items():
+            # Rows that were solved again have converged.
+            values[changed] = np.nan if values.dtype.kind == "f" else name == "converged"
+
+        def state(name: str, values: NDArray[Any] | float) -> None:
+            before = diagnostics.get(name, np.full(len(changed), np.nan))
+            diagnostics[name] = np.where(changed, values, before).astype(np.float32)
+
         # At least a tenth of what they missed counts as error, as elsewhere.
         wrong = np.maximum(self._lately - self._noise, 0.1 * self._lately)
-        error = np.where(unknown, 1, np.sqrt(wrong) / self._length)
-        before = diagnostics.get("estimated_error", np.full(len(changed), np.nan))
-        diagnostics["estimated_error"] = np.where(changed, error, before).astype(np.float32)
+        state("estimated_error", np.where(unknown, 1, np.sqrt(wrong) / self._length))
+        state("certain", np.where(unknown, 0, np.nan))
+        if window:
+            seen = np.mean([np.square(each.values[:, 0]) for each in window[-_JUDGED:]], axis=0)
+            missed = np.sqrt(self._lately / np.maximum(seen, 1e-30))
+            state("prediction_error", np.where(unknown, 1, missed))
+            after = np.arange(1 - len(window), 1)[:, None] + self.photographs >= self.since
+            clipped = np.array([each.clipped[:, 0] for each in window]) & after
+            state("clipped_share", clipped.sum(axis=0) / np.maximum(after.sum(axis=0), 1))
         diagnostics |= {"since": self.since.copy(), "unknown": unknown.astype(np.float32)}
         return replace(
             self._given, sparse=self._light.coefficients, background=self._light.background,
@@ -178,16 +193,30 @@ class Tracker:
         )  # fmt: skip
 
     def _add(self, one: Capture) -> Update:
+        """Take in a photograph, wholly or, if Ctrl-C comes meanwhile, not at all."""
+        after = copy(self)
+        for name, values in vars(self).items():
+            if isinstance(values, np.ndarray):
+                setattr(after, name, values.copy())
+        update = after._take_in(one)
+        vars(self).update(vars(after))
+        # What counts is light, which takes longer to sum up than rows.
+        if not self._doubted and update.unknown.mean() > 0.25:
+            own = OwnError(self.transport)
+            if own.unknown_share > 0.5:
+                self._doubted = True
+                warn(f"photograph {self.photographs}: {own.relighting_doubts[0]}")
+        return update
+
+    def _take_in(self, one: Capture) -> Update:
         self.photographs += 1
-        column, known, seen = self.photographs % len(self._shown), ~self._unknown, one.samples()
-        exposures = np.array([self._longest, one.exposures[0]])
-        if (weights := frame_weights(exposures)) is not None:
-            seen = replace(seen, weights=seen.weights_of_all() * weights[1])
-        self._shown[column] = one.patterns.dense()[0]
-        for name, new in vars(replace(seen, weights=seen.weights_of_all())).items():
-            getattr(self._samples, name)[:, column] = new if new.ndim == 1 else new[:, 0]
-        latest = self._samples.frames(np.array([column]))
-        missed = _squares(latest, self._predicted(self._light, self._shown[[column]]))[:, 0]
+        known, latest = ~self._unknown, one.samples()
+        weights = frame_weights(np.array([self._longest, one.exposures[0]]))
+        weights = latest.weights_of_all() * (1 if weights is None else weights[1])
+        latest = replace(latest, weights=weights, clip_level=latest.clip_levels_of_all())
+        shown = one.patterns.dense()
+        self._window = (*self._window, (shown[0], latest))[-self._capture.count :]
+        missed = _squares(latest, self._predicted(self._light, shown))[:, 0]
         # Rows that were never explained within the window may have changed again meanwhile.
         changed = self._changes(missed) & (known | ~self._learning)
         self.since[changed] = self._began[changed]
@@ -240,7 +269,7 @@ class Tracker:
     @property
     def _learning(self) -> NDArray[np.bool_]:
         """Rows that changed within the window, (M,)."""
-        return (self.since > 0) & (self._seen_by <= len(self._shown))
+        return (self.since > 0) & (self._seen_by <= self._capture.count)
 
     @property
     def _lately(self) -> NDArray[np.float64]:
@@ -260,10 +289,15 @@ class Tracker:
         if not len(rows):
             return
         seen_by = self._seen_by[rows]
-        # Columns of the window, the latest last.
         most = int(seen_by.max())
-        columns = np.arange(self.photographs + 1 - most, self.photographs + 1) % len(self._shown)
-        shown, samples = self._shown[columns], self._samples.rows(rows).frames(columns)
+        patterns, seen = zip(*self._window[-most:], strict=True)
+        shown = np.stack(patterns)
+        samples = Samples(
+            *(
+                np.concatenate([getattr(each, name)[rows] for each in seen], axis=1)
+                for name in ("values", "clipped", "clip_level", "weights")
+            )
+        )
         weights = samples.weights_of_all() * (np.arange(most) >= most - seen_by[:, None])
         samples = replace(samples, weights=weights)
         # The part of the camera around them, where other rows stand as they are in T.

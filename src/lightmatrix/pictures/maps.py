@@ -157,6 +157,9 @@ def has_diagnostic(transport: LightTransport, name: str) -> bool:
 def _diagnostic(transport: LightTransport, name: str) -> NDArray[np.float64]:
     """A diagnostic of each camera pixel, (rows, cols), the largest of its channels."""
     if name not in transport.diagnostics:
+        if name == "since":
+            hint = "give that of a `Tracker`, or a store of `lightmatrix track`"
+            raise InputError("this matrix did not follow a scene that changes", hint=hint)
         coherent = name in ("footprint", "estimated_error")
         kind = "a coherent estimate" if coherent else "an estimate"
         hint = f"give {kind}, or a store (.zarr) of one"

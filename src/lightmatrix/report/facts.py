@@ -217,8 +217,12 @@ class Facts:
         if not isinstance(self.validation, Validation):
             return relighting_verdict(self.transport, stored_findings(self.transport))
         error = float(np.hypot(_validation_error(self.validation), self.own.beyond_clip))
-        level = "doubtful" if self.own.clip_doubts else level_of(error)
-        reasons = (_validation_sentence(self.validation), *self.own.clip_doubts, *self.own.warnings)
+        level = "doubtful" if self.own.relighting_doubts else level_of(error)
+        reasons = (
+            _validation_sentence(self.validation),
+            *self.own.relighting_doubts,
+            *self.own.warnings,
+        )
         return Verdict(level, None, reasons)
 
     @cached_property
