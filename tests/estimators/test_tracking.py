@@ -146,9 +146,9 @@ def test_arrays_say_the_same_as_captures(first: tuple[lm.Capture, lm.LightTransp
 def test_what_does_not_fit_is_refused(first: tuple[lm.Capture, lm.LightTransport]) -> None:
     capture, transport = first
     tracker, frame, pattern = lm.Tracker(*first), capture.frame(0), np.ones((SIDE, SIDE))
-    with pytest.raises(lm.InputError, match="uint16 of a pattern"):
+    with pytest.raises(lm.InputError, match="of uint16, of patterns"):
         tracker.update(frame.astype(np.uint16), pattern)
-    with pytest.raises(lm.InputError, match="a pattern \\(31, 32"):
+    with pytest.raises(lm.InputError, match="of patterns \\(31, 32"):
         tracker.update(frame, pattern[1:])
     with pytest.raises(lm.InputError, match="of other sizes"):
         lm.Tracker(capture.bin(camera=2), transport)
@@ -200,7 +200,7 @@ def watch(
             return transport
 
         clock = SimpleNamespace(monotonic=lambda: now[0], sleep=sleep, perf_counter=lambda: now[0])
-        for module in ("cli.track", "rig.devices.folders"):
+        for module in ("estimators.tracking", "files.new_files"):
             monkeypatch.setattr(f"lightmatrix.{module}.time", clock)
         monkeypatch.setattr(lm, "estimate", estimate)
         sleep(0)

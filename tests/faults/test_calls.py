@@ -150,7 +150,6 @@ CALLS: dict[str, tuple[Callable[[Any], Any], tuple[Any, ...]]] = {
     "max_min": (lm.max_min, ARRAYS),
     "probe": (lambda v: lm.probe(v, csr_array((64, 64))), ARRAYS),
     "verdicts": (lm.verdicts, ARRAYS),
-    "show_relit": (lambda v: lm.show_relit(v, PICTURE), ARRAYS),
     "singular_values": (lm.singular_values, ARRAYS),
     "singular_values count": (lambda v: lm.singular_values(T, v), WHOLE),
     "relight matrix": (lambda v: lm.relight(v, PICTURE), ARRAYS[2:]),

@@ -22,7 +22,7 @@ from lightmatrix.estimators.work import ReadStep, SolveTile, Work
 from lightmatrix.patterns.pattern_set import ImagePatterns, PatternSet
 from lightmatrix.solvers import solve
 from lightmatrix.solvers.loop import Progress
-from lightmatrix.solvers.problem import Problem, Result
+from lightmatrix.solvers.problem import Problem
 from lightmatrix.transport.checkpoint import Span
 from lightmatrix.transport.sparse_rows import SparseRows
 
@@ -34,10 +34,6 @@ class Scale:
     block: int
     patterns: PatternSet
     regularization: float
-
-    def restricted(self, candidates: NDArray[np.int64]) -> ImagePatterns:
-        """The patterns on the candidate blocks only."""
-        return ImagePatterns(self.patterns.columns(candidates)[:, None, :])
 
 
 def scales(patterns: PatternSet, coarsest: int, regularization: float) -> list[Scale]:
@@ -83,12 +79,6 @@ def active_blocks(
     active = np.zeros(grid, bool)
     active.ravel()[candidates[np.argsort(-score, kind="stable")[:count]]] = True
     return np.asarray(binary_dilation(active, np.ones((3, 3), bool)))
-
-
-def split(active: NDArray[np.bool_], finer: tuple[int, int]) -> NDArray[np.int64]:
-    """Numbers of the quarters of the active blocks, in the grid `finer` of half as large blocks."""
-    children = active.repeat(2, axis=0).repeat(2, axis=1)[: finer[0], : finer[1]]
-    return np.flatnonzero(children)
 
 
 def grid_of(shape: tuple[int, int], block: int) -> tuple[int, int]:
@@ -160,16 +150,22 @@ class _Strips(Work):
 
     def _solve_block(self, problem: Problem, samples: Samples) -> SparseRows:
         """The rows of one camera block, from the coarsest scale to single pixels."""
-        patterns = self.capture.patterns
-        grid = grid_of(patterns.shape, self._scales[0].block)
-        candidates = np.arange(grid[0] * grid[1])
-        for scale in self._scales[:-1]:
-            result = self._solve_scale(problem, scale, candidates)
-            active = active_blocks(result.coefficients, candidates, grid, _ACTIVE)
-            finer = grid_of(patterns.shape, scale.block // 2)
-            candidates = split(active, finer)
-            grid = finer
-        result = self._solve_scale(problem, self._scales[-1], candidates)
+        patterns, coarsest = self.capture.patterns, self._scales[0].block
+        active = np.ones(grid_of(patterns.shape, 2 * coarsest), np.bool_)
+        for scale in self._scales:
+            grid = grid_of(patterns.shape, scale.block)
+            quarters = active.repeat(2, axis=0).repeat(2, axis=1)[: grid[0], : grid[1]]
+            candidates = np.flatnonzero(quarters)
+            restricted = replace(
+                problem,
+                patterns=ImagePatterns(scale.patterns.columns(candidates)[:, None, :]),
+                # Diffuse light comes from the whole projector, whichever pixels are candidates.
+                background_column=problem.column,
+                regularization=scale.regularization,
+            )
+            result = solve(restricted, self.estimator.solver)
+            if scale.block > 1:
+                active = active_blocks(result.coefficients, candidates, grid, _ACTIVE)
         entries = result.coefficients.tocoo()
         coefficients = csr_array(
             (entries.data.astype(np.float32), (entries.row, candidates[entries.col])),
@@ -178,16 +174,6 @@ class _Strips(Work):
         count = np.full(problem.rows, len(candidates), np.int32)
         rows = rows_with_diagnostics(samples, result, candidates=count)
         return replace(rows, coefficients=coefficients)
-
-    def _solve_scale(self, problem: Problem, scale: Scale, candidates: NDArray[np.int64]) -> Result:
-        restricted = replace(
-            problem,
-            patterns=scale.restricted(candidates),
-            # Diffuse light comes from the whole projector, whichever pixels are candidates.
-            background_column=problem.column,
-            regularization=scale.regularization,
-        )
-        return solve(restricted, self.estimator.solver)
 
     @cached_property
     def _scales(self) -> list[Scale]:

@@ -9,6 +9,8 @@ there rows search. They are unknown until they predict photographs that they hav
 
 from __future__ import annotations
 
+import re
+import time
 from collections.abc import Iterator
 from copy import copy
 from dataclasses import replace
@@ -30,6 +32,8 @@ from lightmatrix.estimators.coherent.neighbourhood import REACH, Neighbourhood
 from lightmatrix.estimators.coherent.row_solver import RowSolver
 from lightmatrix.estimators.coherent.schedule import Round
 from lightmatrix.estimators.estimate import estimate
+from lightmatrix.files.new_files import NewFiles
+from lightmatrix.files.stacks import ImageStack, natural_order
 from lightmatrix.geometry.matches import fit_homography, moved
 from lightmatrix.judgement.judgement import OwnError
 from lightmatrix.patterns.colour import ColourPatterns
@@ -55,13 +59,17 @@ _ROUNDS = (Round(1, (2, 1), 3), Round(1, (2, 1), 4), Round(1, (1, 1), 5, last=Tr
 class Update(NamedTuple):
     """What a photograph said of the scene."""
 
-    # Its number, from 1 on.
+    # Its number, from 1 on; the name of its frame or file; and the number of its pattern among
+    # those of the capture that was given with it.
     photograph: int
+    name: str
+    pattern: int
     # Camera samples that it showed to have changed, and those whose rows are not known yet.
     changed: NDArray[np.bool_]
     unknown: NDArray[np.bool_]
-    # The relative error of its prediction by all other rows.
+    # The relative error of its prediction by all other rows, and the seconds that it took.
     missed: float
+    seconds: float
 
 
 class Tracker:
@@ -136,25 +144,73 @@ class Tracker:
         its first frame). An InputError refuses sizes and types other than the capture's.
         """
         first = self._capture.select([0])
-        frames = ArrayStack(np.asarray(photograph)[None])
         patterns: PatternSet = ImagePatterns(real_array("a pattern", pattern)[None])
         if first.bin_projector != (1, 1):
             patterns = patterns.coarse(first.bin_projector)
-        wanted = first.frames.shape, first.frames.dtype, first.projector_shape
-        if (frames.shape, frames.dtype, patterns.shape) != wanted:
-            raise InputError(
-                f"a photograph {frames.shape} {frames.dtype} of a pattern {patterns.shape}",
-                hint=f"give raw levels {wanted[0]} {wanted[1]}, and a pattern {wanted[2]}",
-            )
         decoder = first.decoder if exposure is None else replace(first.decoder, exposure=exposure)
-        return self._add(replace(first, patterns=patterns, frames=frames, decoder=decoder))
+        frames = ArrayStack(np.asarray(photograph)[None])
+        one = replace(first, patterns=patterns, frames=frames, decoder=decoder)
+        return next(self.follow(one))
 
     def follow(self, capture: Capture) -> Iterator[Update]:
         """Take the photographs of another capture into T one by one; refuse other sizes."""
-        shapes = capture.camera_shape, capture.projector_shape
-        if shapes != (self._capture.camera_shape, self._capture.projector_shape):
-            raise InputError(f"a capture of other sizes: {shapes}", hint="bin and crop it alike")
-        return (self._add(capture.select([k])) for k in range(capture.count))
+        sizes, wanted = (
+            (each.frames.shape, each.bin_camera, str(each.frames.dtype), each.projector_shape)
+            for each in (capture, self._capture)
+        )
+        if sizes != wanted:
+            raise InputError(
+                "photographs {} binned {} of {}, of patterns {}".format(*sizes),
+                hint="give raw levels {} binned {} of {}, of patterns {}".format(*wanted),
+            )
+        names = capture.frames.name
+        return (self._add(capture.select([k]), names(k), k) for k in range(capture.count))
+
+    def watch(
+        self, folder: str | Path, capture: Capture, *, first: int | None = None
+    ) -> Iterator[Update]:
+        """Take the photographs in a folder into T, also those that another program leaves there.
+
+        The last number in a file's name says which pattern of the `capture` it shows: that of the
+        `first` one (None: of the capture's first photograph) shows pattern 0, and after the last
+        pattern comes the first again. Files that no name pairs, and damaged ones, are left out with
+        a warning. It ends when none has come for half a minute. An InputError refuses numbers of
+        another count.
+        """
+        count, frames, last = capture.count, capture.frames, time.monotonic()
+        like, form = Path(frames.name(0)), (frames.shape, frames.dtype, len(frames.shape) == 2)
+        stack = ImageStack((like,), *form, mosaic=getattr(frames, "mosaic", False))
+        # What is before and behind the last number in a name; the same in the names of all.
+        numbered, around = re.compile("(.*?)([0-9]+)([^0-9]*)").fullmatch, None
+        own = numbered(like.stem)
+        begin = int(own[2]) if own and first is None else first or 0
+        files = NewFiles(Path(folder), lambda item: natural_order(item[0]))
+        while time.monotonic() < last + 30:
+            found = files.next(lambda file: replace(stack, paths=(*stack.paths, file)).read(1))
+            if found is None:
+                # No program takes that long over the rest of a file.
+                if files.failure is not None and files.failure[1] > 5:
+                    warn(f"left out: {files.failure[0]}")
+                    files.pass_over(first=True)
+                time.sleep(0.05)
+                continue
+            file, levels, _ = found
+            parts = numbered(file.stem)
+            if parts is None or (around or parts.group(1, 3)) != parts.group(1, 3):
+                place = "" if around is None else f" between {around[0]!r} and {around[1]!r}"
+                warn(f"left out: {file}: no number{place} in its name says which pattern it shows")
+                continue
+            number = int(parts[2]) - begin
+            # Numbers may go on from those of the capture. Any others are those of another count.
+            if number < 0 or (around is None and number >= 2 * count):
+                raise InputError(
+                    f"{file}: is no number of a pattern, as that of the first one is {begin}",
+                    hint=f"state the number of the first pattern: first={parts[2]}",
+                )
+            files.suffix, around = file.suffix.lower(), parts.group(1, 3)
+            one = replace(capture.select([number % count]), frames=ArrayStack(levels[None]))
+            yield self._add(one, str(file), number % count)
+            last = time.monotonic()
 
     @property
     def transport(self) -> LightTransport:
@@ -192,14 +248,16 @@ class Tracker:
             provenance={**self._given.provenance, "tracked_photographs": self.photographs},
         )  # fmt: skip
 
-    def _add(self, one: Capture) -> Update:
+    def _add(self, one: Capture, name: str, pattern: int) -> Update:
         """Take in a photograph, wholly or, if Ctrl-C comes meanwhile, not at all."""
+        started = time.perf_counter()
         after = copy(self)
-        for name, values in vars(self).items():
-            if isinstance(values, np.ndarray):
-                setattr(after, name, values.copy())
-        update = after._take_in(one)
+        arrays = {key: each for key, each in vars(self).items() if isinstance(each, np.ndarray)}
+        vars(after).update({key: each.copy() for key, each in arrays.items()})
+        maps, missed = after._take_in(one)
         vars(self).update(vars(after))
+        seconds = time.perf_counter() - started
+        update = Update(self.photographs, name, pattern, *maps, missed, seconds)
         # What counts is light, which takes longer to sum up than rows.
         if not self._doubted and update.unknown.mean() > 0.25:
             own = OwnError(self.transport)
@@ -208,7 +266,8 @@ class Tracker:
                 warn(f"photograph {self.photographs}: {own.relighting_doubts[0]}")
         return update
 
-    def _take_in(self, one: Capture) -> Update:
+    def _take_in(self, one: Capture) -> tuple[tuple[NDArray[np.bool_], NDArray[np.bool_]], float]:
+        """The maps of what changed and is unknown, and what all other rows missed."""
         self.photographs += 1
         known, latest = ~self._unknown, one.samples()
         weights = frame_weights(np.array([self._longest, one.exposures[0]]))
@@ -235,8 +294,7 @@ class Tracker:
         right = known & ~changed & latest.counted[:, 0]
         error = np.sqrt(missed[right].sum() / max(np.square(latest.values[right]).sum(), 1e-30))
         shape, unknown = self._given.camera_shape, self._unknown
-        maps = changed.reshape(shape), unknown.reshape(shape)
-        return Update(self.photographs, *maps, float(error))
+        return (changed.reshape(shape), unknown.reshape(shape)), float(error)
 
     def _predicted(self, light: SparseRows, shown: NDArray[np.float32]) -> NDArray[np.float32]:
         """What rows of T show under patterns (k, N), (m, k)."""
@@ -290,8 +348,8 @@ class Tracker:
             return
         seen_by = self._seen_by[rows]
         most = int(seen_by.max())
-        patterns, seen = zip(*self._window[-most:], strict=True)
-        shown = np.stack(patterns)
+        last, seen = zip(*self._window[-most:], strict=True)
+        shown = np.stack(last)
         samples = Samples(
             *(
                 np.concatenate([getattr(each, name)[rows] for each in seen], axis=1)

@@ -28,7 +28,7 @@ from lightmatrix.reprs import short_repr
 from lightmatrix.simulation.scenes import Scene, names, scene
 from lightmatrix.simulation.shapes import Mesh, merge
 from lightmatrix.transport.matrix import LightTransport
-from lightmatrix.transport.npz import VERSION, read_transport, text_of
+from lightmatrix.transport.npz import VERSION, matrix_arrays, read_transport, text_of
 from lightmatrix.transport.sparse_rows import checked_float32
 
 # The surface that each camera pixel of a scene sees: exact depth and normals, without a renderer.
@@ -267,7 +267,6 @@ class Truth:
 
     def save(self, path: Path, *, overwrite: bool = False) -> None:
         """Write a truth file, T.npz, which `scipy.sparse.load_npz` reads too."""
-        matrix = self.matrix
         known: dict[str, Any] = {}
         if self.geometry is not None:
             known["geometry"] = np.array(json.dumps(self.geometry.as_dict()))
@@ -279,13 +278,7 @@ class Truth:
                 stream,
                 # This key comes first, so that even a truncated file is recognised as a truth.
                 lightmatrix_truth=np.array(VERSION),
-                format=np.array("csr").astype("S"),
-                # SciPy writes this key to tell arrays from matrices.
-                _is_array=np.array(True),
-                shape=np.array(matrix.shape),
-                data=matrix.data,
-                indices=matrix.indices,
-                indptr=matrix.indptr,
+                **matrix_arrays(self.matrix),
                 camera_shape=np.array(self.camera_shape),
                 projector_shape=np.array(self.projector_shape),
                 direct_data=self.direct_data,
