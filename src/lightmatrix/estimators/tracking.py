@@ -36,6 +36,7 @@ from lightmatrix.files.new_files import NewFiles
 from lightmatrix.files.stacks import ImageStack, natural_order
 from lightmatrix.geometry.matches import fit_homography, moved
 from lightmatrix.judgement.judgement import OwnError
+from lightmatrix.patterns.atoms import AtomPatterns
 from lightmatrix.patterns.colour import ColourPatterns
 from lightmatrix.patterns.pattern_set import ImagePatterns, PatternSet
 from lightmatrix.ranges import real_array
@@ -49,9 +50,10 @@ from lightmatrix.transport.sparse_rows import SparseRows
 # has changed, and a row within it, if sums of log-likelihood ratios exceed the other two. They stay
 # below 2 in 64 photographs of a still scene of 64 x 64 pixels (`python -m benchmarks.track`).
 _RATIO, _REGION, _ROW = 25.0, 10.0, 2.0
-# Numbers of photographs: a row is solved from so many since its change on; so many judge whether it
-# is known; up to so many it is searched whether known or not. Chosen by hand.
-_FIRST, _JUDGED, _SEARCHED = 4, 3, 8
+# Numbers of photographs: a row is solved from so many since its change on (from four on costs as
+# much again, and leaves the same errors after eight); so many judge whether it is known; up to so
+# many it is searched whether known or not. Chosen by hand.
+_FIRST, _JUDGED, _SEARCHED = 5, 3, 8
 # Rows that were searched learn from their neighbours in all three rounds, others in the last.
 _ROUNDS = (Round(1, (2, 1), 3), Round(1, (2, 1), 4), Round(1, (1, 1), 5, last=True))
 
@@ -110,6 +112,8 @@ class Tracker:
             hint = "give the matrix of these photographs"
             raise InputError(f"photographs of other sizes than those of {self._given}", hint=hint)
         self._camera: tuple[int, ...] = (*self._given.camera_shape, 1)[:3]
+        estimator = CoherentEstimator(background_grid=self._given.background_grid)
+        self._solver = estimator.row_solver(self._capture)
         self._light = SparseRows(self._given.sparse, self._given.background)
         self._centres, self._steps = _parallax(self._given)
         # The last photographs, at most K: patterns, (N,), and samples, (M, 1).
@@ -366,10 +370,12 @@ class Tracker:
         ]
         camera, part = part.shape, part.ravel()
         patterns = ImagePatterns(shown.reshape(most, *self._given.projector_shape))
-        solver = CoherentEstimator(background_grid=self._given.background_grid).row_solver(
-            capture_of_samples(patterns, samples, camera[:2], self._longest)
-        )
-        atoms, light = solver.atoms, self._light.rows(part)
+        capture = capture_of_samples(patterns, samples, camera[:2], self._longest)
+        first, solver = self._solver, replace(self._solver, capture=capture)
+        # With the gains of the first atoms, those under unseen patterns are made once.
+        atoms = AtomPatterns(patterns, first.atoms.sizes, first.atoms.gains)
+        vars(solver).update(atoms=atoms, unseen=first.unseen)
+        light = self._light.rows(part)
         matrix = light.coefficients
         usable = np.repeat(~self._learning[part], np.diff(matrix.indptr))
         data = (matrix.data * usable / atoms.gains[0]).astype(np.float32)
