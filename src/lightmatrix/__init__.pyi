@@ -108,7 +108,6 @@ from .uses.projector_map import (
     map_projector as map_projector,
     map_projectors as map_projectors,
 )
-from .uses.probing import max_min as max_min, probe as probe
 from .report.views import show as show
 from .shape.triangulation import geometry_of as geometry_of, triangulate as triangulate
 from .shape.layers import layers as layers

@@ -371,9 +371,10 @@ def test_the_command(
     assert "25 mm" not in capsys.readouterr().out
     rig = lm.RigGeometry.load(tmp_path / "rig.json")
     assert rig.baseline == pytest.approx(24.5 / 25 * answer["baseline"], abs=1e-3)
-    words[3] = "wide"
-    assert main(["calibrate", *folders, *words, "--overwrite"]) == 2
-    assert "--square wide" in capsys.readouterr().err
+    for wrong, said in {"wide": "--square wide", "1,200mm": "write 1.2mm or 1200mm"}.items():
+        words[3] = wrong
+        assert main(["calibrate", *folders, *words, "--overwrite"]) == 2
+        assert said in capsys.readouterr().err
 
 
 def test_a_pose_under_random_patterns_has_the_same_corners(
@@ -472,7 +473,7 @@ def test_an_axis_beside_the_middle_is_refused_unless_it_is_stated(name: str) -> 
     camera = known.geometry.camera_intrinsics
     with pytest.raises(lm.InputError, match="behind the camera or the projector") as refused:
         lm.self_calibrate(matches, camera[0, 0])
-    assert "principal=COL,ROW" in (refused.value.hint or "")
+    assert "(principal)" in (refused.value.hint or "")
     axis = float(camera[0, 2]), float(camera[1, 2])
     rig = lm.self_calibrate(matches, camera[0, 0], principal=axis, baseline=known.geometry.baseline)
     shape = lm.triangulate(matches, rig)

@@ -130,4 +130,8 @@ def _length(option: str, text: str) -> tuple[float, str | None]:
     match = re.fullmatch(rf"\s*({number})\s*([a-zA-Zµ]*)\s*", text, flags=re.ASCII)
     if match is None:
         raise InputError(f"{option} {text}", hint="give a length such as 24mm")
+    if re.fullmatch(r"[1-9]\d{0,2},\d{3}", match[1]):
+        unit, plain = match[2], match[1].replace(",", "")
+        hint = f"write {float(match[1].replace(',', '.')):g}{unit} or {plain}{unit}"
+        raise InputError(f"{option} {text}: is the comma a decimal point?", hint=hint)
     return float(match[1].replace(",", ".")), match[2] or None

@@ -550,7 +550,7 @@ def _all_corners(
         elif not _suffice(corners.lit, board):
             left_out[name] = (
                 f"the camera sees the board, but the projector lights only {corners.lit.sum()} of "
-                f"its {len(corners.lit)} corners"
+                f"its {len(corners.lit)} corners: {_FEWEST} in two rows and columns are needed"
             )
         else:
             found[name] = corners
@@ -669,7 +669,7 @@ def self_calibrate(
     found = correspondence(opened) if isinstance(opened, LightTransport) else opened
     projector_shape = found.projector_shape
     if projector_shape is None:
-        hint = "set projector_shape"
+        hint = "give T or a file of `decode`; in Python, replace(matches, projector_shape=...)"
         raise InputError("the correspondence does not say the projector's size", hint=hint)
     # Matches of less confidence come from several places at once; chosen by hand.
     at = np.argwhere(np.isfinite(found.place).all(axis=2) & (found.confidence >= 0.3))
@@ -743,9 +743,9 @@ def self_calibrate(
             raise InputError(
                 f"{100 * min(behind, of_other):.0f} % of the matches would lie behind the camera "
                 "or the projector, or at infinity",
-                hint="the axis of a device does not pass the middle of its image (give the "
-                "camera's principal=COL,ROW, or projector_intrinsics), or the focal length is "
-                "wrong",
+                hint="the focal length is wrong, or the axis of a device does not pass the middle "
+                "of its image: give the column and row of the camera's (principal), or K of the "
+                "projector (projector_intrinsics, in Python)",
             )
         warn("the camera sees the projector's image mirrored: the geometry takes it into account")
         rig = other

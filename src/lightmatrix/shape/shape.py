@@ -25,7 +25,18 @@ from lightmatrix.pictures.transport import draw_into
 from lightmatrix.reprs import short_repr
 from lightmatrix.uses.separation import shifted
 
-MILLIMETRES = {"mm": 1.0, "cm": 10.0, "m": 1000.0, "in": 25.4}
+
+def millimetres(geometry: RigGeometry) -> float:
+    """Millimetres in the unit of a geometry, or an InputError."""
+    known = {"mm": 1.0, "cm": 10.0, "m": 1000.0, "in": 25.4, "ft": 304.8}
+    if (factor := known.get(geometry.units or "")) is None:
+        given = f"the unit {geometry.units!r}" if geometry.units else "an unknown unit"
+        raise InputError(
+            f"a depth in millimetres of a geometry in {given}",
+            hint=f"calibrate in one of {', '.join(known)}, or write the depth as .tif",
+        )
+    return factor
+
 
 # Normals and triangles of a surface of which the depth of each camera pixel is known.
 
@@ -298,13 +309,7 @@ class Shape:
         if part.suffix == ".npy":
             np.save(part, self.depth)
         elif part.suffix == ".png":
-            factor = MILLIMETRES.get(self.geometry.units or "")
-            if factor is None:
-                raise InputError(
-                    "a depth in millimetres of a geometry whose unit is unknown",
-                    hint='calibrate with a unit, such as units="mm", or write the depth as .tif',
-                )
-            level = np.rint(np.nan_to_num(self.depth * factor))
+            level = np.rint(np.nan_to_num(self.depth * millimetres(self.geometry)))
             if far := int((level > 65535).sum()):
                 warn(f"{far} depths beyond 65.5 m are 0 in 16 bits of millimetres")
             fill_image(part, np.where(level > 65535, 0, level).astype(np.uint16))
