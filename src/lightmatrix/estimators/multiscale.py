@@ -36,41 +36,19 @@ class Scale:
     regularization: float
 
 
-def scales(patterns: PatternSet, coarsest: int, regularization: float) -> list[Scale]:
-    """The scales from blocks of `coarsest` pixels a side, a power of two, to single pixels.
-
-    `coarsest` is halved until the projector has 4 x 4 blocks. The `regularization` of single pixels
-    falls at coarser scales with the root mean square length of the patterns' centred columns, so
-    that it stays at the same height above noise.
-    """
-    length = column_length(patterns)
-    block = coarsest
-    while block > 1 and min(grid_of(patterns.shape, block)) < 4:
-        block //= 2
-    coarser = []
-    while block > 1:
-        coarse = patterns.coarse((block, block))
-        shorter = column_length(coarse) / length if length > 0 else 1.0
-        # The least factor by which the regularization falls at a coarser scale. Chosen by hand:
-        # where the patterns hardly vary over a block, the regularization would vanish.
-        coarser.append(Scale(block, coarse, regularization * max(shorter, 1e-3)))
-        block //= 2
-    return [*coarser, Scale(1, patterns, regularization)]
-
-
 def active_blocks(
-    coefficients: csr_array, candidates: NDArray[np.int64], grid: tuple[int, int], share: float
+    coefficients: csr_array, candidates: NDArray[np.int64], grid: tuple[int, int]
 ) -> NDArray[np.bool_]:
     """The projector blocks from which a camera block gets its light, and their neighbours.
 
     `coefficients` are (m, n) on the n `candidates`, numbered in the `grid`. A block is active if
-    its score is at least `share` of the highest; all candidates are if no row has any light.
+    its score is at least a tenth of the highest; all candidates are if no row has any light.
     """
     size = abs(coefficients)
     total = np.asarray(size.sum(axis=1), np.float64).ravel()
     # Each row counts by its shares, as bright rows know no more about the places than dark ones.
     score = size.T @ np.divide(1, total, out=np.zeros_like(total), where=total > 0)
-    wanted = (score >= share * score.max()) & ((score > 0) | (share == 0))
+    wanted = (score >= 0.1 * score.max()) & (score > 0)
     # The number of blocks with the highest scores that are kept in any case, if they have light.
     # Chosen by hand: a spot may touch four blocks, and its halo more.
     count = max(int(wanted.sum()), min(8, int((score > 0).sum())))
@@ -89,8 +67,6 @@ def grid_of(shape: tuple[int, int], block: int) -> tuple[int, int]:
 # Pixels per side of the blocks of the first scale, halved as long as the projector has no 4 x 4 of
 # them, and of the camera blocks.
 _BLOCK = 8
-# A projector block is active if it has at least this share of the highest score.
-_ACTIVE = 0.1
 
 
 @dataclass(frozen=True)
@@ -165,7 +141,7 @@ class _Strips(Work):
             )
             result = solve(restricted, self.estimator.solver)
             if scale.block > 1:
-                active = active_blocks(result.coefficients, candidates, grid, _ACTIVE)
+                active = active_blocks(result.coefficients, candidates, grid)
         entries = result.coefficients.tocoo()
         coefficients = csr_array(
             (entries.data.astype(np.float32), (entries.row, candidates[entries.col])),
@@ -177,5 +153,22 @@ class _Strips(Work):
 
     @cached_property
     def _scales(self) -> list[Scale]:
-        patterns = self.capture.patterns
-        return scales(patterns, _BLOCK, self.regularization)
+        """The scales from blocks of `_BLOCK` pixels a side to single pixels.
+
+        The first blocks are halved until the projector has 4 x 4 of them. The regularization of
+        single pixels falls at coarser scales with the root mean square length of the patterns'
+        centred columns, so that it stays at the same height above noise.
+        """
+        patterns, regularization, block = self.capture.patterns, self.regularization, _BLOCK
+        length = column_length(patterns)
+        while block > 1 and min(grid_of(patterns.shape, block)) < 4:
+            block //= 2
+        coarser = []
+        while block > 1:
+            coarse = patterns.coarse((block, block))
+            shorter = column_length(coarse) / length if length > 0 else 1.0
+            # The least factor by which the regularization falls at a coarser scale. Chosen by hand:
+            # where the patterns hardly vary over a block, the regularization would vanish.
+            coarser.append(Scale(block, coarse, regularization * max(shorter, 1e-3)))
+            block //= 2
+        return [*coarser, Scale(1, patterns, regularization)]

@@ -159,14 +159,12 @@ class Tracker:
     def follow(self, capture: Capture) -> Iterator[Update]:
         """Take the photographs of another capture into T one by one; refuse other sizes."""
         sizes, wanted = (
-            (each.frames.shape, each.bin_camera, str(each.frames.dtype), each.projector_shape)
+            f"{each.frames.shape} {each.frames.dtype}, binned {each.bin_camera}, of patterns "
+            f"{each.projector_shape}"
             for each in (capture, self._capture)
         )
         if sizes != wanted:
-            raise InputError(
-                "photographs {} binned {} of {}, of patterns {}".format(*sizes),
-                hint="give raw levels {} binned {} of {}, of patterns {}".format(*wanted),
-            )
+            raise InputError(f"raw levels {sizes}", hint=f"give those of {wanted}")
         names = capture.frames.name
         return (self._add(capture.select([k]), names(k), k) for k in range(capture.count))
 
@@ -267,7 +265,7 @@ class Tracker:
             own = OwnError(self.transport)
             if own.unknown_share > 0.5:
                 self._doubted = True
-                warn(f"photograph {self.photographs}: {own.relighting_doubts[0]}")
+                warn(f"photograph {self.photographs}: {own.light_doubts[0]}")
         return update
 
     def _take_in(self, one: Capture) -> tuple[tuple[NDArray[np.bool_], NDArray[np.bool_]], float]:

@@ -286,15 +286,13 @@ def relighting_verdict(transport: LightTransport, findings: Iterable[str] = ()) 
         unknown = _EACH_NEEDED if needed else "No photograph could be held out and predicted."
         return Verdict("not tested", None, (unknown,))
     own = OwnError(transport)
-    level = (
-        "doubtful" if own.relighting_doubts else level_of(float(np.hypot(error, own.beyond_clip)))
-    )
-    reasons = (*own.relighting_doubts, *own.warnings)
+    level = "doubtful" if own.light_doubts else level_of(np.hypot(error, own.beyond_clip))
+    reasons = (*own.light_doubts, *own.warnings)
     judged = Verdict(level, error, reasons, "Prediction error on photographs held out")
     return judged.with_findings(findings, _WRONG_ALIKE)
 
 
-def level_of(error: float) -> Level:
+def level_of(error: float | np.floating) -> Level:
     """The verdict on a relative error."""
     return "good" if error <= GOOD else "fair" if error <= FAIR else "doubtful"
 
@@ -410,10 +408,10 @@ class OwnError:
                 "Bright samples are darker than T predicts: the camera does not seem linear in "
                 "light. State its response, or take raw photographs."
             )
-        return doubts + self.relighting_doubts
+        return doubts + self.light_doubts
 
     @cached_property
-    def relighting_doubts(self) -> list[str]:
+    def light_doubts(self) -> list[str]:
         """Those of the doubts that are about rows, or light beyond the clip level, that T lacks."""
         if self.unknown_share > 0.5:
             return [
@@ -453,12 +451,9 @@ def _glints(transport: LightTransport) -> int:
 
 def _shortest_exposure(transport: LightTransport) -> float:
     """The shortest exposure by the provenance; 0, at which nothing clips, if it is unknown."""
-    description = transport.provenance.get("capture_description")
     # The provenance of a store may hold anything.
     try:
-        exposure = (
-            float(np.min(description["exposure"])) if isinstance(description, Mapping) else 0.0
-        )
+        exposure = float(np.min(transport.provenance["capture_description"]["exposure"]))
     except (TypeError, ValueError, KeyError):
         return 0.0
     return exposure if np.isfinite(exposure) else 0.0

@@ -22,7 +22,7 @@ from lightmatrix.errors import InputError
 from lightmatrix.files.kinds import TRUTH
 from lightmatrix.files.reading import parse_json
 from lightmatrix.files.writing import atomic_file
-from lightmatrix.geometry.rig_geometry import RigGeometry, binned_matrix, checked_fields
+from lightmatrix.geometry.rig_geometry import RigGeometry, checked_fields
 from lightmatrix.regions import Region
 from lightmatrix.reprs import short_repr
 from lightmatrix.simulation.scenes import Scene, names, scene
@@ -208,23 +208,6 @@ class Truth:
     def normals(self) -> NDArray[np.float64] | None:
         """Unit normals (rows, cols, 3) that face the camera, in the world's frame; as `depth`."""
         return None if self._surface is None else self._surface.normals
-
-    def depths_within(self, side: int) -> NDArray[np.float64] | None:
-        """Exact depths on a grid of `side` x `side` points in each pixel, (rows, cols, side^2).
-
-        A pixel at an edge sees several surfaces; the depth of its centre belongs to one of them.
-        """
-        if self._scene is None or self.geometry is None:
-            return None
-        rows, cols = self.geometry.camera_shape
-        finer = replace(
-            self.geometry,
-            camera_matrix=binned_matrix(self.geometry.camera_matrix, (1 / side, 1 / side)),
-            camera_shape=(rows * side, cols * side),
-        )
-        fine = trace_surface(self._scene, finer).depth
-        blocks = fine.reshape(rows, side, cols, side).swapaxes(1, 2)
-        return blocks.reshape(rows, cols, side * side)
 
     @cached_property
     def _scene(self) -> Scene | None:
