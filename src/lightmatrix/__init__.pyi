@@ -80,7 +80,6 @@ from .transport.npz import read_correspondence as read_correspondence
 
 # What is done with them.
 from .pictures.relight import relight as relight
-from .pictures.transport import show_relit as show_relit
 from .report.make import report as report
 from .viewer.export import export_viewer as export_viewer
 from .viewer.notebook import view as view

@@ -147,7 +147,6 @@ CALLS: dict[str, tuple[Callable[[Any], Any], tuple[Any, ...]]] = {
     "save": (lambda v: lm.save("new.zarr", v), ARRAYS),
     "export": (lambda v: lm.export("new.npz", v), ARRAYS),
     "verdicts": (lm.verdicts, ARRAYS),
-    "show_relit": (lambda v: lm.show_relit(v, PICTURE), ARRAYS),
     "singular_values": (lm.singular_values, ARRAYS),
     "singular_values count": (lambda v: lm.singular_values(T, v), WHOLE),
     "relight matrix": (lambda v: lm.relight(v, PICTURE), ARRAYS[2:]),

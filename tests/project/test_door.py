@@ -219,7 +219,6 @@ def test_pictures_are_drawn(tmp_path: Path) -> None:
     capture = lm.simulate("metal", lm.BernoulliPatterns((64, 64), 8), exposure=2)
     transport = lm.estimate(capture, coherent=False, iterations=2)
     pictures = [
-        lm.show_relit(transport, np.ones((64, 64)), exposure=2),
         lm.show(transport, "row", 3, 4),
         lm.show(transport, "column", 3, 4),
         *(lm.show(transport, name) for name in ("dual", "clipping", "gap", "correspondence")),

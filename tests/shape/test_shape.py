@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
 import lightmatrix as lm
+from experiments.shape import depths_within
 from lightmatrix.errors import InputError, OutputError
 from lightmatrix.files.extras import write_exr
 from lightmatrix.shape.shape import Shape, ShapeTest, surface_faces
@@ -41,8 +42,7 @@ def small(scene: str, factor: int = 4) -> Known:
 
 def errors(shape: Shape, known: lm.Truth) -> NDArray[np.float64]:
     """Distances of the depths from the nearest surface in their pixels, NaN where there is none."""
-    within = known.depths_within(4)
-    assert within is not None
+    within = depths_within(known, 4)
     return np.asarray(np.fmin.reduce(np.abs(shape.depth[..., None] - within), axis=-1))
 
 

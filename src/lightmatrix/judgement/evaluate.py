@@ -27,7 +27,6 @@ from lightmatrix.ranges import check_list, check_number
 from lightmatrix.reprs import html_table, labelled, text_table
 from lightmatrix.simulation import library
 from lightmatrix.simulation.colour import is_of_all_primaries, of_primary
-from lightmatrix.simulation.scenes import scene as find_scene
 from lightmatrix.simulation.truth import Truth
 from lightmatrix.transport import store
 from lightmatrix.transport.matrix import ColourTransport, LightTransport
@@ -247,21 +246,6 @@ def _matrices(
     if isinstance(truth, LightTransport):
         known = truth
     else:
-        if (
-            isinstance(truth, str)
-            and Path(truth).suffix.lower() != ".npz"
-            and not Path(truth).is_dir()
-        ):
-            find_scene(truth)
-            region, projector = matrix.region, matrix.projector_shape
-            camera = matrix.camera_shape if region is None else region.whole
-            if camera != projector:
-                raise InputError(
-                    f"the estimate has a camera of {' x '.join(map(str, camera))} and a projector "
-                    f"of {' x '.join(map(str, projector))}, but {truth} is rendered with both of "
-                    "one size",
-                    hint="give the T.npz of the same rig",
-                )
         known = library.truth(truth, matrix.projector_shape, progress=progress).transport()
     known = known.cropped_like(matrix)
     if matrix.shape != known.shape:

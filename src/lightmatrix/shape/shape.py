@@ -8,7 +8,6 @@ from enum import IntEnum
 from pathlib import Path
 from typing import Any
 
-import matplotlib as mpl
 import numpy as np
 import tifffile
 from matplotlib.colors import BoundaryNorm, ListedColormap
@@ -21,8 +20,8 @@ from lightmatrix.files.writing import atomic_file
 from lightmatrix.geometry.rig_geometry import Array, RigGeometry, decomposed
 from lightmatrix.paths import as_path
 from lightmatrix.pictures.maps import UNKNOWN, Map
-from lightmatrix.pictures.style import COLOURS, STYLE, panel
-from lightmatrix.pictures.transport import Picture, draw_into
+from lightmatrix.pictures.style import COLOURS, Picture, figure, panel
+from lightmatrix.pictures.transport import draw_into
 from lightmatrix.reprs import short_repr
 from lightmatrix.uses.separation import shifted
 
@@ -199,8 +198,7 @@ def normal_colours(normals: NDArray[np.floating]) -> Array:
 
 def normals_picture(normals: NDArray[np.float32]) -> Picture:
     """Normals (rows, cols, 3) in the camera's frame."""
-    with mpl.rc_context(STYLE):
-        drawing = Picture(figsize=(4.4, 3.6), layout="constrained")
+    with figure(4.4, 3.6) as drawing:
         panel(drawing.subplots(), normal_colours(normals), _NORMALS)
     return drawing
 
@@ -325,8 +323,7 @@ class Shape:
 
     def show(self) -> Picture:
         """A Matplotlib figure: maps of depth, normals, probability and failed tests."""
-        with mpl.rc_context(STYLE):
-            drawing = Picture(figsize=(14.5, 3.4), layout="constrained")
+        with figure(14.5, 3.4) as drawing:
             depths, directions, certain, tests = drawing.subplots(1, 4)
             draw_into(drawing, depths, depth_map(self.depth, self.geometry.units))
             panel(directions, normal_colours(self.camera_normals), _NORMALS)

@@ -113,16 +113,18 @@ def export(
                 stream,
                 # First, so that even a file that was cut off is recognized as ours.
                 lightmatrix_transport=np.array(VERSION),
-                format=np.array(b"csr"),
-                _is_array=np.array(True),
-                shape=np.array(matrix.shape),
-                data=matrix.data,
-                indices=matrix.indices,
-                indptr=matrix.indptr,
+                **matrix_arrays(matrix),
                 background=background,
                 metadata=np.array(json.dumps(dict(transport.provenance), default=str)),
                 **shapes,
             )
+
+
+def matrix_arrays(matrix: sparse.csr_array) -> dict[str, Any]:
+    """A CSR matrix as `scipy.sparse.load_npz` reads it; `_is_array` tells it from a csr_matrix."""
+    parts = {name: getattr(matrix, name) for name in ("data", "indices", "indptr")}
+    marks = {"format": np.array(b"csr"), "_is_array": np.array(True)}
+    return marks | {"shape": np.array(matrix.shape)} | parts
 
 
 def import_npz(path: str | Path) -> LightTransport:

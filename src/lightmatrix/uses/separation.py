@@ -28,7 +28,8 @@ from lightmatrix.geometry.matches import (
     fit_parallel_lines,
     spread_of_spots,
 )
-from lightmatrix.pictures.transport import Picture, draw_parts
+from lightmatrix.pictures.style import Picture
+from lightmatrix.pictures.transport import draw_parts
 from lightmatrix.reprs import short_repr
 from lightmatrix.transport import store
 from lightmatrix.transport.correspondence import pixel_rows
