@@ -167,13 +167,10 @@ def _check_surveyed(survey: Survey, capture: Capture) -> list[Finding]:
         return of_light() + displaced
 
     pairs = find_pairs(survey.patterns)
-    # No prediction tells frames of stripes apart.
-    singly = lattice is None and not len(pairs)
     # The longest first; each of them keeps about one core busy.
-    run, suspects, findings, unrelated = side_by_side(
+    run, findings, unrelated = side_by_side(
         [
             lambda: [] if lattice else check_run(survey, rows, names.__getitem__),
-            lambda: suspected_frames(survey, rows) if singly else np.zeros(survey.count, bool),
             of_light,
             lambda: check_relation(survey),
         ]
@@ -181,9 +178,13 @@ def _check_surveyed(survey: Survey, capture: Capture) -> list[Finding]:
     if run:
         return findings + run
     if len(pairs):
-        of_frames = _check_by_pairs(survey, rows, names, pairs, lattice and displaced, unrelated)
+        disorder = None if lattice is None else displaced
+        of_frames = _check_by_pairs(survey, rows, names, pairs, disorder, unrelated)
         displaced = []
     else:
+        # No prediction tells frames of stripes apart.
+        striped = lattice is not None
+        suspects = np.zeros(survey.count, bool) if striped else suspected_frames(survey, rows)
         of_frames = _check_by_prediction(survey, rows, names, suspects, unrelated)
     # Motion, and a black frame, make neighbours see as distant places as a swap does.
     kinds = ("order", "motion")
