@@ -297,7 +297,6 @@ def test_two_projectors_blend_into_each_other(tmp_path: Path) -> None:
         ({"brightness": 70}, "brightness of 70"),
         ({"brightness": float("nan")}, "brightness of nan"),
         ({"gamma": 0}, "gamma of 0"),
-        ({"iterations": 0}, "0 iterations"),
         ({"transport": []}, "no light transport matrix"),
         ({"transport": csr_array((1024, 4))}, "csr_array in place of a light transport matrix"),
         ({"transport": [_scene(), _scene((4, 4))]}, "cameras of shapes"),
