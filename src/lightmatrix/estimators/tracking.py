@@ -35,11 +35,11 @@ from lightmatrix.estimators.estimate import estimate
 from lightmatrix.files.new_files import NewFiles
 from lightmatrix.files.stacks import ImageStack, natural_order
 from lightmatrix.geometry.matches import fit_homography, moved
-from lightmatrix.judgement.judgement import OwnError
 from lightmatrix.patterns.atoms import AtomPatterns
 from lightmatrix.patterns.colour import ColourPatterns
 from lightmatrix.patterns.pattern_set import ImagePatterns, PatternSet
 from lightmatrix.ranges import real_array
+from lightmatrix.reprs import percent
 from lightmatrix.solvers.active_set import Candidates, Cells, solve_weighted
 from lightmatrix.solvers.problem import Result
 from lightmatrix.transport.correspondence import correspondence
@@ -260,12 +260,11 @@ class Tracker:
         vars(self).update(vars(after))
         seconds = time.perf_counter() - started
         update = Update(self.photographs, name, pattern, *maps, missed, seconds)
-        # What counts is light, which takes longer to sum up than rows.
-        if not self._doubted and update.unknown.mean() > 0.25:
-            own = OwnError(self.transport)
-            if own.unknown_share > 0.5:
-                self._doubted = True
-                warn(f"photograph {self.photographs}: {own.light_doubts[0]}")
+        lost = float(update.unknown.mean())
+        if not self._doubted and lost > 0.5:
+            self._doubted = True
+            question = "are the photographs out of step with the patterns?"
+            warn(f"photograph {self.photographs}: {percent(lost)} of the rows unknown; {question}")
         return update
 
     def _take_in(self, one: Capture) -> tuple[tuple[NDArray[np.bool_], NDArray[np.bool_]], float]:
