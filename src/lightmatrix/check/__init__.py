@@ -10,7 +10,7 @@
 ``relation``        Do the photographs follow the patterns at all, or what else explains them?
 ``motion``          Did something move by pixels?
 ``wrong_frames``    Which frames show something else, and what?
-``inverse_pairs``   Frames, light and motion where patterns come with inverses (Gray code).
+``inverse_pairs``   Frames and motion where patterns come with inverses (Gray code).
 ``refusals``        Can any estimate come from the capture?  Asked by `lm.estimate`.
 ==================  ==============================================================================
 

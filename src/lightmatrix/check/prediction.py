@@ -17,14 +17,12 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from functools import cached_property
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lightmatrix.capture.samples import Samples
-from lightmatrix.check.survey import OF_MEDIAN
 from lightmatrix.patterns.codes import best_code_pixels
 from lightmatrix.patterns.pattern_set import PatternSet
 from lightmatrix.resources.threads import one_blas_thread, work_ahead
@@ -51,13 +49,6 @@ class FramePrediction:
     # The part of the projector that each row follows, (m,). What a window does not explain is alike
     # in the rows of a part, which are therefore no independent witnesses.
     part: NDArray[np.int64]
-
-    @cached_property
-    def noise(self) -> NDArray[np.float64]:
-        """Standard deviation of each row's differences, (m, 1), by the median absolute one."""
-        difference = np.where(self.trusted, np.abs(self.observed - self.expected), np.nan)
-        deviation = OF_MEDIAN * np.nanmedian(difference, axis=1, keepdims=True)
-        return np.asarray(np.maximum(deviation, 1e-9))
 
     @property
     def predicted(self) -> NDArray[np.bool_]:
