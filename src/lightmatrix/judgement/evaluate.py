@@ -24,7 +24,7 @@ from lightmatrix.judgement.metrics import (
 )
 from lightmatrix.paths import as_path
 from lightmatrix.ranges import check_list, check_number
-from lightmatrix.reprs import html_table, labelled, text_table
+from lightmatrix.reprs import labelled, text_table
 from lightmatrix.simulation import library
 from lightmatrix.simulation.colour import is_of_all_primaries, of_primary
 from lightmatrix.simulation.truth import Truth
@@ -81,9 +81,6 @@ class Errors:
     def __repr__(self) -> str:
         return text_table("Errors", labelled(self.as_dict()))
 
-    def _repr_html_(self) -> str:
-        return html_table("Errors", labelled(self.as_dict()))
-
 
 @dataclass(frozen=True)
 class ColourErrors:
@@ -112,9 +109,6 @@ class ColourErrors:
 
     def __repr__(self) -> str:
         return text_table("Errors in colour", labelled(self.table()))
-
-    def _repr_html_(self) -> str:
-        return html_table("Errors in colour", labelled(self.table()))
 
     def table(self) -> dict[str, float]:
         """The two errors that matter most, of the three together and of each."""
