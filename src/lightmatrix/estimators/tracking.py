@@ -235,7 +235,9 @@ class Tracker:
         # At least a tenth of what they missed counts as error, as elsewhere.
         wrong = np.maximum(self._lately - self._noise, 0.1 * self._lately)
         state("estimated_error", np.where(unknown, 1, np.sqrt(wrong) / self._length))
-        state("certain", np.where(unknown, 0, np.nan))
+        # Only some rows are looked at, evenly spread.
+        looked_at = self._given.diagnostics.get("certain", np.nan)
+        state("certain", np.where(unknown, 0 * looked_at, np.nan))
         if window:
             seen = np.mean([np.square(each.values[:, 0]) for each in window[-_JUDGED:]], axis=0)
             missed = np.sqrt(self._lately / np.maximum(seen, 1e-30))
