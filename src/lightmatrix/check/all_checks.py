@@ -34,7 +34,7 @@ from lightmatrix.check.levels import (
     check_two_levels,
 )
 from lightmatrix.check.motion import check_motion
-from lightmatrix.check.prediction import FramePrediction, predict
+from lightmatrix.check.prediction import predict
 from lightmatrix.check.relation import check_relation, check_unseen
 from lightmatrix.check.survey import Survey, high_variance_rows
 from lightmatrix.check.wrong_frames import LIKELY, SUSPECT, check_frames, wrong_frames
@@ -268,7 +268,7 @@ def _check_by_pairs(
     odd = [k for each in of_pairs if each.kind == "frame" for k in each.frames]
     if disorder is None and odd:
         doubted = np.isin(np.arange(survey.count), odd)
-        disorder = order_findings(_shown_instead(survey, rows, doubted)[1], names.__getitem__)
+        disorder = order_findings(_shown_instead(survey, rows, doubted), names.__getitem__)
     # One black or spoilt frame, and motion, look like a swap. It is one if pairs add up once both
     # frames are exchanged.
     if disorder and of_pairs and not any("black" in each.message for each in of_pairs):
@@ -292,25 +292,29 @@ def _check_by_prediction(
     if any(each.kind == "order" for each in unrelated):
         return unrelated
     findings = check_plain_frames(survey, rows, names)
-    first = predict(survey.patterns, survey.samples(rows), doubted=disordered)
-    # Frames that may show something else, if only a few do.
-    suspects = disordered
+    samples = survey.samples(rows)
+    # Learned from all frames: few that show something else hardly mislead it.
+    first = predict(survey.patterns, samples)
+    odd = np.zeros(survey.count, bool)
     if first.predicted.sum() >= _FEWEST_ROWS:
-        odd = disordered | wrong_frames(first.rows(first.predicted), SUSPECT)
-        suspects = odd if odd.mean() < _MOST_ODD else disordered
-    moved = check_motion(survey, rows, suspects, names)
+        odd = wrong_frames(first.rows(first.predicted), SUSPECT)
+        odd &= odd.mean() < _MOST_ODD
+    shown = _shown_instead(survey, rows, disordered | odd) if disordered.any() else {}
+    # A frame that only seemed to show another pattern stays: few others may not replace it.
+    odd[list(shown)] = True
+    moved = check_motion(survey, rows, odd, names)
     if moved:
         return findings + moved
     # Photographs of which half are shifted may seem unrelated to their patterns, too.
     if unrelated:
         return unrelated
     # Judged by the frames that are not suspected.
-    prediction, shown = _shown_instead(survey, rows, suspects) if suspects.any() else (first, {})
+    prediction = predict(survey.patterns, samples, doubted=odd) if odd.any() else first
     if prediction.predicted.sum() < _FEWEST_ROWS:
         return findings
     wrong = wrong_frames(prediction.rows(prediction.predicted))
     # Else the patterns differ only where the camera does not look.
-    if disordered.any() and wrong[list(shown)].any():
+    if wrong[list(shown)].any():
         findings += order_findings(shown, names.__getitem__)
         wrong[list(shown)] = False
     # Without a frame, its rows may be explained by other places; then it seems wrong only now.
@@ -323,8 +327,8 @@ def _check_by_prediction(
 
 def _shown_instead(
     survey: Survey, rows: NDArray[np.int64], doubted: NDArray[np.bool_]
-) -> tuple[FramePrediction, dict[int, int]]:
-    """What rows should show by undoubted frames, and which frames show the pattern of another."""
+) -> dict[int, int]:
+    """Which of the doubted frames (K,) show the pattern of which other, by undoubted ones."""
     samples = survey.samples(rows)
     lowest = samples.clip_levels_of_all().min(axis=1, keepdims=True)
     while True:
@@ -335,5 +339,5 @@ def _shown_instead(
         more = doubted.copy()
         more[miss[doubted].argmin(axis=1)] = True
         if (more == doubted).all() or more.mean() > _MOST_ODD:
-            return prediction, shown_instead(miss, doubted)
+            return shown_instead(miss, doubted)
         doubted = more
