@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 from scipy.sparse import csr_array
 
-from experiments.harness import markdown
+from experiments.harness import benchmark_exposure, markdown
 from experiments.harness import options as options_of
 from lightmatrix.capture.capture import Capture
 from lightmatrix.capture.exposures import exposure_sequence
@@ -29,7 +29,6 @@ from lightmatrix.defaults import FEWEST_BLACK_AND_WHITE
 from lightmatrix.estimators.coherent.estimator import CoherentEstimator
 from lightmatrix.estimators.plain import PlainEstimator
 from lightmatrix.judgement.metrics import (
-    benchmark_exposure,
     relative_error,
     relighting_error,
     unseen_patterns,

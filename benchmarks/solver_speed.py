@@ -13,9 +13,8 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
 from benchmarks import solver_reference
-from experiments.harness import Row, best_seconds
+from experiments.harness import Row, benchmark_exposure, best_seconds
 from lightmatrix.capture.samples import Samples
-from lightmatrix.judgement.metrics import benchmark_exposure
 from lightmatrix.patterns.bits import BernoulliPatterns
 from lightmatrix.patterns.hadamard import HadamardPatterns
 from lightmatrix.patterns.pattern_set import PatternSet

@@ -9,7 +9,6 @@ once, which takes Mitsuba ten minutes at 128 x 128, and kept in the output folde
 
 from __future__ import annotations
 
-import time
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -20,7 +19,7 @@ from numpy.typing import NDArray
 import lightmatrix as lm
 from experiments.harness import Row, options, show, write_json
 from lightmatrix.judgement.metrics import squared_errors
-from lightmatrix.pictures.style import display, figure, panel, save, white_level
+from lightmatrix.pictures.style import COLOURS, display, figure, fix_ticks, panel, save, white_level
 from lightmatrix.simulation import scenes
 from lightmatrix.simulation.renderer import render
 from lightmatrix.simulation.shapes import turn
@@ -28,6 +27,8 @@ from lightmatrix.simulation.truth import Truth, binned
 
 # Photographs of the window, and further ones before the block is turned.
 WINDOW, QUIET = 32, 4
+# So many new photographs are estimated by themselves, too.
+ALONE = (8, 12, 16, 24, 32)
 # A row moved if it changed by more than a tenth; light that the block reflects changes most rows.
 MOVED = 0.1
 KINDS: dict[str, dict[str, Any]] = {"bernoulli": {}, "random": {"levels": 3}}
@@ -71,33 +72,28 @@ def follow(kind: str, side: int, folder: Path) -> tuple[list[Row], lm.LightTrans
     first = lm.simulate(before, patterns.subset(np.arange(WINDOW + QUIET)), exposure=0.5, seed=0)
     later = patterns.subset(np.arange(WINDOW + QUIET, 2 * WINDOW + QUIET))
     second = lm.simulate(after, later, exposure=0.5, seed=1)
-    estimate = [
-        lm.estimate(capture, check=False, correct="none", progress=False)
-        for capture in (first.select(range(WINDOW)), second)
-    ]
-    fresh, light = squared_errors(estimate[1], known)
-    tracker = lm.Tracker(first.select(range(WINDOW)), estimate[0])
-    rows: list[Row] = []
+    given, *alone = (
+        lm.estimate(capture.select(range(count)), check=False, correct="none", progress=False)
+        for capture, count in ((first, WINDOW), *((second, count) for count in ALONE))
+    )
+    wrong_alone = [squared_errors(one, known)[0] for one in alone]
+    fresh, light = wrong_alone[-1], squared_errors(given, known)[1]
+    tracker, rows = lm.Tracker(first.select(range(WINDOW)), given), list[Row]()
 
     def error(wrong: NDArray[np.floating], which: NDArray[np.bool_]) -> float:
         return float(np.sqrt(wrong[which].sum() / max(light[which].sum(), 1e-30)))
 
+    by_count = {n: error(wrong, moved) for n, wrong in zip(ALONE, wrong_alone, strict=True)}
     for capture in (first.select(range(WINDOW, WINDOW + QUIET)), second):
-        steps = tracker.follow(capture)
-        while True:
-            started = time.perf_counter()
-            step = next(steps, None)
-            if step is None:
-                break
-            seconds = time.perf_counter() - started
-            transport = tracker.transport
+        for step in tracker.follow(capture):
+            transport, count = tracker.transport, step.photograph - QUIET
             changed, unknown = (transport.diagnostics[n] > 0 for n in ("since", "unknown"))
             wrong, fine = squared_errors(transport, known)[0], moved & ~unknown
             stated = (transport.diagnostics["estimated_error"] ** 2) * light
             rows.append(
                 {
                     "patterns": kind,
-                    "since the change": step.photograph - QUIET,
+                    "since the change": count,
                     "missed": step.missed,
                     "found": float(changed[moved].mean()),
                     "others found": int(changed[~moved].sum()),
@@ -105,38 +101,51 @@ def follow(kind: str, side: int, folder: Path) -> tuple[list[Row], lm.LightTrans
                     "error": error(wrong, moved),
                     "error of known": error(wrong, fine),
                     "stated": error(stated, fine),
-                    "fresh": error(fresh, moved),
-                    "times fresh": error(wrong, fine) / max(error(fresh, fine), 1e-30),
-                    "others times fresh": error(wrong, ~moved) / error(fresh, ~moved),
-                    "seconds": seconds,
+                    "of 32 alone": error(fresh, moved),
+                    "of as many alone": by_count.get(count, np.nan),
+                    "others / of 32 alone": error(wrong, ~moved) / error(fresh, ~moved),
+                    "seconds": step.seconds,
                 }
             )
     return rows, transport
 
 
 def draw(rows: list[Row], before: Truth, transport: lm.LightTransport, folder: Path) -> None:
-    """Errors against the photographs since the change, and pictures of it."""
-    with figure(10, 3.6) as drawing:
-        left, *pictures = drawing.subplots(1, 3, width_ratios=(5, 3, 3))
-        for kind, colour in zip(KINDS, ("C0", "C1"), strict=True):
-            some = [row for row in rows if row["patterns"] == kind and row["since the change"] > 3]
-            count = [row["since the change"] for row in some]
-            known = [row["error of known"] if row["unknown"] < 0.9 else np.nan for row in some]
-            name = "black and white" if kind == "bernoulli" else "three grey levels"
-            left.semilogy(count, [row["error"] for row in some], ":", color=colour)
-            left.semilogy(count, known, "o-", color=colour, markersize=3, label=name)
-            left.axhline(some[0]["fresh"], color=colour, linewidth=0.8)
-        left.set(xlabel="photographs since the change", ylabel="relative error of what moved")
-        left.set_ylim(0.008, 1)
-        left.legend(title="dots: known rows; dotted: all\nlevel: estimate from 32 photographs")
+    """Errors and what is unknown against the photographs since the change, and the scene."""
+    names = {"bernoulli": "black and white", "random": "three grey levels"}
+    with figure(11, 2.9) as drawing:
+        errors, unknown, *pictures = drawing.subplots(1, 4, width_ratios=(4.2, 3, 2.9, 2.9))
+        for kind, colour in zip(KINDS, COLOURS, strict=False):
+            some = [r for r in rows if r["patterns"] == kind and r["since the change"] > 0]
+            count, every, alone, lost = (
+                np.array([row[key] for row in some], float)
+                for key in ("since the change", "error", "of as many alone", "unknown")
+            )
+            errors.semilogy(count, every, color=colour, label=f"tracked, {names[kind]}")
+            known = np.isfinite(alone)
+            errors.semilogy(count[known], alone[known], "o", color=colour, markerfacecolor="white")
+            unknown.plot(count, 100 * lost, color=colour)
+        label = "estimated from these alone"
+        errors.plot([], [], "o", color="0.4", markerfacecolor="white", label=label)
+        errors.set(ylabel="relative error of what moved", ylim=(0.008, 2))
+        fix_ticks(errors.yaxis, (0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1))
+        errors.legend(loc="upper right")
+        unknown.set(ylabel="unknown share of what moved, %", ylim=(0, 103))
+        for axes in (errors, unknown):
+            axes.set(xlabel="photographs since the change", xlim=(0, 32.5), xticks=range(0, 33, 8))
         white = np.ones(transport.projector_shape)
         images = [one.relight(white) for one in (before.transport(), transport)]
         bright = white_level(images[0])
         panel(pictures[0], display(images[0], bright), "before")
         shown = np.repeat(display(images[1], bright)[..., None], 3, axis=2)
         changed = transport.diagnostics["since"].reshape(transport.camera_shape) > 0
-        shown[changed] *= (1, 0.6, 0.5)
-        panel(pictures[1], shown, "after; red: found to have changed")
+        # The orange of the palette, over what was found to have changed.
+        shown[changed] = 0.5 * shown[changed] + 0.5 * np.array((0.90, 0.62, 0))
+        panel(pictures[1], shown, "after, with what changed")
+        for letter, axes in zip("abcd", (errors, unknown, *pictures), strict=True):
+            title = axes.get_title()
+            axes.set_title("")
+            axes.set_title(f"({letter}) {title}", loc="left")
         save(drawing, folder, "track")
 
 

@@ -23,6 +23,8 @@ from rich.table import Table
 from lightmatrix.errors import InputError, OutputError
 from lightmatrix.files.numpy_files import read_npz
 from lightmatrix.files.reading import parse_json
+from lightmatrix.judgement.metrics import row_maximum
+from lightmatrix.transport.matrix import LightTransport
 
 Row = dict[str, Any]
 C = TypeVar("C", bound="Case")
@@ -197,3 +199,8 @@ def elsewhere(task: Callable[..., R], *arguments: Any) -> R:
     """The result of a function in another process, so that this one stays small."""
     with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as other:
         return other.submit(task, *arguments).result()
+
+
+def benchmark_exposure(truth: LightTransport) -> float:
+    """The exposure at which a fifth of the rows have a single response that clips."""
+    return 1 / float(np.quantile(row_maximum(truth), 0.8))

@@ -20,6 +20,7 @@ from lightmatrix.estimators.estimate import estimate
 from lightmatrix.files.images import write_image
 from lightmatrix.judgement.metrics import relative_error
 from lightmatrix.patterns.making import make_patterns
+from lightmatrix.pictures.style import display, figure, save
 from lightmatrix.planning.plan import plan
 from lightmatrix.rig.capturing import CaptureSettings, take_capture
 from lightmatrix.rig.rig import open_rig
@@ -31,7 +32,7 @@ from lightmatrix.transport.correspondence import Correspondence
 from lightmatrix.transport.matrix import LightTransport
 from lightmatrix.uses.compensation import Compensation, Compensator, compensate, compensator
 from lightmatrix.uses.projector_map import map_projector
-from lightmatrix.uses.wanted import wanted_samples
+from lightmatrix.uses.wanted import fitted, wanted_samples
 
 NOISE = 0.003
 # The columns of the simulated projector that each of two projectors has.
@@ -64,12 +65,16 @@ def cases(quick: bool) -> Iterator[Case]:
         for scene in ("l_objects", "corner") + (() if quick else ("stage", "statues")):
             yield Case("projectors", scene, 64, seed)
     yield Case("picture", "l_objects", 64 if quick else 128, 0)
+    for scene in () if quick else ("stage", "statues"):
+        yield Case("two", scene, 128, 0)
 
 
 def measure(case: Case) -> Measured:
-    """The rows of a case, and the pictures of a photograph on a pile of blocks."""
-    truth = library.truth(case.scene, (case.side, case.side))
-    kinds = {"maps": _maps, "projectors": _projectors, "picture": _picture}
+    """The rows of a case, and the pictures of a photograph on a scene."""
+    # The pictures of two projectors hold 1,024 paths a pixel.
+    samples = 1024 if case.kind == "two" else None
+    truth = library.truth(case.scene, (case.side, case.side), samples=samples)
+    kinds = {"maps": _maps, "projectors": _projectors, "picture": _picture, "two": _two}
     measured = kinds[case.kind](truth, case.seed)
     names = {"kind": case.kind, "scene": case.scene, "size": case.side, "seed": case.seed}
     return Measured([{**names, **row} for row in measured.rows], measured.arrays)
@@ -159,7 +164,6 @@ def _projectors(truth: Truth, seed: int) -> Measured:
     shared, light = compensator(joint[40]), compensator(known).light
     whites = [one.relight(np.ones(one.projector_shape)) for one in known]
     pictures = {"white": np.ones(shape, np.float32), "picture": _wanted(both)}
-    images = {"wanted": pictures["picture"]}
     for name, wanted in pictures.items():
         # White that both projectors can give everywhere.
         found = compensate(joint[40], wanted, brightness=0.5 if name == "white" else None)
@@ -175,10 +179,37 @@ def _projectors(truth: Truth, seed: int) -> Measured:
             if name == "white":
                 row["uniform"] = float(np.std(seen[counted]) / np.mean(seen[counted]))
                 row["seam"] = _seam(seen.reshape(shape), found.reachable, whites)
-            else:
-                images[way.replace(" ", "_")] = seen.reshape(shape) / found.scale
             rows.append(row)
-    return Measured(rows, images)
+    return Measured(rows)
+
+
+def _two(truth: Truth, seed: int) -> Measured:
+    """A photograph that two projectors show, as it is and compensated, where the scene is lit."""
+    known, shape = truth.transport(), truth.camera_shape
+    measured = estimate(_photographed(truth, "mix", 64, seed), check=False)
+    shared = compensator(measured)
+    lit = shared.lit.reshape(shape)
+    # The rows and the columns of which as much is lit as of most.
+    shares = (lit.mean(axis=axis) for axis in (1, 0))
+    ends = (np.flatnonzero(share > 0.85 * np.median(share))[[0, -1]] for share in shares)
+    box = tuple(slice(first, last + 1) for first, last in ends)
+    mask = np.zeros(shape, np.float32)
+    mask[box] = 1
+    # The head is in the upper part of the picture.
+    height, width = mask[box].shape
+    light = _luminance()[: round(512 * min(1.0, height / width))]
+    wanted = mask.copy()
+    wanted[box] = fitted(light, (height, width), "cover")
+    found = compensate(measured, wanted, mask=mask)
+    counted = found.reachable.ravel()
+    ways = {
+        "as it is": _plain(shared, wanted.ravel(), found.brightness),
+        "compensated": np.concatenate([pattern.ravel() for pattern in found.patterns]),
+    }
+    seen = {way: known.relight(p.reshape(truth.projector_shape)) for way, p in ways.items()}
+    rows = [{"method": way, "PSNR": _psnr(one, found, counted)} for way, one in seen.items()]
+    shown = {way.replace(" ", "_"): one[box] / found.scale for way, one in seen.items()}
+    return Measured(rows, {"wanted": wanted[box], **shown})
 
 
 def _two_of_one(whole: Truth) -> Truth:
@@ -216,12 +247,16 @@ def _seam(
     return max(contrasts)
 
 
+def _luminance() -> NDArray[np.float32]:
+    """The luminance of a photograph, in light, (512, 512)."""
+    picture = np.asarray(data.astronaut(), np.float32) / 255  # type: ignore[no-untyped-call]
+    return (picture**2.2 @ np.array([0.2126, 0.7152, 0.0722], np.float32)).astype(np.float32)
+
+
 def _wanted(truth: Truth) -> NDArray[np.float32]:
     """The luminance of a photograph, in light, of the camera's size."""
-    picture = np.asarray(data.astronaut(), np.float32) / 255  # type: ignore[no-untyped-call]
-    light = picture**2.2 @ np.array([0.2126, 0.7152, 0.0722], np.float32)
     shape = truth.camera_shape
-    return wanted_samples(light.astype(np.float32), shape, fit="cover").reshape(shape)
+    return wanted_samples(_luminance(), shape, fit="cover").reshape(shape)
 
 
 def _picture(truth: Truth, seed: int) -> Measured:
@@ -253,14 +288,27 @@ def _picture(truth: Truth, seed: int) -> Measured:
 
 def _draw(out: Path, results: list[tuple[Case, Measured]]) -> None:
     """The picture, as it is, and compensated, beside each other."""
+    two = [(case.scene, measured.arrays) for case, measured in results if case.kind == "two"]
+    if two:
+        titles = {"wanted": "the picture", "as_it_is": "two projectors, as it is"}
+        titles["compensated"] = "two projectors, compensated"
+        with figure(9.6, 2.1 * len(two)) as drawing:
+            panels_of = drawing.subplots(len(two), 3, squeeze=False)
+            for row, (scene, arrays) in zip(panels_of, two, strict=True):
+                for axes, (name, title) in zip(row, titles.items(), strict=True):
+                    shown = display(arrays[name], 1.0)
+                    axes.imshow(shown, "gray", vmin=0, vmax=1, interpolation="lanczos")
+                    axes.set_title(title if scene == two[0][0] else "")
+                    axes.set(xticks=[], yticks=[])
+                row[0].set_ylabel(scene)
+            save(drawing, out, "two-projectors")
     for case, measured in results:
-        if case.kind == "picture" or (case.kind == "projectors" and not case.seed):
+        if case.kind == "picture":
             images = [measured.arrays[name] for name in ("wanted", "as_it_is", "compensated")]
             gap = np.ones((len(images[0]), max(2, len(images[0]) // 32)), np.float32)
             panels = np.hstack([images[0], gap, images[1], gap, images[2]])
             larger = np.kron(panels.clip(0, 1) ** (1 / 2.2), np.ones((512 // case.side,) * 2))
-            name = "mapping" if case.kind == "picture" else f"mapping-{case.scene}"
-            write_image(out / f"{name}.png", larger, overwrite=True)
+            write_image(out / "mapping.png", larger, overwrite=True)
 
 
 def _summary(rows: list[Row]) -> list[Row]:

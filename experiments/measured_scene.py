@@ -9,13 +9,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from experiments.harness import benchmark_exposure
 from lightmatrix.capture.capture import Capture
 from lightmatrix.capture.exposures import exposure_sequence
 from lightmatrix.capture.sensor import Sensor
 from lightmatrix.defaults import USUAL_NOISE
 from lightmatrix.judgement.metrics import (
     UNCLIPPED_RESPONSE,
-    benchmark_exposure,
     diffuse_rows,
     relighting_error,
     row_maximum,

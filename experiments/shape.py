@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from experiments.harness import Experiment, Measured, Row, all_rows, means
 from lightmatrix.errors import InputError
 from lightmatrix.estimators.estimate import estimate
-from lightmatrix.geometry.rig_geometry import RigGeometry
+from lightmatrix.geometry.rig_geometry import RigGeometry, binned_matrix
 from lightmatrix.patterns.bits import BernoulliPatterns
 from lightmatrix.patterns.pattern_set import PatternSet
 from lightmatrix.patterns.stripes import (
@@ -28,9 +28,9 @@ from lightmatrix.planning.plan import plan
 from lightmatrix.shape.decode import decode
 from lightmatrix.shape.shape import Shape
 from lightmatrix.shape.triangulation import triangulate
-from lightmatrix.simulation import library
+from lightmatrix.simulation import library, scenes
 from lightmatrix.simulation.simulate import simulate
-from lightmatrix.simulation.truth import Truth
+from lightmatrix.simulation.truth import Truth, trace_surface
 
 SEEDS = (0, 1, 2)
 NOISE = 0.003
@@ -156,6 +156,23 @@ def exposure_of(truth: Truth, case: Case) -> float | str:
     return exposure * case.exposed
 
 
+def depths_within(truth: Truth, side: int) -> NDArray[np.float64]:
+    """Exact depths on a grid of `side` x `side` points in each pixel, (rows, cols, side^2).
+
+    A pixel at an edge sees several surfaces; the depth of its centre belongs to one of them.
+    """
+    geometry = truth.geometry
+    assert geometry is not None
+    rows, cols = geometry.camera_shape
+    finer = replace(
+        geometry,
+        camera_matrix=binned_matrix(geometry.camera_matrix, (1 / side, 1 / side)),
+        camera_shape=(rows * side, cols * side),
+    )
+    fine = trace_surface(scenes.scene(str(truth.metadata["scene"])), finer).depth
+    return fine.reshape(rows, side, cols, side).swapaxes(1, 2).reshape(rows, cols, side * side)
+
+
 @dataclass(frozen=True, eq=False)
 class Reference:
     """The exact shape of a scene: depths (rows, cols, n) in each pixel, which pixels are lit."""
@@ -166,9 +183,9 @@ class Reference:
     @classmethod
     def of(cls, truth: Truth) -> Reference:
         """The reference of a rendered scene."""
-        depths, geometry = truth.depths_within(_WITHIN), truth.geometry
-        assert depths is not None
+        geometry = truth.geometry
         assert geometry is not None
+        depths = depths_within(truth, _WITHIN)
         direct = np.asarray(truth.direct.sum(axis=1), float).reshape(truth.camera_shape)
         bright = direct > _LIT * np.quantile(direct, _BRIGHT_QUANTILE)
         return cls(depths, bright & _on_projector(truth, geometry))

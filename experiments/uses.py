@@ -221,8 +221,11 @@ def _counts(
 def _turned(parts: Separation, truth: Truth) -> float:
     """Degrees between the estimate's epipolar lines and those of the true direct light."""
     known = LightTransport.from_matrix(truth.direct, truth.camera_shape, truth.projector_shape)
-    away = abs(parts.geometry.direction - separate(known).geometry.direction) % 180
-    return float(min(away, 180 - away))
+    # The line of the camera's middle.
+    middle = np.array([*(side / 2 for side in truth.camera_shape[:2]), 1])
+    lines = [each.geometry.fundamental @ middle for each in (parts, separate(known))]
+    one, other = (np.degrees(np.arctan2(-right, down)) for down, right, _ in lines)
+    return float(min((one - other) % 180, (other - one) % 180))
 
 
 SCENES = ("l_objects", "gripper", "metal", "corner")

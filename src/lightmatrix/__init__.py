@@ -36,7 +36,7 @@ What is done with T:
     correspondence      which projector pixel each camera pixel sees; `decode` finds it of stripes
     triangulate         depth and shape, with the geometry of `calibrate_rig` or `self_calibrate`
     layers              surfaces seen through each other, and in mirrors
-    separate            direct and global light; `probe` and `max_min` are others
+    separate            direct and global light
     compensate          the pattern that makes the scene look as a picture
     view                T in a notebook, to paint on; `serve_viewer` shows it in a browser
     export              T as a SciPy matrix in a file

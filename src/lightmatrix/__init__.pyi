@@ -80,7 +80,6 @@ from .transport.npz import read_correspondence as read_correspondence
 
 # What is done with them.
 from .pictures.relight import relight as relight
-from .pictures.transport import show_relit as show_relit
 from .report.make import report as report
 from .viewer.export import export_viewer as export_viewer
 from .viewer.notebook import view as view
@@ -109,7 +108,6 @@ from .uses.projector_map import (
     map_projector as map_projector,
     map_projectors as map_projectors,
 )
-from .uses.probing import max_min as max_min, probe as probe
 from .report.views import show as show
 from .shape.triangulation import geometry_of as geometry_of, triangulate as triangulate
 from .shape.layers import layers as layers

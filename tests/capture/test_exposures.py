@@ -11,6 +11,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from experiments.harness import benchmark_exposure
 from lightmatrix.capture.capture import Capture
 from lightmatrix.capture.exposures import (
     exposure_sequence,
@@ -23,7 +24,7 @@ from lightmatrix.check.refusals import refuse_unordered
 from lightmatrix.cli import main
 from lightmatrix.errors import InputError
 from lightmatrix.estimators.plain import PlainEstimator
-from lightmatrix.judgement.metrics import benchmark_exposure, relative_error, unclipped_rows
+from lightmatrix.judgement.metrics import relative_error, unclipped_rows
 from lightmatrix.patterns.bits import BernoulliPatterns
 from lightmatrix.patterns.mix import MixedPatterns, default_mix, interleave
 from lightmatrix.patterns.pattern_set import PatternSet

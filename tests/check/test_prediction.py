@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 import lightmatrix as lm
-from lightmatrix.check.prediction import predict
+from lightmatrix.check.prediction import best_pixels, column_scale, predict
+from lightmatrix.patterns import pattern_set
 from lightmatrix.patterns.bits import BernoulliPatterns
 
 K, SHAPE = 80, (12, 14)
@@ -33,6 +34,23 @@ def test_the_two_strongest_places_are_found() -> None:
     first, second = predict(PATTERNS, samples([(3, 4), (8, 2)])).places
     assert first.tolist() == [3 * 14 + 4, 8 * 14 + 2]
     assert second.tolist() == [3 * 14 + 9, 8 * 14 + 7]
+
+
+@pytest.mark.parametrize("grey", [False, True])
+def test_the_best_pixel_correlates_most(grey: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    patterns: lm.PatternSet = PATTERNS
+    if grey:
+        images = np.random.default_rng(3).random((K + 1, *SHAPE), np.float32)
+        # Pixels differ in contrast, which counts nothing.
+        patterns = lm.ImagePatterns(images[1:] * images[0])
+    # Some pixels at a time.
+    monkeypatch.setattr(pattern_set, "_PIXELS_AT_ONCE", patterns.pixels // 3)
+    residual = np.random.default_rng(1).standard_normal((7, K)).astype(np.float32)
+    residual -= residual.mean(axis=1, keepdims=True)
+    columns = patterns.columns(np.arange(patterns.pixels)).astype(np.float64)
+    scores = residual @ (columns / columns.std(axis=0))
+    best = best_pixels(patterns, column_scale(patterns), residual)
+    np.testing.assert_array_equal(best, scores.argmax(axis=1))
 
 
 def test_clipped_and_doubted_samples_find_nothing() -> None:

@@ -68,7 +68,7 @@ def test_keeping_everything_gives_the_plain_estimate(
     if isinstance(solver, ADMM | SaturationADMM):
         # Both take the same steps, whether they have converged or not.
         solver = replace(solver, max_iterations=60)
-    monkeypatch.setattr(multiscale, "_ACTIVE", 0)
+    monkeypatch.setattr(multiscale, "active_blocks", lambda *of: np.ones(of[2], bool))
     plain = PlainEstimator(solver, 0.05).estimate(capture)
     whole = MultiScaleEstimator(solver, 0.05)
     estimate = whole.estimate(capture)

@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from scipy.sparse import csr_array
 
 import lightmatrix as lm
 
@@ -147,10 +146,7 @@ CALLS: dict[str, tuple[Callable[[Any], Any], tuple[Any, ...]]] = {
     "export path": (lambda v: lm.export(v, T), PATHS),
     "save": (lambda v: lm.save("new.zarr", v), ARRAYS),
     "export": (lambda v: lm.export("new.npz", v), ARRAYS),
-    "max_min": (lm.max_min, ARRAYS),
-    "probe": (lambda v: lm.probe(v, csr_array((64, 64))), ARRAYS),
     "verdicts": (lm.verdicts, ARRAYS),
-    "show_relit": (lambda v: lm.show_relit(v, PICTURE), ARRAYS),
     "singular_values": (lm.singular_values, ARRAYS),
     "singular_values count": (lambda v: lm.singular_values(T, v), WHOLE),
     "relight matrix": (lambda v: lm.relight(v, PICTURE), ARRAYS[2:]),
@@ -165,7 +161,6 @@ CALLS: dict[str, tuple[Callable[[Any], Any], tuple[Any, ...]]] = {
     "compensate ambient": (lambda v: lm.compensate(T, PICTURE, ambient=v), ARRAYS[2:]),
     "compensate mask": (lambda v: lm.compensate(T, PICTURE, mask=v), ARRAYS[2:]),
     "compensate gamma": (lambda v: lm.compensate(T, PICTURE, gamma=v), NUMBERS[1:]),
-    "compensate iterations": (lambda v: lm.compensate(T, PICTURE, iterations=v), WHOLE),
     "compensate_video": (lambda v: lm.compensate_video(T, [v]), ARRAYS[2:]),
     "cancel_global": (lambda v: lm.cancel_global(T, v, direct=T), ARRAYS[2:]),
     "separate": (lambda v: lm.separate(T, pattern=v), ARRAYS[2:]),

@@ -326,7 +326,7 @@ def test_one_file_of_two_and_other_saves_of_matlab_are_explained(tmp_path: Path)
     (tmp_path / "cut.mat").write_bytes(b"MATLAB 5.0 MAT-file")
     (tmp_path / "half.json").write_text('{"CameraParameters1": {}}')
     for name, words in {
-        "stereo/intrinsics.yml": "names no rotation and no translation",
+        "stereo/intrinsics.yml": "names no rotation .R. and no translation .T.",
         "ros/camera.yaml": "the camera_info of one device",
         ".": "holds 1 files",
         "new.mat": "version 7.3",

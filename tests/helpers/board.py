@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import csr_array
+from scipy.sparse import csr_array, hstack
 from scipy.spatial.transform import Rotation
 
 import lightmatrix as lm
@@ -70,6 +71,31 @@ def board_capture(
     matrix = csr_array((light[inside].astype(np.float32), (row_of, column)), shape=size)
     truth = lm.Truth(matrix, matrix.data, rig.camera_shape, rig.projector_shape)
     return lm.simulate(truth, patterns, exposure=1.0, noise=noise)
+
+
+def other_projector() -> lm.RigGeometry:
+    """The camera of `board_rig` and a projector on its other side."""
+    rig = board_rig()
+    turn = Rotation.from_euler("yx", [-12, 2], degrees=True).as_matrix()
+    shift = turn @ np.array([190.0, -8, -15])
+    matrix = np.array([[470.0, 0, 94], [0, 472, 70], [0, 0, 1]]) @ np.column_stack([turn, shift])
+    return replace(rig, projector_matrix=matrix)
+
+
+def two_projector_capture(
+    rigs: Sequence[lm.RigGeometry],
+    pose: tuple[Sequence[float], Sequence[float]],
+    patterns: lm.PatternSet,
+) -> SimulatedCapture:
+    """Photographs of the board under projectors of one size, whose patterns stand in one image."""
+    shape = rigs[0].projector_shape
+    black = lm.ImagePatterns(np.zeros((1, *shape), np.float32))
+    matrices = [board_capture(rig, pose, black).truth.matrix for rig in rigs]
+    matrix = csr_array(hstack(matrices), dtype=np.float32)
+    about = {"projectors": [list(shape)] * len(rigs)}
+    size = (len(rigs) * shape[0], shape[1])
+    truth = lm.Truth(matrix, matrix.data, rigs[0].camera_shape, size, about)
+    return lm.simulate(truth, patterns, exposure=1.0, noise=0.004)
 
 
 def _albedo(place: NDArray[np.float64], squares: bool) -> NDArray[np.float64]:

@@ -8,9 +8,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.sparse import csr_array
 
+from experiments.harness import benchmark_exposure
 from lightmatrix.errors import InputError
 from lightmatrix.judgement.metrics import (
-    benchmark_exposure,
     diffuse_rows,
     relative_error,
     relighting_error,

@@ -132,11 +132,11 @@ def test_nothing_dumps_its_arrays() -> None:
         assert "\n" not in text
         assert len(text) < 420, text
         assert type(thing).__name__.removeprefix("Simulated") in text
-    for thing, words in ((capture, "64 x 64"), (transport, "64 x 64"), (lm.scenes(), "vase")):
+    for thing in (capture, transport):
         shown = thing._repr_html_()
         assert shown.startswith("<table>")
         assert len(shown) < 10_000
-        assert words in shown
+        assert "64 x 64" in shown
     assert "<img" in transport._repr_html_()
 
 
@@ -219,7 +219,6 @@ def test_pictures_are_drawn(tmp_path: Path) -> None:
     capture = lm.simulate("metal", lm.BernoulliPatterns((64, 64), 8), exposure=2)
     transport = lm.estimate(capture, coherent=False, iterations=2)
     pictures = [
-        lm.show_relit(transport, np.ones((64, 64)), exposure=2),
         lm.show(transport, "row", 3, 4),
         lm.show(transport, "column", 3, 4),
         *(lm.show(transport, name) for name in ("dual", "clipping", "gap", "correspondence")),

@@ -44,7 +44,7 @@ FLOORS = [
 ]
 # Extras are imported inside the functions that need them, and nowhere else.
 EXTRAS = {"mitsuba", "drjit", "glfw", "moderngl", "gi", "harvesters", "genicam", "av", "gphoto2"}
-EXTRAS |= {"trimesh", "cv2", "OpenEXR", "rawpy", "distributed", "dask", "uvicorn", "websockets"}
+EXTRAS |= {"cv2", "OpenEXR", "rawpy", "distributed", "dask", "uvicorn", "websockets"}
 EXTRAS |= {"anywidget", "traitlets"}
 # The compiled core stands in the table by its crates.
 CORE = "_core"

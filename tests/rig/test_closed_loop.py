@@ -83,3 +83,24 @@ def test_the_number_of_steps_is_checked(steps: int) -> None:
     known = lm.truth("l_objects", (32, 32)).transport()
     with lm.open_rig(RIG) as rig, pytest.raises(lm.InputError, match="corrections"):
         lm.refine_compensation(rig, known, WANTED, steps=steps)
+
+
+@pytest.mark.parametrize(("cell", "block"), [(2, 1), (1, 2)])
+def test_coarse_patterns_fill_the_screen(cell: int, block: int) -> None:
+    """Of a capture by cells of 2 x 2 projector pixels, or of T of blocks of them."""
+    with lm.open_rig(RIG) as rig:
+        assert rig.truth is not None
+        fine = rig.truth.transport().sparse.toarray().reshape(1024, 16, 2, 16, 2)
+        coarse = fine.sum(axis=(2, 4)).reshape(1024, 256)
+        about = {"capture_description": {"cell": cell, "bin_projector": [block, block]}}
+        known = lm.LightTransport.from_matrix(coarse, (32, 32), (16, 16))
+        known = replace(known, provenance=about)
+        found = lm.refine_compensation(rig, known, WANTED, steps=0, brightness=0.5, keep=None)
+        assert found.photographed_psnr[0] > 25
+        # T of another scene is named, though its sizes fit.
+        other = replace(known, sparse=known.sparse[::-1])
+        with pytest.warns(lm.LightMatrixWarning, match="is it the matrix of this rig"):
+            lm.refine_compensation(rig, other, WANTED, steps=0, keep=None)
+        oblong = {"capture_description": {"bin_projector": [2, 1]}}
+        with pytest.raises(lm.InputError, match="2 x 1 projector pixels"):
+            lm.refine_compensation(rig, replace(known, provenance=oblong), WANTED, keep=None)

@@ -130,6 +130,6 @@ def test_portrait_patterns_on_a_landscape_projector_are_noted(
 ) -> None:
     words = f"patterns bernoulli -k 2 --size 8x6 -o {tmp_path}/p"
     assert main(words.split()) == 0
-    assert "for a projector in portrait, 6 pixels wide" in capsys.readouterr().out
+    assert "for a projector in portrait, 6 pixels wide, or for several" in capsys.readouterr().out
     with pytest.warns(lm.LightMatrixWarning, match="8 rows by 6 columns, and the projector is"):
         ProjectedPatterns(lm.read_patterns(tmp_path / "p"), (10, 16))

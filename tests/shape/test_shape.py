@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
 import lightmatrix as lm
+from experiments.shape import depths_within
 from lightmatrix.errors import InputError, OutputError
 from lightmatrix.files.extras import write_exr
 from lightmatrix.shape.shape import Shape, ShapeTest, surface_faces
@@ -41,8 +42,7 @@ def small(scene: str, factor: int = 4) -> Known:
 
 def errors(shape: Shape, known: lm.Truth) -> NDArray[np.float64]:
     """Distances of the depths from the nearest surface in their pixels, NaN where there is none."""
-    within = known.depths_within(4)
-    assert within is not None
+    within = depths_within(known, 4)
     return np.asarray(np.fmin.reduce(np.abs(shape.depth[..., None] - within), axis=-1))
 
 
@@ -217,7 +217,7 @@ def test_a_pcd_file_says_what_its_bytes_are(tmp_path: Path) -> None:
     assert colour.max() == 0xFFFFFF
 
 
-def test_a_depth_image_is_in_millimetres(tmp_path: Path) -> None:
+def test_a_depth_image_is_in_millimetres(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     known, found = triangulated("corner")
     shape = replace(found, geometry=replace(known.geometry, units="m"))
     shape.save(tmp_path / "depth.png")
@@ -229,32 +229,40 @@ def test_a_depth_image_is_in_millimetres(tmp_path: Path) -> None:
     with pytest.warns(lm.LightMatrixWarning, match=r"beyond 65\.5 m"):
         far.save(tmp_path / "far.png")
     assert lm.read_image(tmp_path / "far.png").max() < 65535
-    with pytest.raises(InputError, match="unit is unknown"):
-        replace(shape, geometry=known.geometry).save(tmp_path / "unknown.png")
+    for unit, words in ((None, "an unknown unit"), ("px", "the unit 'px'")):
+        geometry = replace(known.geometry, units=unit)
+        with pytest.raises(InputError, match=words):
+            replace(shape, geometry=geometry).save(tmp_path / "unknown.png")
+        # Refused before anything is computed.
+        monkeypatch.setattr("lightmatrix.shape.triangulation.seen_by", None)
+        with pytest.raises(InputError, match=words):
+            lm.triangulate(known.transport(), geometry, depth=tmp_path / "x.PNG")
 
 
-@pytest.mark.parametrize("kind", ["npz", "png", "exr"])
+@pytest.mark.parametrize("kind", ["npz", "png", "PNG", "exr"])
 def test_maps_of_other_programs_are_triangulated(tmp_path: Path, kind: str) -> None:
     known, _ = triangulated("corner")
     matches = lm.correspondence(known.transport())
     y, x = np.moveaxis(matches.place, -1, 0)
     y[:4], x[:4] = np.nan, np.nan
-    file = tmp_path / f"seen-x.{kind}"
+    file = tmp_path / ("SEEN_X.PNG" if kind == "PNG" else f"seen-x.{kind}")
     if kind == "npz":
         np.savez(file, x=x, y=y)
-    elif kind == "png":
+    elif kind != "exr":
         for axis, values in (("x", x), ("y", y)):
             levels = np.rint(np.nan_to_num(values, nan=65535)).astype(np.uint16)
             levels[4] = 0
-            lm.write_image(tmp_path / f"seen-{axis}.png", levels)
+            name = f"SEEN_{axis}.PNG".upper() if kind == "PNG" else f"seen-{axis}.png"
+            lm.write_image(tmp_path / name, levels)
     else:
         pytest.importorskip("OpenEXR")
         write_exr(file, np.stack([x, y, 0 * x], axis=-1))
     shape = lm.triangulate(file, known.geometry, least_probability=0)
-    assert not shape.kept[: 5 if kind == "png" else 4].any()
+    whole = kind in ("png", "PNG")
+    assert not shape.kept[: 5 if whole else 4].any()
     assert shape.kept[5:].mean() > 0.98
     # Whole pixels are a quarter of a pixel off.
-    assert np.nanmedian(errors(shape, known)) < (0.08 if kind == "png" else 0.01)
+    assert np.nanmedian(errors(shape, known)) < (0.08 if whole else 0.01)
     wrong = replace(known.geometry, projector_shape=(32, 32))
     with pytest.raises(InputError, match="of a projector of 32 x 32"):
         lm.triangulate(file, wrong)
@@ -267,11 +275,20 @@ def test_images_that_are_no_map_are_refused(tmp_path: Path) -> None:
     lm.write_image(tmp_path / "x.png", np.zeros((4, 4), np.uint16))
     lm.write_image(tmp_path / "y.png", np.zeros((4, 4), np.uint16))
     np.savez(tmp_path / "other.npz", x=np.ones((4, 4)), y=np.ones((4, 5)))
+    for name in ("m-x.png", "m-y.png"):
+        lm.write_image(tmp_path / name, np.ones((4, 4), np.uint8))
+    # What `map` writes, as shares of an image, is not read as pixels.
+    matrix = small("metal").transport()
+    lm.map_projector(matrix, output=tmp_path / "shares.exr", reverse=True)
+    np.savez(tmp_path / "shares.npz", x=np.full((4, 4), 0.5), y=np.ones((4, 4)))
     for name, words in {
         "grey.exr": "one channel",
         "photograph.png": "no image of a pair",
         "x.png": "no camera pixel sees",
         "other.npz": "x and y of shapes",
+        "m-y.png": "map of 8 bits",
+        "shares.exr": "between 0 and 1",
+        "shares.npz": "between 0 and 1",
     }.items():
         with pytest.raises(InputError, match=words):
             lm.triangulate(tmp_path / name, rig())

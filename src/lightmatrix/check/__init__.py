@@ -10,12 +10,11 @@
 ``relation``        Do the photographs follow the patterns at all, or what else explains them?
 ``motion``          Did something move by pixels?
 ``wrong_frames``    Which frames show something else, and what?
-``inverse_pairs``   Frames, light and motion where patterns come with inverses (Gray code).
+``inverse_pairs``   Frames and motion where patterns come with inverses (Gray code).
 ``refusals``        Can any estimate come from the capture?  Asked by `lm.estimate`.
 ==================  ==============================================================================
 
-The checks share three foundations: ``survey`` reads the samples that they look at; ``pursuit``
-predicts frames for the judgement of their order; ``prediction`` predicts them more exactly, for
-everything else. ``finding`` is what they return. What the rig did in the course of the capture
-(light, curves, shake) takes an estimate of T: see `rig_model/`.
+The checks share two foundations: ``survey`` reads the samples that they look at, and ``prediction``
+predicts what frames should show. ``finding`` is what they return. What the rig did in the course of
+the capture (light, curves, shake) takes an estimate of T: see `rig_model/`.
 """

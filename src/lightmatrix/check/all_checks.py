@@ -17,8 +17,14 @@ from lightmatrix.capture.folder import check_depth, read_capture, read_folders
 from lightmatrix.capture.frames import CaptureParts
 from lightmatrix.capture.settings import ReadSettings
 from lightmatrix.check.code_order import CodeLattice, check_code_order
-from lightmatrix.check.finding import Finding
-from lightmatrix.check.frame_order import check_counts, check_order
+from lightmatrix.check.finding import Finding, order_findings
+from lightmatrix.check.frame_order import (
+    check_counts,
+    check_run,
+    misses_of_each,
+    shown_instead,
+    suspected_frames,
+)
 from lightmatrix.check.inverse_pairs import check_pairs, find_pairs
 from lightmatrix.check.levels import (
     check_clip_level,
@@ -160,20 +166,26 @@ def _check_surveyed(survey: Survey, capture: Capture) -> list[Finding]:
     if few or (displaced and not two_swapped):
         return of_light() + displaced
 
+    pairs = find_pairs(survey.patterns)
     # The longest first; each of them keeps about one core busy.
-    disorder, findings, unrelated = side_by_side(
+    run, findings, unrelated = side_by_side(
         [
-            lambda: [] if lattice else check_order(survey, names.__getitem__),
+            lambda: [] if lattice else check_run(survey, rows, names.__getitem__),
             of_light,
             lambda: check_relation(survey),
         ]
     )
-    pairs = find_pairs(survey.patterns)
+    if run:
+        return findings + run
     if len(pairs):
-        disorder, displaced = disorder + displaced, []
+        disorder = None if lattice is None else displaced
         of_frames = _check_by_pairs(survey, rows, names, pairs, disorder, unrelated)
+        displaced = []
     else:
-        of_frames = _check_by_prediction(survey, rows, names, disorder, unrelated)
+        # No prediction tells frames of stripes apart.
+        striped = lattice is not None
+        suspects = np.zeros(survey.count, bool) if striped else suspected_frames(survey, rows)
+        of_frames = _check_by_prediction(survey, rows, names, suspects, unrelated)
     # Motion, and a black frame, make neighbours see as distant places as a swap does.
     kinds = ("order", "motion")
     if displaced and not any(e.kind in kinds or "black" in e.message for e in of_frames):
@@ -245,14 +257,18 @@ def _check_by_pairs(
     rows: NDArray[np.int64],
     names: Sequence[str],
     pairs: NDArray[np.int64],
-    disorder: list[Finding],
+    disorder: list[Finding] | None,
     unrelated: list[Finding],
 ) -> list[Finding]:
-    """Checks of patterns that come with their inverses."""
+    """Checks of patterns that come with their inverses; `disorder` is that of stripes."""
     if unrelated:
         return unrelated
     findings = check_plain_frames(survey, rows, names)
     of_pairs = check_pairs(survey, rows, pairs, names)
+    odd = [k for each in of_pairs if each.kind == "frame" for k in each.frames]
+    if disorder is None and odd:
+        doubted = np.isin(np.arange(survey.count), odd)
+        disorder = order_findings(_shown_instead(survey, rows, doubted), names.__getitem__)
     # One black or spoilt frame, and motion, look like a swap. It is one if pairs add up once both
     # frames are exchanged.
     if disorder and of_pairs and not any("black" in each.message for each in of_pairs):
@@ -269,46 +285,59 @@ def _check_by_prediction(
     survey: Survey,
     rows: NDArray[np.int64],
     names: Sequence[str],
-    disorder: list[Finding],
+    disordered: NDArray[np.bool_],
     unrelated: list[Finding],
 ) -> list[Finding]:
     """Checks of patterns that have nothing to do with each other."""
-    displaced = np.zeros(survey.count, bool)
-    for each in disorder:
-        displaced[list(each.frames)] = True
-    if displaced.mean() > _MOST_ODD:
-        return disorder
     if any(each.kind == "order" for each in unrelated):
         return unrelated
     findings = check_plain_frames(survey, rows, names)
-    prediction = predict(survey.patterns, survey.samples(rows), doubted=displaced)
-    # Frames that may show something else, if only a few do.
-    suspects = displaced
-    if prediction.predicted.sum() >= _FEWEST_ROWS:
-        odd = displaced | wrong_frames(prediction.rows(prediction.predicted), SUSPECT)
-        suspects = odd if odd.mean() < _MOST_ODD else displaced
-    moved = check_motion(survey, rows, suspects, names)
+    samples = survey.samples(rows)
+    # Learned from all frames: few that show something else hardly mislead it.
+    first = predict(survey.patterns, samples)
+    odd = np.zeros(survey.count, bool)
+    if first.predicted.sum() >= _FEWEST_ROWS:
+        odd = wrong_frames(first.rows(first.predicted), SUSPECT)
+        odd &= odd.mean() < _MOST_ODD
+    shown = _shown_instead(survey, rows, disordered | odd) if disordered.any() else {}
+    # A frame that only seemed to show another pattern stays: few others may not replace it.
+    odd[list(shown)] = True
+    moved = check_motion(survey, rows, odd, names)
     if moved:
         return findings + moved
     # Photographs of which half are shifted may seem unrelated to their patterns, too.
     if unrelated:
         return unrelated
-    first = prediction
-    if (suspects & ~displaced).any():
-        # Judged by the frames that are not suspected.
-        prediction = predict(survey.patterns, survey.samples(rows), doubted=suspects)
+    # Judged by the frames that are not suspected.
+    prediction = predict(survey.patterns, samples, doubted=odd) if odd.any() else first
     if prediction.predicted.sum() < _FEWEST_ROWS:
-        return findings + disorder
-    prediction = prediction.rows(prediction.predicted)
-    wrong = wrong_frames(prediction)
-    if wrong[displaced].any():
-        findings += disorder
-    else:
-        # The patterns differ only where the camera does not look.
-        displaced[:] = False
+        return findings
+    wrong = wrong_frames(prediction.rows(prediction.predicted))
+    # Else the patterns differ only where the camera does not look.
+    if wrong[list(shown)].any():
+        findings += order_findings(shown, names.__getitem__)
+        wrong[list(shown)] = False
     # Without a frame, its rows may be explained by other places; then it seems wrong only now.
     both = wrong & wrong_frames(first.rows(first.predicted), LIKELY)
     # The light of a pixel that no other pattern shows follows from no other photograph.
     if not lights_one(survey.patterns):
-        findings += check_frames(prediction, both & ~displaced, names)
+        findings += check_frames(prediction.rows(prediction.predicted), both, names)
     return findings
+
+
+def _shown_instead(
+    survey: Survey, rows: NDArray[np.int64], doubted: NDArray[np.bool_]
+) -> dict[int, int]:
+    """Which of the doubted frames (K,) show the pattern of which other, by undoubted ones."""
+    samples = survey.samples(rows)
+    lowest = samples.clip_levels_of_all().min(axis=1, keepdims=True)
+    while True:
+        prediction = predict(survey.patterns, samples, doubted=doubted)
+        seen = prediction.predicted
+        miss = misses_of_each(prediction.rows(seen), lowest[seen])
+        # A frame whose pattern another one shows may be swapped with that, and misled it.
+        more = doubted.copy()
+        more[miss[doubted].argmin(axis=1)] = True
+        if (more == doubted).all() or more.mean() > _MOST_ODD:
+            return shown_instead(miss, doubted)
+        doubted = more

@@ -8,24 +8,21 @@ matrix).
 
 The differences are the noise against which the checks measure everything else: they show how well
 the pixel can be predicted at all, and only larger differences mean that something is wrong. The
-windows are chosen from all frames, though, also from the predicted one, so that a frame that shows
-another pattern makes its own look a little likelier. Whether frames are in order is therefore
-judged by the stricter, but less exact, `pursuit.py`.
+windows are chosen from all frames, also from the predicted one, so that a frame that shows another
+pattern makes its own look a little likelier. Doubted frames are therefore predicted once more, by
+windows that were chosen without them.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from functools import cached_property
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lightmatrix.capture.samples import Samples
-from lightmatrix.check.pursuit import best_pixels, column_scale
-from lightmatrix.check.survey import OF_MEDIAN
 from lightmatrix.patterns.codes import best_code_pixels
 from lightmatrix.patterns.pattern_set import PatternSet
 from lightmatrix.resources.threads import one_blas_thread, work_ahead
@@ -53,13 +50,6 @@ class FramePrediction:
     # in the rows of a part, which are therefore no independent witnesses.
     part: NDArray[np.int64]
 
-    @cached_property
-    def noise(self) -> NDArray[np.float64]:
-        """Standard deviation of each row's differences, (m, 1), by the median absolute one."""
-        difference = np.where(self.trusted, np.abs(self.observed - self.expected), np.nan)
-        deviation = OF_MEDIAN * np.nanmedian(difference, axis=1, keepdims=True)
-        return np.asarray(np.maximum(deviation, 1e-9))
-
     @property
     def predicted(self) -> NDArray[np.bool_]:
         """Which rows can be predicted, (m,)."""
@@ -72,6 +62,38 @@ class FramePrediction:
             trusted=self.trusted[index], miss=self.miss[index],
             places=tuple(place[index] for place in self.places), part=self.part[index],
         )  # fmt: skip
+
+
+def column_scale(patterns: PatternSet) -> NDArray[np.float32]:
+    """One over the standard deviation of each projector pixel over the patterns; 0 if constant."""
+    mean = patterns.weighted_sum(np.full(patterns.count, 1 / patterns.count))
+    variance = patterns.squares / patterns.count - mean**2
+    scale = np.zeros(patterns.pixels, np.float32)
+    varied = variance > 1e-6
+    scale[varied] = 1 / np.sqrt(variance[varied])
+    return scale
+
+
+def best_pixels(
+    patterns: PatternSet, scale: NDArray[np.float32], residual: NDArray[np.floating]
+) -> NDArray[np.int64]:
+    """The projector pixel that correlates best with each row of residuals (m, K), (m,).
+
+    `scale` (N,) is that of `column_scale`.
+    """
+
+    def best_of(rows: slice, pixels: slice, scores: NDArray[np.float32]) -> tuple[Any, ...]:
+        scores *= scale[pixels]
+        found = scores.argmax(axis=1)
+        return rows, found + pixels.start, np.take_along_axis(scores, found[:, None], axis=1)[:, 0]
+
+    best = np.zeros(len(residual), np.int64)
+    highest = np.full(len(residual), -np.inf, np.float32)
+    for rows, found, score in patterns.correlations(residual.astype(np.float32), best_of):
+        better = score > highest[rows]
+        best[rows] = np.where(better, found, best[rows])
+        highest[rows] = np.maximum(score, highest[rows])
+    return best
 
 
 def find_places(

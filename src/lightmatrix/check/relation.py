@@ -5,8 +5,8 @@ cosines between the patterns, seen through whatever blur and in whatever part of
 needs no prediction, so it judges captures that predict nothing because their frames belong to other
 patterns. A camera that is turned as a whole is another numbering of the rows of T.
 
-The cosines of negatives are those of the photographs. Their signs show in the products of three
-frames at the same pixel.
+The cosines of negatives are those of the photographs. Their signs show in the correlations of
+single camera pixels with pixels of the patterns.
 """
 
 from __future__ import annotations
@@ -41,14 +41,12 @@ class _Limits:
     rows: int = 40
     varied: float = 0.3
     # The work is bounded: a projector is binned to at most 2^16 pixels, and at most 2^23 values of
-    # patterns and 2^22 samples of at most 128 frames are compared. Triple products of frames, which
-    # tell negatives, are of 4000 triples at no more than 2048 pixels of camera and projector.
+    # patterns and 2^22 samples of at most 128 frames are compared. Correlations, which tell
+    # negatives, are those between at most 1024 pixels of camera and projector.
     most_pixels: int = 1 << 16
     most_values: int = 1 << 23
     most_samples: int = 1 << 22
     most_frames: int = 128
-    triples: int = 4000
-    products: int = 2048
     # Standard deviations of the blurs in projector pixels, and at each of them how many cells lie
     # along a side of the projector, to which a crop or a distant object may be confined. Up to
     # `few` frames tell less, and are compared in more cells, which overlap by half: photographs of
@@ -100,13 +98,6 @@ def check_relation(survey: Survey) -> list[Finding]:
     if relation.negative:
         message = "the photographs are dark where their patterns are bright: one is a negative"
         return [Finding("order", (), message, "invert the patterns, or the photographs")]
-    if relation.parted:
-        message = (
-            "the photographs of the first half and those of the second each follow their patterns, "
-            "but do not fit together: was something turned or moved in between?"
-        )
-        late = tuple(range(survey.count // 2, survey.count))
-        return [Finding("motion", late, message, "turn them back, or take the capture again")]
     if not relation.unrelated:
         return []
     message = (
@@ -151,14 +142,13 @@ class Relation:
     `samples` are those of the first K frames, of mean 0 and variance 1 in each camera pixel,
     (m, K). `features` are the cosines of the patterns through several blurs and in several parts of
     the projector, (F, K, K); `shown` some pixels of the patterns at each blur, (F', n, K),
-    standardised. `count` is the number of all frames, `pixels` that of the projector's pixels once
-    binned. `contrasted` tells whether the usual camera pixel varies by far more than noise.
+    standardised. `pixels` is the number of the projector's pixels once binned. `contrasted` tells
+    whether the usual camera pixel varies by far more than noise.
     """
 
     samples: Floats
     features: Floats
     shown: tuple[Floats, ...]
-    count: int
     pixels: int
     contrasted: bool
     # The frames of each exposure, which are standardised by themselves; or none.
@@ -195,7 +185,7 @@ class Relation:
         samples = _standardised(values)
         features, shown = _pattern_cosines(_binned(survey.patterns, count, step))
         contrasted = bool(np.median(span - least) > 0)
-        return cls(samples, features, shown, survey.count, pixels, contrasted, groups)
+        return cls(samples, features, shown, pixels, contrasted, groups)
 
     @cached_property
     def frames(self) -> NDArray[np.int64]:
@@ -267,35 +257,6 @@ class Relation:
         visible = self.contrasted or self._agreement > _LIMITS.agree
         return bool(clear and self.as_they_are < _LIMITS.follows and random and visible)
 
-    @property
-    def parted(self) -> bool:
-        """Whether each half of the frames follows its patterns, but not beside the other half."""
-        late = self.frames >= self.count // 2
-        # At most 128 frames are compared: beyond 240 frames, too few lie in the later half.
-        if late.sum() < 8:
-            return False
-        same = late[:, None] == late
-        # A camera pixel that sees another place from there on has another brightness.
-        centre = (np.eye(len(late)) - same / same.sum(axis=1)).astype(np.float32)
-        upper = np.triu_indices(len(late), 1)
-        own = np.stack([each[upper] for each in _cosines_of(centre @ self.cosines @ centre)])
-        # A pattern and itself again, or its inverse, tell more than all others.
-        plain = np.abs(self.features[0][upper]) < 0.5
-        if not plain.any():
-            return False
-        within, across = (
-            _normalised(self._all_features[:, part]) @ _normalised(own[:, part]).T
-            for part in (plain & same[upper], plain & ~same[upper])
-        )
-        # Pairs of different patterns are nearly independent.
-        shown = len(np.unique((self.features[0] > 0.99).argmax(axis=1))) / len(late)
-        certain = float(within.max()) * np.sqrt((plain & same[upper]).sum()) * shown
-        # The quotient of the two was 0.54 to 1.23 on intact captures of
-        # `benchmarks/synthetic_captures.py`, and up to 0.31 where half of them was turned (but 0.44
-        # where broad light was mirrored).
-        least = _LIMITS.explains + _LIMITS.better
-        return bool(certain > least and across.flat[within.argmax()] < 0.4 * within.max())
-
     @cached_property
     def _agreement(self) -> float:
         """Correlation of the cosines by one half of the camera pixels with those by the other."""
@@ -309,24 +270,19 @@ class Relation:
     @property
     def negative(self) -> bool:
         """Whether the photographs are negatives, or the patterns inverted."""
-        drawn = np.random.default_rng(2).integers(0, len(self.frames), (3 * _LIMITS.triples, 3))
-        drawn = np.unique(np.sort(drawn, axis=1), axis=0)
-        different = (drawn[:, 0] < drawn[:, 1]) & (drawn[:, 1] < drawn[:, 2])
-        triples = np.random.default_rng(3).permutation(drawn[different])[: _LIMITS.triples]
-        own = _products(self.samples[: _LIMITS.products], triples)
-        generator = np.random.default_rng(0)
-        # Shuffles of these products cost more than those of cosines, so there are fewer.
-        shuffles = [generator.permutation(len(self.frames)) for _ in range(12)]
+        generator, count = np.random.default_rng(0), len(self.frames)
+        orders = [self.frames, *(generator.permutation(count) for _ in range(12))]
         worst = 0.0
         for shown in self.shown:
-            matched = float(own @ _products(shown, triples))
-            # Products of triples that share frames are nearly independent.
-            score = matched * np.sqrt(len(triples))
+            # Camera pixels correlate with few pixels of the projector, and strongly: cubes keep
+            # the sign of these.
+            followed, *chance = (
+                float(((self.samples[:1024, order] @ shown.T / count) ** 3).mean())
+                for order in orders
+            )
+            score = (followed - float(np.mean(chance))) / max(float(np.std(chance)), 1e-12)
             if score > _LIMITS.follows:
                 return False
-            if score < -_LIMITS.follows:
-                reached = [float(own @ _products(shown[:, order], triples)) for order in shuffles]
-                score = (matched - float(np.mean(reached))) / max(float(np.std(reached)), 1e-9)
             worst = min(worst, score)
         return worst < -_LIMITS.explains
 
@@ -349,14 +305,6 @@ def likely_orders(count: int) -> Iterator[tuple[str, NDArray[np.int64]]]:
     yield "each photograph shows the pattern after its own", frames + 1
     yield "each photograph shows the pattern before its own", frames - 1
     yield "the photographs are in the opposite order of the patterns", frames[::-1]
-
-
-def _products(rows: Floats, triples: NDArray[np.int64]) -> NDArray[np.float64]:
-    """Sums over the rows of the products of three frames, (n,), of mean 0 and length 1."""
-    frames = np.ascontiguousarray(rows.T)
-    parts = np.array_split(triples, max(1, len(triples) * len(rows) >> 20))
-    products = [(frames[a] * frames[b] * frames[c]).sum(axis=1) for a, b, c in (p.T for p in parts)]
-    return _normalised(np.concatenate(products))
 
 
 def _binned(patterns: PatternSet, count: int, step: int) -> Floats:
@@ -389,7 +337,7 @@ def _pattern_cosines(patterns: Floats) -> tuple[Floats, tuple[Floats, ...]]:
         flat = seen.reshape(count, -1)
         grams.append(flat @ flat.T)
         # A camera pixel is standardised whatever it sees; so are these.
-        some = np.random.default_rng(4).permutation(flat.shape[1])[: _LIMITS.products]
+        some = np.random.default_rng(4).permutation(flat.shape[1])[:1024]
         shown.append((flat[:, some] / np.maximum(flat[:, some].std(axis=0), 1e-6)).T)
         if not of_cells:
             continue

@@ -22,8 +22,6 @@ BLOCK = 8
 _TILE = 4 * BLOCK
 # Neighbours are looked at up to 4 pixels away; larger shifts between frames are not found.
 MARGIN = 4
-# The standard deviation of a normal distribution over the median of its absolute deviations.
-OF_MEDIAN = 1.4826
 # Rows of high variance: their standard deviation exceeds 15 % of that of the most varied tenth, and
 # they clip in few frames. Rows that clip in more frames are used only as long as there are too
 # few others. 40 to 600 rows are wanted, as many as correlate with all projector pixels within 6e9
@@ -194,7 +192,7 @@ def bright_mean(values: NDArray[np.floating]) -> float:
 
 def robust_deviation(values: NDArray[np.floating]) -> float:
     """The standard deviation of values (n,) by their median deviation, so that few count little."""
-    return OF_MEDIAN * float(np.median(np.abs(values - np.median(values))))
+    return 1.4826 * float(np.median(np.abs(values - np.median(values))))
 
 
 def sums_by_group(values: NDArray[np.float64], group: NDArray[np.int64]) -> NDArray[np.float64]:

@@ -28,6 +28,7 @@ from lightmatrix.errors import InputError
         "ones from row to row.",
     ),
     kind="What is printed on the board.",
+    projector="Number of the projector, of several that showed random patterns at once.",
     focal="Without a board: the camera's focal length in pixels.",
     principal=Option(
         metavar="COL,ROW",
@@ -42,6 +43,7 @@ def calibrate(
     board: str | None = None,
     square: str | None = None,
     kind: Literal["chessboard", "charuco", "circles", "asymmetric-circles"] = "chessboard",
+    projector: int = 1,
     focal: float | None = None,
     principal: str | None = None,
     baseline: str = "1",
@@ -63,7 +65,7 @@ def calibrate(
     if focal is not None:
         raise InputError("--focal does not go with --board", hint="leave one of them out")
     side, units = _length("--square", square)
-    written |= {"kind": kind, "units": units}
+    written |= {"kind": kind, "projector": projector, "units": units}
     with progress("reading poses", "poses") as step:
         measured = lm.calibrate_rig(poses, size(board), side, progress=step, **written)
     rig, facts = measured.geometry, measured.as_dict()
@@ -130,4 +132,8 @@ def _length(option: str, text: str) -> tuple[float, str | None]:
     match = re.fullmatch(rf"\s*({number})\s*([a-zA-Zµ]*)\s*", text, flags=re.ASCII)
     if match is None:
         raise InputError(f"{option} {text}", hint="give a length such as 24mm")
+    if re.fullmatch(r"[1-9]\d{0,2},\d{3}", match[1]):
+        unit, plain = match[2], match[1].replace(",", "")
+        hint = f"write {float(match[1].replace(',', '.')):g}{unit} or {plain}{unit}"
+        raise InputError(f"{option} {text}: is the comma a decimal point?", hint=hint)
     return float(match[1].replace(",", ".")), match[2] or None

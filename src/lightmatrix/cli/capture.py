@@ -12,7 +12,9 @@ from lightmatrix.cli import options
 from lightmatrix.cli.options import described
 from lightmatrix.cli.terminal import Stages, progress, say, show_json
 from lightmatrix.defaults import MOST_FRAMES, RIG_FILE, USUAL_FRAMES
+from lightmatrix.errors import OutputError
 from lightmatrix.files.kinds import PROJECTOR_STORES, STORE
+from lightmatrix.files.running import setting_differences
 from lightmatrix.files.writing import check_output
 
 
@@ -87,38 +89,61 @@ def capture(
         return path if len(rigs) == 1 else path / f"camera-{number}"
 
     numbers = range(1, len(rigs) + 1)
-    if store is not None:
-        for number in numbers:
-            check_output(place(store, number), kind, overwrite=overwrite)
+    # An interrupted run had finished these cameras, and may have estimated T of them.
     finished = {k for k in numbers if not overwrite and lm.Capture.lies_at(place(output, k))}
+    finished = finished if len(finished) < len(rigs) else set()
+    estimated = {k for k in finished if store is not None and place(store, k).exists()}
+    if store is not None:
+        for number in set(numbers) - estimated:
+            check_output(place(store, number), kind, overwrite=overwrite)
     summaries: list[dict[str, Any]] = []
     for number, (address, one) in zip(numbers, rigs, strict=True):
         folder = place(output, number)
-        if number in finished and len(finished) < len(rigs):
-            # An interrupted run had finished this camera.
-            captured = lm.Capture.open(folder)
-        else:
-            own = rig_file if len(rigs) == 1 else rig_file.with_stem(f"{rig_file.stem}-{number}")
-            with lm.open_rig(address, projector=projector, camera=one) as opened, Stages() as shown:
-                captured = lm.take_capture(
+        own = rig_file if len(rigs) == 1 else rig_file.with_stem(f"{rig_file.stem}-{number}")
+        with lm.open_rig(address, projector=projector, camera=one) as opened, Stages() as shown:
+            captured = (
+                _finished(folder, opened, settings, pattern_folder, count)
+                if number in finished
+                else lm.take_capture(
                     folder, opened, pattern_folder, count=count, density=density, seed=seed,
                     settings=settings, keep=own, overwrite=overwrite,
                     progress=shown.photographed, measuring=shown.measured,
-                )  # fmt: skip
+                )
+            )  # fmt: skip
         summary: dict[str, Any] = {"output": folder, "clipped_share": captured.clipped_share}
         summaries.append({**summary, **captured.provenance})
         if not as_json:
             _show(summaries[-1])
-        if store is not None:
+        if store is not None and number not in estimated:
             target = place(store, number)
             with progress("estimating", "rows") as report:
                 written: dict[str, Any] = {"output": target, "overwrite": overwrite}
                 transport = lm.estimate(captured, **written, progress=report)
             summaries[-1]["estimate"] = {"output": target, **transport.summary()}
             if not as_json:
-                say(f"light transport matrix in {target}")
+                say(f"light transport matrix in {options.written_stores(target)}")
     if as_json:
         show_json(summaries[0] if len(rigs) == 1 else {"output": output, "cameras": summaries})
+
+
+def _finished(
+    folder: Path, rig: Any, settings: lm.CaptureSettings, patterns: Path | None, count: int
+) -> lm.Capture:
+    """A camera's capture of an interrupted run, which must have the devices and settings of now."""
+    captured = lm.Capture.open(folder)
+    about = captured.provenance
+    devices = about.get("rig") or {}
+    before = {name: devices.get(name, {}).get("name") for name in ("projector", "camera")}
+    now = {"projector": rig.projector.info()["name"], "camera": rig.camera.info()["name"]}
+    before |= {name: about.get(name) for name in ("cell", "checked", "patterns")}
+    shown = count if patterns is None else lm.read_patterns(patterns).count
+    now |= {"cell": settings.cell, "checked": settings.check, "patterns": shown}
+    if before != now:
+        raise OutputError(
+            f"{folder}: was captured otherwise ({setting_differences(before, now)})",
+            hint="capture with those settings, pass overwrite=True, or choose another output",
+        )
+    return captured
 
 
 def _show(summary: dict[str, Any]) -> None:

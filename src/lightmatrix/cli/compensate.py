@@ -12,6 +12,7 @@ from lightmatrix.cli import options
 from lightmatrix.cli.terminal import Stages, enter_was_pressed, progress, say, show_json
 from lightmatrix.defaults import RIG_FILE, VIDEOS
 from lightmatrix.errors import InputError
+from lightmatrix.files.colours import shown_files
 
 
 @options.described(
@@ -87,6 +88,7 @@ def compensate(
     else:
         options.refuse(of_rig, "a compensation without a rig")
         options.refuse({"--beside": video and beside}, "a video")
+    options.missing_rig_file(rig_file, with_rig=with_rig)
     response: Any = projector_response
     source = "the rig" if with_rig else projector_response or "the capture of T"
     if response is None and not with_rig and not beside and rig_file.is_file():
@@ -116,7 +118,9 @@ def compensate(
     else:
         assert wanted is not None
         found = lm.compensate([scene, *(beside or ())], wanted, ambient=black, **common)
-    summary = {"output": output, **found.as_dict()}
+    shown_patterns = getattr(found, "compensation", found).patterns
+    names = shown_files(output, [one.shape for one in shown_patterns][: 1 if video else None])
+    summary = {"output": output if len(names) == 1 else names, **found.as_dict()}
     if as_json:
         show_json(summary)
         return
@@ -124,7 +128,8 @@ def compensate(
         say(f"{output}: the camera sees direct light, within 5 % of the light of white")
     else:
         white = f"{100 * summary['brightness']:.0f} %"
-        say(f"{output}: wanted white is {white} of what a white pattern gives")
+        listed = " and ".join(map(str, names))
+        say(f"{listed}: wanted white is {white} of what a white pattern gives")
     if "frames" in summary:
         say(f"{summary['frames']} frames; {100 * summary['reached']:.1f} % of the pixels reached")
     else:

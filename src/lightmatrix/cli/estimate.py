@@ -13,6 +13,7 @@ from typer import Option
 
 import lightmatrix as lm
 from lightmatrix.check.finding import Finding
+from lightmatrix.cli import options
 from lightmatrix.cli.options import Json, Overwrite, Verbose, described, refuse, size
 from lightmatrix.cli.source import Source, refuse_unknown_projector, with_source
 from lightmatrix.cli.terminal import (
@@ -236,7 +237,7 @@ def estimate(
     for line in judged.lines():
         say(line)
     summary = transport.summary()
-    show_table(str(output), labelled(summary, main_only=not verbose))
+    show_table(options.written_stores(output), labelled(summary, main_only=not verbose))
     # All rows but one in a hundred should converge.
     if summary["converged_rows"] < 0.99:
         say("some rows reached the iteration limit: raise it with --iterations", style="yellow")

@@ -13,7 +13,7 @@ _USUAL = ("Arguments", "Options")
 _WORDS = {"int": "N", "int range": "N", "float": "X", "float range": "X", "str": "TEXT"}
 _WORDS |= {"path": "PATH", "list[Path]": "PATH"}
 # What the values of options that are text look like, the same for all commands.
-_VALUES = dict.fromkeys(("--size", "--camera-size", "--projector-size", "--block"), "ROWSxCOLS")
+_VALUES = dict.fromkeys(("--size", "--projector-size", "--block"), "ROWSxCOLS")
 _VALUES |= dict.fromkeys(("--response", "--projector-response"), "NAME|FILE")
 _VALUES |= dict.fromkeys(("--bin-camera", "--bin-projector"), "N|NxN")
 _VALUES |= dict.fromkeys(("--projector", "--camera"), "ADDRESS")

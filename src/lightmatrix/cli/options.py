@@ -11,7 +11,8 @@ from typing import Annotated, Any, TypeVar
 from typer import Argument, Option
 
 from lightmatrix import defaults
-from lightmatrix.errors import InputError
+from lightmatrix.errors import InputError, warn
+from lightmatrix.files.colours import stores_within
 
 _Command = TypeVar("_Command", bound=Callable[..., Any])
 
@@ -89,6 +90,21 @@ Settle = Annotated[
 RigFile = Annotated[
     Path, Option("--rig-file", help="The file that keeps the measurements of the rig.")
 ]
+
+
+def written_stores(output: Path) -> str:
+    """The store that an estimate wrote, or those of several projectors, in words."""
+    return " and ".join(map(str, stores_within(output) or [output]))
+
+
+def missing_rig_file(file: Path, *, with_rig: bool = True) -> None:
+    """Say that there is no rig file of a name that the user gave."""
+    if file == Path(defaults.RIG_FILE) or file.is_file():
+        return
+    if not with_rig:
+        raise InputError(f"{file}: no such file", hint="check the name, or leave --rig-file out")
+    warn(f"{file}: no such file; the rig is measured now, and the file written")
+
 
 # Defaults as the texts of options.
 USUAL_SIZE = "x".join(map(str, defaults.USUAL_SIZE))

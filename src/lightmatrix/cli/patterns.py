@@ -110,5 +110,8 @@ def patterns(
     rows, cols = size(shape)
     lines = [f"{made.count} patterns ({kind}) of {rows} x {cols} pixels in {output}"]
     if rows > cols:
-        lines.append(f"rows come first: they are for a projector in portrait, {cols} pixels wide")
+        lines.append(
+            f"rows come first: they are for a projector in portrait, {cols} pixels wide, or for "
+            "several, one above the other"
+        )
     answer(as_json, result, *lines)

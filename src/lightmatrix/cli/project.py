@@ -54,6 +54,8 @@ def project(
         raise InputError("no projector", hint=hint)
     if rig is not None and photograph is None and seconds is None:
         raise InputError("nobody sees a virtual rig", hint="add -o PHOTOGRAPH.png")
+    if photograph is not None:
+        options.missing_rig_file(rig_file)
     opened = (
         lm.open_rig(rig, projector=projector, camera=camera)
         if with_camera

@@ -41,7 +41,6 @@ def separate(
         for part in (parts.direct, parts.global_)
     )
     share = others / max(direct + others, 1e-30)
-    result = {"output": output, "global_share": share}
-    result |= {"epipolar_direction": parts.geometry.direction}
-    result |= {"epipolar_spread": parts.geometry.spread}
+    spread = parts.geometry.spread
+    result = {"output": output, "global_share": share, "epipolar_spread": spread}
     answer(as_json, result, f"{output}: {100 * share:.1f} % of the light is global")

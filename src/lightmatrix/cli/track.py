@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-import itertools
-import time
-from collections.abc import Iterator
-from contextlib import closing, suppress
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -13,8 +10,8 @@ from typer import Argument, Option
 
 import lightmatrix as lm
 from lightmatrix.cli.options import Json, Overwrite, described
-from lightmatrix.cli.terminal import answer, progress, say
-from lightmatrix.errors import FrameTimeoutError, InputError
+from lightmatrix.cli.terminal import answer, judged_json, progress, say
+from lightmatrix.errors import InputError
 from lightmatrix.files.kinds import STORE
 from lightmatrix.files.writing import check_output
 
@@ -27,9 +24,16 @@ from lightmatrix.files.writing import check_output
     ),
     watch=Option(
         metavar="DIR",
-        help="Follow a folder in which another program leaves further photographs, of the patterns "
-        "of the capture in turn. It ends when none comes for half a minute, or with Ctrl-C.",
+        help="Follow a folder of further photographs, those that are there and those that another "
+        "program leaves there. Their names end in a number that says the pattern, counted as in "
+        "the capture; after the last pattern comes the first. It ends when none comes for half a "
+        "minute, or with Ctrl-C.",
         show_default="the photographs of the capture after the window",
+    ),
+    first=Option(
+        min=0,
+        help="With --watch, the number in the name of a photograph of the first pattern.",
+        show_default="that of the capture's first photograph",
     ),
 )
 def track(
@@ -37,6 +41,7 @@ def track(
     output: Path,
     window: int = 32,
     watch: Path | None = None,
+    first: int | None = None,
     overwrite: Overwrite = False,
     as_json: Json = False,
 ) -> None:
@@ -47,41 +52,36 @@ def track(
     """
     check_output(output, STORE, overwrite=overwrite)
     capture = lm.Capture.open(folder)
-    first = capture.select(range(min(window, capture.count)))
-    if watch is None and first.count == capture.count:
+    start = capture.select(range(min(window, capture.count)))
+    if watch is None and start.count == capture.count:
         hint = f"use a window of less than {capture.count}"
         raise InputError(f"{folder}: has no photographs after the window", hint=hint)
+    if watch is not None and not watch.is_dir():
+        raise InputError(f"{watch}: no such folder", hint="make it first, or check the name")
     with progress("estimating", "rows") as report:
-        tracker = lm.Tracker(first, lm.estimate(first, progress=report))
-    steps = (
-        tracker.follow(capture.select(range(first.count, capture.count)))
-        if watch is None
-        else _watched(tracker, capture, watch)
-    )
-    lines, started = list[dict[str, Any]](), time.perf_counter()
+        tracker = lm.Tracker(start, lm.estimate(start, progress=report))
+    lines, offset = list[dict[str, Any]](), start.count if watch is None else 0
+    if watch is None:
+        steps = tracker.follow(capture.select(range(start.count, capture.count)))
+    else:
+        steps = tracker.watch(watch, capture, first=first)
     try:
         with suppress(KeyboardInterrupt):
             for step in steps:
-                seconds, started = time.perf_counter() - started, time.perf_counter()
                 shares = {n: float(getattr(step, n).mean()) for n in ("changed", "unknown")}
-                lines.append({"missed": step.missed, **shares, "seconds": seconds})
+                line = {"photograph": step.name, "pattern": step.pattern + offset}
+                lines.append({**line, "missed": step.missed, **shares, "seconds": step.seconds})
                 if not as_json:
                     named = [f"{100 * lines[-1][n]:.2g} % {n}" for n in ("missed", *shares)]
-                    say(f"photograph {step.photograph}: {', '.join(named)}; {seconds:.2f} s")
+                    said = f"{step.name}, pattern {step.pattern + offset}: {', '.join(named)}"
+                    say(f"{said}; {step.seconds:.2f} s")
     finally:
         # T as far as it got is saved, whatever ends the photographs.
-        lm.save(output, tracker.transport, overwrite=overwrite)
-    result = {"output": output, "photographs": lines, **tracker.transport.summary()}
-    answer(as_json, result, f"{output}: T after {len(lines)} photographs")
-
-
-def _watched(tracker: lm.Tracker, capture: lm.Capture, folder: Path) -> Iterator[Any]:
-    """Take the files that appear in a folder as photographs of the capture's patterns in turn."""
-    exposures = capture.exposures.tolist()
-    with (
-        closing(lm.open_camera(f"watch:{folder},exposure={exposures[0]}")) as camera,
-        suppress(FrameTimeoutError),
-    ):
-        for k in itertools.cycle(range(capture.count)):
-            levels, pattern = camera.get_image(30.0).data, capture.patterns.images(k, k + 1)[0]
-            yield tracker.update(levels, pattern, exposure=exposures[k])
+        transport = tracker.transport
+        lm.save(output, transport, overwrite=overwrite)
+    judged = lm.verdicts(transport)
+    result = {"output": output, **judged_json(judged), "photographs": lines, **transport.summary()}
+    text = f"{output}: T after {len(lines)} further photographs"
+    if not lines:
+        text = f"{output}: T of the first {start.count} photographs; no further one was taken in"
+    answer(as_json, result, *judged.lines(), text)

@@ -7,18 +7,11 @@ from pathlib import Path
 from typer import Argument
 
 import lightmatrix as lm
-from lightmatrix.cli.options import (
-    Geometry,
-    Json,
-    LeastProbability,
-    Overwrite,
-    Tolerance,
-    described,
-)
+from lightmatrix.cli import options
 from lightmatrix.cli.terminal import answer
 
 
-@described(
+@options.described(
     scene=Argument(metavar="SCENE", help="A store, a T.npz, a file of `decode`, or a map."),
     output="Point cloud to write: .ply, .pcd, .obj or .xyz.",
     depth="Depth map to write: .tif, .tiff, .npy, or .png of 16 bits in millimetres.",
@@ -27,15 +20,15 @@ from lightmatrix.cli.terminal import answer
 )
 def triangulate(
     scene: Path,
-    geometry: Geometry,
+    geometry: options.Geometry,
     output: Path,
     depth: Path | None = None,
     picture: Path | None = None,
-    tolerance: Tolerance = 0.01,
-    least_probability: LeastProbability = 0.5,
+    tolerance: options.Tolerance = 0.01,
+    least_probability: options.LeastProbability = 0.5,
     mesh: bool = False,
-    overwrite: Overwrite = False,
-    as_json: Json = False,
+    overwrite: options.Overwrite = False,
+    as_json: options.Json = False,
 ) -> None:
     """Find the shape of the scene: depth, points, normals.
 

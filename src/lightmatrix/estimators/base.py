@@ -19,6 +19,7 @@ from lightmatrix.capture.capture import Capture
 from lightmatrix.capture.samples import Samples
 from lightmatrix.check.finding import FINDINGS
 from lightmatrix.estimators.work import TilesInMemory, Work, WorkerPool, complete
+from lightmatrix.files.kinds import PROJECTOR_STORES, STORE
 from lightmatrix.files.writing import final_target
 from lightmatrix.resources.disk import check_disk_space
 from lightmatrix.resources.threads import one_blas_thread
@@ -97,9 +98,10 @@ class Estimator(ABC):
             # than 16 entries, so the check refuses only what cannot fit.
             cells = plan.background_grid[0] * plan.background_grid[1]
             least = (6 * cells + 8 * 16 + 40) * plan.work.capture.rows
+            kind = PROJECTOR_STORES if capture.projectors else STORE
             check_disk_space(final_target(output).parent, least, output, "at least about")
             checkpoint = stack.enter_context(
-                Checkpoint.open(output, plan.fingerprint, overwrite=overwrite)
+                Checkpoint.open(output, plan.fingerprint, kind=kind, overwrite=overwrite)
             )
             complete(plan.work, checkpoint, progress, pool)
             better = review and review(_joined(checkpoint, shapes))

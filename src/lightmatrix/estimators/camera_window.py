@@ -61,18 +61,14 @@ def window_of_levels(capture: Capture, side: int = 64) -> Capture:
     # the error.
     levels = np.linspace(0.15, 1, 11)[:-1] * most
     level = np.digitize(image, levels) - 1
-    light = np.stack([_sums(np.where(level == k, image, 0), high, wide) for k in range(10)])
+    sums = np.zeros((10, rows + 1, cols + 1))
+    of_levels = np.where(level == np.arange(10)[:, None, None], image, 0)
+    sums[:, 1:, 1:] = of_levels.cumsum(axis=1, dtype=np.float64).cumsum(axis=2)
+    light = sums[:, high:, wide:] - sums[:, :-high, wide:]
+    light = np.maximum(light - sums[:, high:, :-wide] + sums[:, :-high, :-wide], 0)
     whole = light.sum(axis=0)
     shares = light / np.maximum(whole, 1e-12)
     entropy = -(shares * np.log(np.maximum(shares, 1e-12))).sum(axis=0)
     entropy[whole < 0.5 * whole.max()] = -1
     top, left = np.unravel_index(int(entropy.argmax()), entropy.shape)
     return capture.window(slice(int(top), int(top) + high), slice(int(left), int(left) + wide))
-
-
-def _sums(image: NDArray[np.floating], high: int, wide: int) -> NDArray[np.float64]:
-    """The sums of an image over all of its windows of some height and width."""
-    sums = np.zeros((image.shape[0] + 1, image.shape[1] + 1))
-    sums[1:, 1:] = image.cumsum(axis=0, dtype=np.float64).cumsum(axis=1)
-    inside = sums[high:, wide:] - sums[:-high, wide:] - sums[high:, :-wide] + sums[:-high, :-wide]
-    return np.asarray(np.maximum(inside, 0))

@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
 from lightmatrix.capture.samples import Samples
+from lightmatrix.estimators.coherent.neighbourhood import strongest_entries
 from lightmatrix.patterns.pattern_set import NEAR, PatternSet
 from lightmatrix.transport.sparse_rows import SparseRows
 
@@ -51,8 +52,8 @@ def with_certainty(
     if len(chosen) and patterns.count > 2:
         some, seen = rows.rows(chosen), samples.rows(chosen)
         values = _direct_light(some, seen, patterns, means)
-        pixels = _strongest(some.coefficients)
-        lit = np.flatnonzero(pixels >= 0)
+        lit = np.flatnonzero(some.coefficients.max(axis=1).toarray().ravel() > 0)
+        pixels = strongest_entries(some.coefficients)
         result = np.zeros(len(chosen), np.bool_)
         result[lit] = _probable(values[lit], pixels[lit], patterns)
         result[lit] |= _beyond_error(some.rows(lit), pixels[lit], patterns)
@@ -168,14 +169,3 @@ def _windows(pixels: NDArray[np.int64], patterns: PatternSet) -> NDArray[np.int6
     row, col = np.broadcast_arrays(places[0][:, :, None], places[1][:, None, :])
     numbers = np.where((row >= 0) & (col >= 0), row * patterns.shape[1] + col, -1)
     return np.asarray(numbers.reshape(len(pixels), row.shape[1] * row.shape[2]))
-
-
-def _strongest(matrix: csr_array) -> NDArray[np.int64]:
-    """The projector pixel that each row sees most, (n,); -1 where it sees none."""
-    result = np.full(matrix.shape[0], -1, np.int64)
-    for row in np.flatnonzero(np.diff(matrix.indptr)):
-        entries = slice(matrix.indptr[row], matrix.indptr[row + 1])
-        light = matrix.data[entries]
-        if light.max() > 0:
-            result[row] = matrix.indices[entries][light.argmax()]
-    return result

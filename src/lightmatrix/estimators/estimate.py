@@ -45,7 +45,6 @@ from lightmatrix.rig_model.model import RigModel
 from lightmatrix.rig_model.terms import TERMS
 from lightmatrix.solvers.loop import Progress
 from lightmatrix.transport.matrix import LightTransport, prediction_error
-from lightmatrix.transport.store import save_projectors
 
 
 def estimate(
@@ -175,9 +174,9 @@ def estimate(
     if isinstance(capture.patterns, ColourPatterns):
         hint = "use lm.estimate_colour, or `lightmatrix estimate`"
         raise InputError("patterns in several colours, of which T has three matrices", hint=hint)
-    folder = output if capture.projectors else None
     if output is not None:
-        check_output(output, PROJECTOR_STORES if folder else STORE, overwrite=overwrite)
+        kind = PROJECTOR_STORES if capture.projectors else STORE
+        check_output(output, kind, overwrite=overwrite)
     if response is not None:
         known = Response.parse(response) if isinstance(response, str) else response
         capture = with_response(capture, known)
@@ -215,17 +214,14 @@ def estimate(
         with _bar("estimating", progress is True) as bar:
             report = progress if callable(progress) else bar
             run = partial(estimator.estimate, progress=report, pool=pool)
-            transport = run(
-                capture, output=None if folder or output is None else Path(output),
+            return run(
+                capture, output=None if output is None else Path(output),
                 remarks={FINDINGS: [each.as_dict() for each in findings], **remarks},
                 overwrite=overwrite,
                 review=partial(
                     _without_faults, capture, run, allowed, findings if check else None, report
                 ),
             )  # fmt: skip
-    if folder is not None:
-        save_projectors(folder, transport, overwrite=overwrite)
-    return transport
 
 
 def _without_faults(

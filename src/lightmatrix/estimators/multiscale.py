@@ -22,7 +22,7 @@ from lightmatrix.estimators.work import ReadStep, SolveTile, Work
 from lightmatrix.patterns.pattern_set import ImagePatterns, PatternSet
 from lightmatrix.solvers import solve
 from lightmatrix.solvers.loop import Progress
-from lightmatrix.solvers.problem import Problem, Result
+from lightmatrix.solvers.problem import Problem
 from lightmatrix.transport.checkpoint import Span
 from lightmatrix.transport.sparse_rows import SparseRows
 
@@ -35,46 +35,20 @@ class Scale:
     patterns: PatternSet
     regularization: float
 
-    def restricted(self, candidates: NDArray[np.int64]) -> ImagePatterns:
-        """The patterns on the candidate blocks only."""
-        return ImagePatterns(self.patterns.columns(candidates)[:, None, :])
-
-
-def scales(patterns: PatternSet, coarsest: int, regularization: float) -> list[Scale]:
-    """The scales from blocks of `coarsest` pixels a side, a power of two, to single pixels.
-
-    `coarsest` is halved until the projector has 4 x 4 blocks. The `regularization` of single pixels
-    falls at coarser scales with the root mean square length of the patterns' centred columns, so
-    that it stays at the same height above noise.
-    """
-    length = column_length(patterns)
-    block = coarsest
-    while block > 1 and min(grid_of(patterns.shape, block)) < 4:
-        block //= 2
-    coarser = []
-    while block > 1:
-        coarse = patterns.coarse((block, block))
-        shorter = column_length(coarse) / length if length > 0 else 1.0
-        # The least factor by which the regularization falls at a coarser scale. Chosen by hand:
-        # where the patterns hardly vary over a block, the regularization would vanish.
-        coarser.append(Scale(block, coarse, regularization * max(shorter, 1e-3)))
-        block //= 2
-    return [*coarser, Scale(1, patterns, regularization)]
-
 
 def active_blocks(
-    coefficients: csr_array, candidates: NDArray[np.int64], grid: tuple[int, int], share: float
+    coefficients: csr_array, candidates: NDArray[np.int64], grid: tuple[int, int]
 ) -> NDArray[np.bool_]:
     """The projector blocks from which a camera block gets its light, and their neighbours.
 
     `coefficients` are (m, n) on the n `candidates`, numbered in the `grid`. A block is active if
-    its score is at least `share` of the highest; all candidates are if no row has any light.
+    its score is at least a tenth of the highest; all candidates are if no row has any light.
     """
     size = abs(coefficients)
     total = np.asarray(size.sum(axis=1), np.float64).ravel()
     # Each row counts by its shares, as bright rows know no more about the places than dark ones.
     score = size.T @ np.divide(1, total, out=np.zeros_like(total), where=total > 0)
-    wanted = (score >= share * score.max()) & ((score > 0) | (share == 0))
+    wanted = (score >= 0.1 * score.max()) & (score > 0)
     # The number of blocks with the highest scores that are kept in any case, if they have light.
     # Chosen by hand: a spot may touch four blocks, and its halo more.
     count = max(int(wanted.sum()), min(8, int((score > 0).sum())))
@@ -85,12 +59,6 @@ def active_blocks(
     return np.asarray(binary_dilation(active, np.ones((3, 3), bool)))
 
 
-def split(active: NDArray[np.bool_], finer: tuple[int, int]) -> NDArray[np.int64]:
-    """Numbers of the quarters of the active blocks, in the grid `finer` of half as large blocks."""
-    children = active.repeat(2, axis=0).repeat(2, axis=1)[: finer[0], : finer[1]]
-    return np.flatnonzero(children)
-
-
 def grid_of(shape: tuple[int, int], block: int) -> tuple[int, int]:
     """Rows and columns of blocks; those at the border may be smaller."""
     return -(-shape[0] // block), -(-shape[1] // block)
@@ -99,8 +67,6 @@ def grid_of(shape: tuple[int, int], block: int) -> tuple[int, int]:
 # Pixels per side of the blocks of the first scale, halved as long as the projector has no 4 x 4 of
 # them, and of the camera blocks.
 _BLOCK = 8
-# A projector block is active if it has at least this share of the highest score.
-_ACTIVE = 0.1
 
 
 @dataclass(frozen=True)
@@ -160,16 +126,22 @@ class _Strips(Work):
 
     def _solve_block(self, problem: Problem, samples: Samples) -> SparseRows:
         """The rows of one camera block, from the coarsest scale to single pixels."""
-        patterns = self.capture.patterns
-        grid = grid_of(patterns.shape, self._scales[0].block)
-        candidates = np.arange(grid[0] * grid[1])
-        for scale in self._scales[:-1]:
-            result = self._solve_scale(problem, scale, candidates)
-            active = active_blocks(result.coefficients, candidates, grid, _ACTIVE)
-            finer = grid_of(patterns.shape, scale.block // 2)
-            candidates = split(active, finer)
-            grid = finer
-        result = self._solve_scale(problem, self._scales[-1], candidates)
+        patterns, coarsest = self.capture.patterns, self._scales[0].block
+        active = np.ones(grid_of(patterns.shape, 2 * coarsest), np.bool_)
+        for scale in self._scales:
+            grid = grid_of(patterns.shape, scale.block)
+            quarters = active.repeat(2, axis=0).repeat(2, axis=1)[: grid[0], : grid[1]]
+            candidates = np.flatnonzero(quarters)
+            restricted = replace(
+                problem,
+                patterns=ImagePatterns(scale.patterns.columns(candidates)[:, None, :]),
+                # Diffuse light comes from the whole projector, whichever pixels are candidates.
+                background_column=problem.column,
+                regularization=scale.regularization,
+            )
+            result = solve(restricted, self.estimator.solver)
+            if scale.block > 1:
+                active = active_blocks(result.coefficients, candidates, grid)
         entries = result.coefficients.tocoo()
         coefficients = csr_array(
             (entries.data.astype(np.float32), (entries.row, candidates[entries.col])),
@@ -179,17 +151,24 @@ class _Strips(Work):
         rows = rows_with_diagnostics(samples, result, candidates=count)
         return replace(rows, coefficients=coefficients)
 
-    def _solve_scale(self, problem: Problem, scale: Scale, candidates: NDArray[np.int64]) -> Result:
-        restricted = replace(
-            problem,
-            patterns=scale.restricted(candidates),
-            # Diffuse light comes from the whole projector, whichever pixels are candidates.
-            background_column=problem.column,
-            regularization=scale.regularization,
-        )
-        return solve(restricted, self.estimator.solver)
-
     @cached_property
     def _scales(self) -> list[Scale]:
-        patterns = self.capture.patterns
-        return scales(patterns, _BLOCK, self.regularization)
+        """The scales from blocks of `_BLOCK` pixels a side to single pixels.
+
+        The first blocks are halved until the projector has 4 x 4 of them. The regularization of
+        single pixels falls at coarser scales with the root mean square length of the patterns'
+        centred columns, so that it stays at the same height above noise.
+        """
+        patterns, regularization, block = self.capture.patterns, self.regularization, _BLOCK
+        length = column_length(patterns)
+        while block > 1 and min(grid_of(patterns.shape, block)) < 4:
+            block //= 2
+        coarser = []
+        while block > 1:
+            coarse = patterns.coarse((block, block))
+            shorter = column_length(coarse) / length if length > 0 else 1.0
+            # The least factor by which the regularization falls at a coarser scale. Chosen by hand:
+            # where the patterns hardly vary over a block, the regularization would vanish.
+            coarser.append(Scale(block, coarse, regularization * max(shorter, 1e-3)))
+            block //= 2
+        return [*coarser, Scale(1, patterns, regularization)]

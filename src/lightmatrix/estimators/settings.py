@@ -69,13 +69,12 @@ class EstimateSettings:
             hint = f"use 1 to {MOST_ITERATIONS}"
             check_whole("iterations", self.iterations, most=MOST_ITERATIONS, hint=hint)
         check_at_least_one(tile_rows=self.tile_rows)
-        limits = {"tile rows": self.tile_rows, "a memory limit": self.memory}
-        names = [name for name, value in limits.items() if value is not None]
+        given = {"tile rows": self.tile_rows, "a memory limit": self.memory}
+        # The multi-scale estimate solves strips of camera blocks.
+        given["the multi-scale estimate"] = self.multi_scale or None
+        names = [name for name, value in given.items() if value is not None]
         if len(names) > 1:
             raise InputError(" and ".join(names), hint="leave out one of the two")
-        if self.multi_scale and names:
-            what = f"{names[0]} with the multi-scale estimate, which solves strips of camera blocks"
-            raise InputError(what, hint="leave out one of the two")
         limit = self.memory_limit
         if limit is not None and limit < 1:
             raise InputError(f"a memory limit of {limit} bytes", hint="give one such as 4GiB")

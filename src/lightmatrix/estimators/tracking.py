@@ -9,7 +9,10 @@ there rows search. They are unknown until they predict photographs that they hav
 
 from __future__ import annotations
 
+import re
+import time
 from collections.abc import Iterator
+from copy import copy
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -23,16 +26,20 @@ from lightmatrix.capture.capture import Capture, capture_of_samples, open_captur
 from lightmatrix.capture.exposures import frame_weights
 from lightmatrix.capture.frames import ArrayStack
 from lightmatrix.capture.samples import Samples
-from lightmatrix.errors import InputError
+from lightmatrix.errors import InputError, warn
 from lightmatrix.estimators.coherent.estimator import CoherentEstimator
 from lightmatrix.estimators.coherent.neighbourhood import REACH, Neighbourhood
 from lightmatrix.estimators.coherent.row_solver import RowSolver
 from lightmatrix.estimators.coherent.schedule import Round
 from lightmatrix.estimators.estimate import estimate
+from lightmatrix.files.new_files import NewFiles
+from lightmatrix.files.stacks import ImageStack, natural_order
 from lightmatrix.geometry.matches import fit_homography, moved
+from lightmatrix.patterns.atoms import AtomPatterns
 from lightmatrix.patterns.colour import ColourPatterns
 from lightmatrix.patterns.pattern_set import ImagePatterns, PatternSet
 from lightmatrix.ranges import real_array
+from lightmatrix.reprs import percent
 from lightmatrix.solvers.active_set import Candidates, Cells, solve_weighted
 from lightmatrix.solvers.problem import Result
 from lightmatrix.transport.correspondence import correspondence
@@ -43,9 +50,10 @@ from lightmatrix.transport.sparse_rows import SparseRows
 # has changed, and a row within it, if sums of log-likelihood ratios exceed the other two. They stay
 # below 2 in 64 photographs of a still scene of 64 x 64 pixels (`python -m benchmarks.track`).
 _RATIO, _REGION, _ROW = 25.0, 10.0, 2.0
-# Numbers of photographs: a row is solved from so many since its change on; so many judge whether it
-# is known; up to so many it is searched whether known or not. Chosen by hand.
-_FIRST, _JUDGED, _SEARCHED = 4, 3, 8
+# Numbers of photographs: a row is solved from so many since its change on (from four on costs as
+# much again, and leaves the same errors after eight); so many judge whether it is known; up to so
+# many it is searched whether known or not. Chosen by hand.
+_FIRST, _JUDGED, _SEARCHED = 5, 3, 8
 # Rows that were searched learn from their neighbours in all three rounds, others in the last.
 _ROUNDS = (Round(1, (2, 1), 3), Round(1, (2, 1), 4), Round(1, (1, 1), 5, last=True))
 
@@ -53,13 +61,17 @@ _ROUNDS = (Round(1, (2, 1), 3), Round(1, (2, 1), 4), Round(1, (1, 1), 5, last=Tr
 class Update(NamedTuple):
     """What a photograph said of the scene."""
 
-    # Its number, from 1 on.
+    # Its number, from 1 on; the name of its frame or file; and the number of its pattern among
+    # those of the capture that was given with it.
     photograph: int
+    name: str
+    pattern: int
     # Camera samples that it showed to have changed, and those whose rows are not known yet.
     changed: NDArray[np.bool_]
     unknown: NDArray[np.bool_]
-    # The relative error of its prediction by all other rows.
+    # The relative error of its prediction by all other rows, and the seconds that it took.
     missed: float
+    seconds: float
 
 
 class Tracker:
@@ -100,14 +112,15 @@ class Tracker:
             hint = "give the matrix of these photographs"
             raise InputError(f"photographs of other sizes than those of {self._given}", hint=hint)
         self._camera: tuple[int, ...] = (*self._given.camera_shape, 1)[:3]
+        estimator = CoherentEstimator(background_grid=self._given.background_grid)
+        self._solver = estimator.row_solver(self._capture)
         self._light = SparseRows(self._given.sparse, self._given.background)
         self._centres, self._steps = _parallax(self._given)
-        # The window: patterns (K, N) and samples (M, K); photograph n stands in column n mod K.
-        self._shown, seen = self._capture.patterns.dense(), self._capture.samples()
-        levels, weights = seen.clip_levels_of_all(), seen.weights_of_all()
-        self._samples = Samples(seen.values.copy(), seen.clipped.copy(), levels, weights)
+        # The last photographs, at most K: patterns, (N,), and samples, (M, 1).
+        self._window: tuple[tuple[NDArray[np.float32], Samples], ...] = ()
+        shown, samples = self._capture.patterns.dense(), self._capture.samples()
         self._longest = float(self._capture.exposures.max())
-        misses = _squares(self._samples, self._predicted(self._light, self._shown)).T
+        misses = _squares(samples, self._predicted(self._light, shown)).T
         # Photographs that T was estimated from are missed by less than others: squares were 1 to 3
         # times as large on `l_objects` at 64 x 64.
         self._usual = 4 * self._around(misses.mean(axis=0)) + 1e-12
@@ -123,6 +136,8 @@ class Tracker:
         # Rows that were solved again, in order, as atoms; and the light of all rows times the
         # contrast of the patterns, to which misses are relative.
         self._rows, self._atoms, self._length = self.since[:0], self._light, np.ones(rows)
+        # Whether the user was told that the photographs do not follow the patterns.
+        self._doubted = False
 
     def update(
         self, photograph: NDArray[Any], pattern: NDArray[Any], *, exposure: float | None = None
@@ -133,43 +148,103 @@ class Tracker:
         its first frame). An InputError refuses sizes and types other than the capture's.
         """
         first = self._capture.select([0])
-        frames = ArrayStack(np.asarray(photograph)[None])
         patterns: PatternSet = ImagePatterns(real_array("a pattern", pattern)[None])
         if first.bin_projector != (1, 1):
             patterns = patterns.coarse(first.bin_projector)
-        wanted = first.frames.shape, first.frames.dtype, first.projector_shape
-        if (frames.shape, frames.dtype, patterns.shape) != wanted:
-            raise InputError(
-                f"a photograph {frames.shape} {frames.dtype} of a pattern {patterns.shape}",
-                hint=f"give raw levels {wanted[0]} {wanted[1]}, and a pattern {wanted[2]}",
-            )
         decoder = first.decoder if exposure is None else replace(first.decoder, exposure=exposure)
-        return self._add(replace(first, patterns=patterns, frames=frames, decoder=decoder))
+        frames = ArrayStack(np.asarray(photograph)[None])
+        one = replace(first, patterns=patterns, frames=frames, decoder=decoder)
+        return next(self.follow(one))
 
     def follow(self, capture: Capture) -> Iterator[Update]:
         """Take the photographs of another capture into T one by one; refuse other sizes."""
-        shapes = capture.camera_shape, capture.projector_shape
-        if shapes != (self._capture.camera_shape, self._capture.projector_shape):
-            raise InputError(f"a capture of other sizes: {shapes}", hint="bin and crop it alike")
-        return (self._add(capture.select([k])) for k in range(capture.count))
+        sizes, wanted = (
+            f"{each.frames.shape} {each.frames.dtype}, binned {each.bin_camera}, of patterns "
+            f"{each.projector_shape}"
+            for each in (capture, self._capture)
+        )
+        if sizes != wanted:
+            raise InputError(f"raw levels {sizes}", hint=f"give those of {wanted}")
+        names = capture.frames.name
+        return (self._add(capture.select([k]), names(k), k) for k in range(capture.count))
+
+    def watch(
+        self, folder: str | Path, capture: Capture, *, first: int | None = None
+    ) -> Iterator[Update]:
+        """Take the photographs in a folder into T, also those that another program leaves there.
+
+        The last number in a file's name says which pattern of the `capture` it shows: that of the
+        `first` one (None: of the capture's first photograph) shows pattern 0, and after the last
+        pattern comes the first again. Files that no name pairs, and damaged ones, are left out with
+        a warning. It ends when none has come for half a minute. An InputError refuses numbers of
+        another count.
+        """
+        count, frames, last = capture.count, capture.frames, time.monotonic()
+        like, form = Path(frames.name(0)), (frames.shape, frames.dtype, len(frames.shape) == 2)
+        stack = ImageStack((like,), *form, mosaic=getattr(frames, "mosaic", False))
+        # What is before and behind the last number in a name; the same in the names of all.
+        numbered, around = re.compile("(.*?)([0-9]+)([^0-9]*)").fullmatch, None
+        own = numbered(like.stem)
+        begin = int(own[2]) if own and first is None else first or 0
+        files = NewFiles(Path(folder), lambda item: natural_order(item[0]))
+        while time.monotonic() < last + 30:
+            found = files.next(lambda file: replace(stack, paths=(*stack.paths, file)).read(1))
+            if found is None:
+                # No program takes that long over the rest of a file.
+                if files.failure is not None and files.failure[1] > 5:
+                    warn(f"left out: {files.failure[0]}")
+                    files.pass_over(first=True)
+                time.sleep(0.05)
+                continue
+            file, levels, _ = found
+            parts = numbered(file.stem)
+            if parts is None or (around or parts.group(1, 3)) != parts.group(1, 3):
+                place = "" if around is None else f" between {around[0]!r} and {around[1]!r}"
+                warn(f"left out: {file}: no number{place} in its name says which pattern it shows")
+                continue
+            number = int(parts[2]) - begin
+            # Numbers may go on from those of the capture. Any others are those of another count.
+            if number < 0 or (around is None and number >= 2 * count):
+                raise InputError(
+                    f"{file}: is no number of a pattern, as that of the first one is {begin}",
+                    hint=f"state the number of the first pattern: first={parts[2]}",
+                )
+            files.suffix, around = file.suffix.lower(), parts.group(1, 3)
+            one = replace(capture.select([number % count]), frames=ArrayStack(levels[None]))
+            yield self._add(one, str(file), number % count)
+            last = time.monotonic()
 
     @property
     def transport(self) -> LightTransport:
         """T now.
 
         Its diagnostics have the photograph with which each row changed (`since`, 0: none) and
-        whether it is `unknown`, with an estimated error of 1. That of other rows that changed is
-        what they missed the last photographs by.
+        whether it is `unknown`, with an estimated error and a prediction error of 1. Those of other
+        rows that changed are what they missed the last photographs by.
         """
-        changed, unknown = self.since > 0, self._unknown
+        changed, unknown, window = self.since > 0, self._unknown, [each for _, each in self._window]
         diagnostics = {name: values.copy() for name, values in self._given.diagnostics.items()}
-        for values in diagnostics.values():
-            values[changed] = np.nan if values.dtype.kind == "f" else 0
+        for name, values in diagnostics.items():
+            # Rows that were solved again have converged.
+            values[changed] = np.nan if values.dtype.kind == "f" else name == "converged"
+
+        def state(name: str, values: NDArray[Any] | float) -> None:
+            before = diagnostics.get(name, np.full(len(changed), np.nan))
+            diagnostics[name] = np.where(changed, values, before).astype(np.float32)
+
         # At least a tenth of what they missed counts as error, as elsewhere.
         wrong = np.maximum(self._lately - self._noise, 0.1 * self._lately)
-        error = np.where(unknown, 1, np.sqrt(wrong) / self._length)
-        before = diagnostics.get("estimated_error", np.full(len(changed), np.nan))
-        diagnostics["estimated_error"] = np.where(changed, error, before).astype(np.float32)
+        state("estimated_error", np.where(unknown, 1, np.sqrt(wrong) / self._length))
+        # Only some rows are looked at, evenly spread.
+        looked_at = self._given.diagnostics.get("certain", np.nan)
+        state("certain", np.where(unknown, 0 * looked_at, np.nan))
+        if window:
+            seen = np.mean([np.square(each.values[:, 0]) for each in window[-_JUDGED:]], axis=0)
+            missed = np.sqrt(self._lately / np.maximum(seen, 1e-30))
+            state("prediction_error", np.where(unknown, 1, missed))
+            after = np.arange(1 - len(window), 1)[:, None] + self.photographs >= self.since
+            clipped = np.array([each.clipped[:, 0] for each in window]) & after
+            state("clipped_share", clipped.sum(axis=0) / np.maximum(after.sum(axis=0), 1))
         diagnostics |= {"since": self.since.copy(), "unknown": unknown.astype(np.float32)}
         return replace(
             self._given, sparse=self._light.coefficients, background=self._light.background,
@@ -177,17 +252,33 @@ class Tracker:
             provenance={**self._given.provenance, "tracked_photographs": self.photographs},
         )  # fmt: skip
 
-    def _add(self, one: Capture) -> Update:
+    def _add(self, one: Capture, name: str, pattern: int) -> Update:
+        """Take in a photograph, wholly or, if Ctrl-C comes meanwhile, not at all."""
+        started = time.perf_counter()
+        after = copy(self)
+        arrays = {key: each for key, each in vars(self).items() if isinstance(each, np.ndarray)}
+        vars(after).update({key: each.copy() for key, each in arrays.items()})
+        maps, missed = after._take_in(one)
+        vars(self).update(vars(after))
+        seconds = time.perf_counter() - started
+        update = Update(self.photographs, name, pattern, *maps, missed, seconds)
+        lost = float(update.unknown.mean())
+        if not self._doubted and lost > 0.5:
+            self._doubted = True
+            question = "are the photographs out of step with the patterns?"
+            warn(f"photograph {self.photographs}: {percent(lost)} of the rows unknown; {question}")
+        return update
+
+    def _take_in(self, one: Capture) -> tuple[tuple[NDArray[np.bool_], NDArray[np.bool_]], float]:
+        """The maps of what changed and is unknown, and what all other rows missed."""
         self.photographs += 1
-        column, known, seen = self.photographs % len(self._shown), ~self._unknown, one.samples()
-        exposures = np.array([self._longest, one.exposures[0]])
-        if (weights := frame_weights(exposures)) is not None:
-            seen = replace(seen, weights=seen.weights_of_all() * weights[1])
-        self._shown[column] = one.patterns.dense()[0]
-        for name, new in vars(replace(seen, weights=seen.weights_of_all())).items():
-            getattr(self._samples, name)[:, column] = new if new.ndim == 1 else new[:, 0]
-        latest = self._samples.frames(np.array([column]))
-        missed = _squares(latest, self._predicted(self._light, self._shown[[column]]))[:, 0]
+        known, latest = ~self._unknown, one.samples()
+        weights = frame_weights(np.array([self._longest, one.exposures[0]]))
+        weights = latest.weights_of_all() * (1 if weights is None else weights[1])
+        latest = replace(latest, weights=weights, clip_level=latest.clip_levels_of_all())
+        shown = one.patterns.dense()
+        self._window = (*self._window, (shown[0], latest))[-self._capture.count :]
+        missed = _squares(latest, self._predicted(self._light, shown))[:, 0]
         # Rows that were never explained within the window may have changed again meanwhile.
         changed = self._changes(missed) & (known | ~self._learning)
         self.since[changed] = self._began[changed]
@@ -206,8 +297,7 @@ class Tracker:
         right = known & ~changed & latest.counted[:, 0]
         error = np.sqrt(missed[right].sum() / max(np.square(latest.values[right]).sum(), 1e-30))
         shape, unknown = self._given.camera_shape, self._unknown
-        maps = changed.reshape(shape), unknown.reshape(shape)
-        return Update(self.photographs, *maps, float(error))
+        return (changed.reshape(shape), unknown.reshape(shape)), float(error)
 
     def _predicted(self, light: SparseRows, shown: NDArray[np.float32]) -> NDArray[np.float32]:
         """What rows of T show under patterns (k, N), (m, k)."""
@@ -240,7 +330,7 @@ class Tracker:
     @property
     def _learning(self) -> NDArray[np.bool_]:
         """Rows that changed within the window, (M,)."""
-        return (self.since > 0) & (self._seen_by <= len(self._shown))
+        return (self.since > 0) & (self._seen_by <= self._capture.count)
 
     @property
     def _lately(self) -> NDArray[np.float64]:
@@ -260,10 +350,15 @@ class Tracker:
         if not len(rows):
             return
         seen_by = self._seen_by[rows]
-        # Columns of the window, the latest last.
         most = int(seen_by.max())
-        columns = np.arange(self.photographs + 1 - most, self.photographs + 1) % len(self._shown)
-        shown, samples = self._shown[columns], self._samples.rows(rows).frames(columns)
+        last, seen = zip(*self._window[-most:], strict=True)
+        shown = np.stack(last)
+        samples = Samples(
+            *(
+                np.concatenate([getattr(each, name)[rows] for each in seen], axis=1)
+                for name in ("values", "clipped", "clip_level", "weights")
+            )
+        )
         weights = samples.weights_of_all() * (np.arange(most) >= most - seen_by[:, None])
         samples = replace(samples, weights=weights)
         # The part of the camera around them, where other rows stand as they are in T.
@@ -274,10 +369,12 @@ class Tracker:
         ]
         camera, part = part.shape, part.ravel()
         patterns = ImagePatterns(shown.reshape(most, *self._given.projector_shape))
-        solver = CoherentEstimator(background_grid=self._given.background_grid).row_solver(
-            capture_of_samples(patterns, samples, camera[:2], self._longest)
-        )
-        atoms, light = solver.atoms, self._light.rows(part)
+        capture = capture_of_samples(patterns, samples, camera[:2], self._longest)
+        first, solver = self._solver, replace(self._solver, capture=capture)
+        # With the gains of the first atoms, those under unseen patterns are made once.
+        atoms = AtomPatterns(patterns, first.atoms.sizes, first.atoms.gains)
+        vars(solver).update(atoms=atoms, unseen=first.unseen)
+        light = self._light.rows(part)
         matrix = light.coefficients
         usable = np.repeat(~self._learning[part], np.diff(matrix.indptr))
         data = (matrix.data * usable / atoms.gains[0]).astype(np.float32)

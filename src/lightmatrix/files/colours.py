@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
 from lightmatrix.paths import as_path
@@ -15,6 +16,24 @@ def stores_within(folder: str | Path) -> tuple[Path, ...]:
         return colour_paths(folder)
     found = as_path(folder).glob("projector-*.zarr")
     return tuple(sorted(found, key=lambda path: (len(path.name), path.name)))
+
+
+def shown_files(output: str | Path, shapes: Sequence[tuple[int, ...]]) -> list[Path]:
+    """The files of patterns of these shapes: one, one in colour for three alike, or one for each.
+
+    Those of several projectors have numbers, NAME-1.png, NAME-2.png.
+    """
+    path, count = Path(output), len(shapes)
+    if count == 1 or (count == 3 and len(set(shapes)) == 1):
+        return [path]
+    return [path.with_name(f"{path.stem}-{k}{path.suffix}") for k in range(1, count + 1)]
+
+
+def instead_of(folder: str | Path, hint: str) -> str:
+    """The hint on what to give in place of a folder: a store or a capture in it, if it has some."""
+    place = as_path(folder)
+    inside = [*place.glob("*.zarr"), *place.glob("camera-[0-9]*")] if place.is_dir() else []
+    return f"give one of {', '.join(map(str, sorted(inside)[:4]))}" if inside else hint
 
 
 def holds_colour(folder: str | Path) -> bool:

@@ -130,9 +130,7 @@ def read_grey(path: str | Path) -> NDArray[np.float32]:
 
     Images in colour are an InputError unless their channels agree, or only one is lit at all.
     """
-    image = read_image(path)
-    _warn_of_depth(str(path), image)
-    return as_grey(str(path), image)
+    return as_grey(str(path), _read_pattern(path))
 
 
 def as_grey(name: str, image: NDArray[Any]) -> NDArray[np.float32]:
@@ -156,20 +154,20 @@ def is_grey(image: NDArray[Any]) -> bool:
 
 def read_light(path: str | Path) -> NDArray[np.float32]:
     """Read one pattern: (rows, cols) or (rows, cols, 3) float32 in [0, 1]; see `read_grey`."""
+    return _as_light(str(path), _read_pattern(path))
+
+
+def _read_pattern(path: str | Path) -> NDArray[Any]:
+    """Warns of a pattern of fewer bits in a file of 16, which is shown nearly black."""
     image = read_image(path)
-    _warn_of_depth(str(path), image)
-    return _as_light(str(path), image)
-
-
-def _warn_of_depth(name: str, image: NDArray[Any]) -> None:
-    """Warn of a pattern of fewer bits in a file of 16, which is shown nearly black."""
     top = int(image.max())
     if top and (white := likely_white(image.dtype, top)) is not None:
         warn(
-            f"{name}: has 16 bits, but no level above {top}, so that it is shown "
+            f"{path}: has 16 bits, but no level above {top}, so that it is shown "
             f"{65535 / white:.4g} times darker than a pattern of {white.bit_length()} bits; "
             "save it over the full range if it is one"
         )
+    return image
 
 
 def likely_white(dtype: np.dtype[Any], top: int) -> int | None:

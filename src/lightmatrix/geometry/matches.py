@@ -144,12 +144,7 @@ def fit_homography(source: Array, target: Array, weight: Array) -> Array:
     before, after = _unit_spread(source), _unit_spread(target)
     start, end = _with_ones(moved(before, source)), moved(after, target)
     zero = np.zeros_like(start)
-    rows = np.concatenate(
-        [
-            np.hstack([start, zero, -end[:, :1] * start]),
-            np.hstack([zero, start, -end[:, 1:] * start]),
-        ]
-    )
+    rows = np.block([[start, zero, -end[:, :1] * start], [zero, start, -end[:, 1:] * start]])
     known = weight / weight.max()
 
     def solve(share: Array) -> Array:

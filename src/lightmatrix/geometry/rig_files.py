@@ -227,7 +227,8 @@ def _named(contents: Contents) -> Values | None:
         if (first := next((each for each in others.split() if each in plain), None)) is not None:
             found[name] = plain[first]
     needed = ("camera_intrinsics", "projector_intrinsics", "rotation", "translation")
-    missing = [name.replace("_", " ") for name in needed if name not in found]
+    words = ("camera intrinsics (K)", "projector intrinsics (K)", "rotation (R)", "translation (T)")
+    missing = [word for name, word in zip(needed, words, strict=True) if name not in found]
     if len(missing) == len(needed):
         return None
     if missing:

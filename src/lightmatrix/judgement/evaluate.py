@@ -24,10 +24,9 @@ from lightmatrix.judgement.metrics import (
 )
 from lightmatrix.paths import as_path
 from lightmatrix.ranges import check_list, check_number
-from lightmatrix.reprs import html_table, labelled, text_table
+from lightmatrix.reprs import labelled, text_table
 from lightmatrix.simulation import library
 from lightmatrix.simulation.colour import is_of_all_primaries, of_primary
-from lightmatrix.simulation.scenes import scene as find_scene
 from lightmatrix.simulation.truth import Truth
 from lightmatrix.transport import store
 from lightmatrix.transport.matrix import ColourTransport, LightTransport
@@ -82,9 +81,6 @@ class Errors:
     def __repr__(self) -> str:
         return text_table("Errors", labelled(self.as_dict()))
 
-    def _repr_html_(self) -> str:
-        return html_table("Errors", labelled(self.as_dict()))
-
 
 @dataclass(frozen=True)
 class ColourErrors:
@@ -113,9 +109,6 @@ class ColourErrors:
 
     def __repr__(self) -> str:
         return text_table("Errors in colour", labelled(self.table()))
-
-    def _repr_html_(self) -> str:
-        return html_table("Errors in colour", labelled(self.table()))
 
     def table(self) -> dict[str, float]:
         """The two errors that matter most, of the three together and of each."""
@@ -247,21 +240,6 @@ def _matrices(
     if isinstance(truth, LightTransport):
         known = truth
     else:
-        if (
-            isinstance(truth, str)
-            and Path(truth).suffix.lower() != ".npz"
-            and not Path(truth).is_dir()
-        ):
-            find_scene(truth)
-            region, projector = matrix.region, matrix.projector_shape
-            camera = matrix.camera_shape if region is None else region.whole
-            if camera != projector:
-                raise InputError(
-                    f"the estimate has a camera of {' x '.join(map(str, camera))} and a projector "
-                    f"of {' x '.join(map(str, projector))}, but {truth} is rendered with both of "
-                    "one size",
-                    hint="give the T.npz of the same rig",
-                )
         known = library.truth(truth, matrix.projector_shape, progress=progress).transport()
     known = known.cropped_like(matrix)
     if matrix.shape != known.shape:

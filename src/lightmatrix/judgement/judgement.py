@@ -286,13 +286,13 @@ def relighting_verdict(transport: LightTransport, findings: Iterable[str] = ()) 
         unknown = _EACH_NEEDED if needed else "No photograph could be held out and predicted."
         return Verdict("not tested", None, (unknown,))
     own = OwnError(transport)
-    level = "doubtful" if own.clip_doubts else level_of(float(np.hypot(error, own.beyond_clip)))
-    reasons = (*own.clip_doubts, *own.warnings)
+    level = "doubtful" if own.light_doubts else level_of(np.hypot(error, own.beyond_clip))
+    reasons = (*own.light_doubts, *own.warnings)
     judged = Verdict(level, error, reasons, "Prediction error on photographs held out")
     return judged.with_findings(findings, _WRONG_ALIKE)
 
 
-def level_of(error: float) -> Level:
+def level_of(error: float | np.floating) -> Level:
     """The verdict on a relative error."""
     return "good" if error <= GOOD else "fair" if error <= FAIR else "doubtful"
 
@@ -341,14 +341,28 @@ class OwnError:
 
     @property
     def warnings(self) -> list[str]:
-        """A sentence if rows clip under a single projector pixel."""
+        """Sentences if rows clip under a single projector pixel, or are unknown since a change."""
+        warnings, share = list[str](), self.unknown_share
         # Less than 0.2 % is not worth a sentence.
-        if self.singly_clipped <= SINGLY_CLIPPED / 10:
-            return []
-        return [
-            f"But {percent(self.singly_clipped)} of the squared light is in rows that clip under "
-            "a single projector pixel, and no photograph shows by how much."
-        ]
+        if self.singly_clipped > SINGLY_CLIPPED / 10:
+            warnings.append(
+                f"But {percent(self.singly_clipped)} of the squared light is in rows that clip "
+                "under a single projector pixel, and no photograph shows by how much."
+            )
+        if 0 < share <= 0.5:
+            of = f"{percent(share)} of the light is in rows that changed"
+            warnings.append(f"{of} and are not known yet; further photographs tell.")
+        return warnings
+
+    @cached_property
+    def unknown_share(self) -> float:
+        """Share of the light in rows that a `Tracker` does not know since they changed."""
+        return _mean(_diagnostic(self.transport, "unknown"), self._light)
+
+    @cached_property
+    def _light(self) -> NDArray[np.float64]:
+        light = np.asarray(self.transport.sparse.sum(axis=1), float).ravel()
+        return np.asarray(light + self.transport.background.sum(axis=1, dtype=float))
 
     def _share(self, rows: NDArray[np.bool_]) -> float:
         """The share of the squared light in some rows."""
@@ -382,9 +396,7 @@ class OwnError:
     def doubts(self) -> list[str]:
         """Why no error of T can be stated, in sentences; none for most estimates."""
         transport, doubts = self.transport, list[str]()
-        light = np.asarray(transport.sparse.sum(axis=1), float).ravel()
-        light = light + transport.background.sum(axis=1, dtype=float)
-        constant = _mean(_diagnostic(transport, "constant_light"), light)
+        constant = _mean(_diagnostic(transport, "constant_light"), self._light)
         if constant > DOUBTFUL.constant:
             doubts.append(
                 f"About {100 * constant:.0f} % of the light does not follow the patterns: an "
@@ -396,11 +408,17 @@ class OwnError:
                 "Bright samples are darker than T predicts: the camera does not seem linear in "
                 "light. State its response, or take raw photographs."
             )
-        return doubts + self.clip_doubts
+        return doubts + self.light_doubts
 
     @cached_property
-    def clip_doubts(self) -> list[str]:
-        """Those of the doubts that are about light beyond the clip level."""
+    def light_doubts(self) -> list[str]:
+        """Those of the doubts that are about rows, or light beyond the clip level, that T lacks."""
+        if self.unknown_share > 0.5:
+            return [
+                f"{percent(self.unknown_share)} of the light is in rows that the last photographs "
+                "contradict: they are out of step with the patterns, or show others; or camera, "
+                "projector or room light changed, which takes a new capture."
+            ]
         glints = _glints(self.transport)
         if glints:
             pixels = "1 camera sample clips" if glints == 1 else f"{glints} camera samples clip"
@@ -433,12 +451,9 @@ def _glints(transport: LightTransport) -> int:
 
 def _shortest_exposure(transport: LightTransport) -> float:
     """The shortest exposure by the provenance; 0, at which nothing clips, if it is unknown."""
-    description = transport.provenance.get("capture_description")
     # The provenance of a store may hold anything.
     try:
-        exposure = (
-            float(np.min(description["exposure"])) if isinstance(description, Mapping) else 0.0
-        )
+        exposure = float(np.min(transport.provenance["capture_description"]["exposure"]))
     except (TypeError, ValueError, KeyError):
         return 0.0
     return exposure if np.isfinite(exposure) else 0.0

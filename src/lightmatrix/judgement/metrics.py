@@ -154,14 +154,6 @@ def row_maximum(transport: LightTransport) -> NDArray[np.float32]:
     return np.asarray(transport.sparse.max(axis=1).toarray(), np.float32).ravel()
 
 
-def benchmark_exposure(truth: LightTransport) -> float:
-    """The exposure at which a fifth of the rows have a single response that clips."""
-    level = float(np.quantile(row_maximum(truth), 0.8))
-    if level <= 0:
-        raise InputError("four fifths of the rows are dark", hint="use a scene with more light")
-    return 1 / level
-
-
 def unclipped_rows(truth: LightTransport, exposure: float) -> NDArray[np.bool_]:
     """Rows whose single responses do not clip at this exposure, (M,) bool."""
     return row_maximum(truth) * exposure <= UNCLIPPED_RESPONSE

@@ -157,10 +157,11 @@ def has_diagnostic(transport: LightTransport, name: str) -> bool:
 def _diagnostic(transport: LightTransport, name: str) -> NDArray[np.float64]:
     """A diagnostic of each camera pixel, (rows, cols), the largest of its channels."""
     if name not in transport.diagnostics:
-        coherent = name in ("footprint", "estimated_error")
-        kind = "a coherent estimate" if coherent else "an estimate"
-        hint = f"give {kind}, or a store (.zarr) of one"
-        raise InputError(f"this matrix has no {name.replace('_', ' ')} of its rows", hint=hint)
+        kinds = dict.fromkeys(("footprint", "estimated_error"), "a coherent estimate")
+        kinds["since"] = "a `Tracker` (of `lightmatrix track`)"
+        hint = f"give that of {kinds.get(name, 'an estimate')}, or a store (.zarr) of one"
+        what = "record of changes" if name == "since" else name.replace("_", " ")
+        raise InputError(f"this matrix has no {what} of its rows", hint=hint)
     image = np.asarray(transport.diagnostics[name], float).reshape(transport.camera_shape)
     if image.ndim == 2:
         return image

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -14,6 +15,8 @@ from matplotlib.ticker import FixedLocator, NullLocator
 from numpy.typing import NDArray
 
 from lightmatrix.files.images import DISPLAY_GAMMA
+from lightmatrix.files.kinds import PICTURE
+from lightmatrix.files.writing import atomic_file
 
 CLIPPED_COLOUR = (0.90, 0.10, 0.12)
 # Colour-blind readers can tell the colours of this palette apart (Okabe and Ito).
@@ -33,11 +36,29 @@ STYLE: dict[Any, Any] = {
 }
 
 
+class Picture(Figure):
+    """A Matplotlib figure that a notebook shows without pyplot."""
+
+    def _repr_png_(self) -> bytes:
+        stream = io.BytesIO()
+        self.savefig(stream, format="png", facecolor="white", dpi=self.dpi)
+        return stream.getvalue()
+
+    def write(self, path: str | Path, *, overwrite: bool = False) -> None:
+        """Write the figure as a .png file."""
+        with atomic_file(path, PICTURE, overwrite=overwrite) as part:
+            self.draw_file(part)
+
+    def draw_file(self, file: Path) -> None:
+        """Write the figure to a new file, 150 dots an inch."""
+        self.savefig(file, facecolor="white", dpi=150)
+
+
 @contextmanager
-def figure(width: float, height: float) -> Iterator[Figure]:
+def figure(width: float, height: float) -> Iterator[Picture]:
     """A figure of this size in inches, in the common style; needs no display."""
     with mpl.rc_context(STYLE):
-        yield Figure(figsize=(width, height), layout="constrained")
+        yield Picture(figsize=(width, height), layout="constrained")
 
 
 def save(drawing: Figure, folder: Path, name: str, formats: tuple[str, ...] = ("png",)) -> None:

@@ -2,113 +2,29 @@
 
 from __future__ import annotations
 
-import io
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Mapping
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
-import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 from numpy.typing import NDArray
 
-from lightmatrix.files.kinds import PICTURE
-from lightmatrix.files.writing import atomic_file
-from lightmatrix.patterns.pattern_set import to_grey
 from lightmatrix.pictures.maps import Map, correspondence_maps, light_map
 from lightmatrix.pictures.style import (
     COLOURS,
-    STYLE,
+    Picture,
     display,
+    figure,
     fix_ticks,
-    mark_clipped,
     panel,
     white_level,
 )
-from lightmatrix.ranges import check_number, check_type
 from lightmatrix.transport.correspondence import correspondence
 from lightmatrix.transport.matrix import LightTransport
-from lightmatrix.transport.operator import HOW_TO_GIVE, TransportOperator, singular_values
-
-
-class Picture(Figure):
-    """A Matplotlib figure that a notebook shows without pyplot."""
-
-    def _repr_png_(self) -> bytes:
-        stream = io.BytesIO()
-        self.savefig(stream, format="png", facecolor="white", dpi=self.dpi)
-        return stream.getvalue()
-
-    def write(self, path: str | Path, *, overwrite: bool = False) -> None:
-        """Write the figure as a .png file."""
-        with atomic_file(path, PICTURE, overwrite=overwrite) as part:
-            self.draw_file(part)
-
-    def draw_file(self, file: Path) -> None:
-        """Write the figure to a new file, 150 dots an inch."""
-        self.savefig(file, facecolor="white", dpi=150)
-
-
-@contextmanager
-def _picture(width: float, height: float) -> Iterator[Picture]:
-    """A figure of this size in inches, in the common style."""
-    with mpl.rc_context(STYLE):
-        yield Picture(figsize=(width, height), layout="constrained")
-
-
-def show_relit(
-    transport: LightTransport, pattern: NDArray[Any], *, exposure: float | None = None
-) -> Picture:
-    """Picture of the scene under a pattern, beside the pattern.
-
-    Parameters
-    ----------
-    transport : LightTransport
-        T.
-    pattern : (rows, cols) array
-        Pattern of the projector's shape, in [0, 1].
-    exposure : float, optional
-        Exposure of the image; clipped pixels are red. None: one at which hardly any pixel clips.
-
-    Returns
-    -------
-    Picture
-        A Matplotlib figure; the image has a display gamma of 2.2.
-
-    Raises
-    ------
-    InputError
-        On a pattern of another shape, or an exposure that is not above 0.
-
-    Examples
-    --------
-    >>> import lightmatrix as lm
-    >>> stripes = np.zeros((64, 64))
-    >>> stripes[:, ::8] = 1
-    >>> lm.show_relit(lm.truth("metal").transport(), stripes).savefig("relit.png")
-    """
-    check_type("a light transport matrix", transport, TransportOperator, hint=HOW_TO_GIVE)
-    image = transport.relight(pattern)
-    title = "The scene under this pattern"
-    if exposure is None:
-        shown = display(image, white_level(image))
-    else:
-        hint = "use a number above 0, such as 1"
-        check_number("an exposure", exposure, most=1e9, above=True, hint=hint)
-        light = exposure * image
-        shown, clipped = display(light, 1.0), light >= 1
-        if clipped.any():
-            shown = mark_clipped(shown, clipped)
-            title += f": {100 * clipped.mean():.1f} % clip (red)"
-    with _picture(6.4, 3.4) as drawing:
-        axes = drawing.subplots(1, 2)
-        panel(axes[0], to_grey(np.asarray(pattern)) / 255, "Pattern")
-        panel(axes[1], shown, title)
-    return drawing
+from lightmatrix.transport.operator import singular_values
 
 
 def draw_row(transport: LightTransport, *camera_index: int) -> Picture:
@@ -144,7 +60,7 @@ def _spot(
     first = [max(int(place) - 10, 0) for place in peak]
     last = [min(int(p) + 10, n - 1) for p, n in zip(peak, light.shape, strict=True)]
     top, left, bottom, right = first[0] - 0.5, first[1] - 0.5, last[0] + 0.5, last[1] + 0.5
-    with _picture(10.2, 3.4) as drawing:
+    with figure(10.2, 3.4) as drawing:
         around, whole, near = drawing.subplots(1, 3)
         panel(around, display(_grey(scene), white_level(scene)), titles[0])
         around.plot(index[1], index[0], "o", mfc="none", mec=COLOURS[1], ms=10, mew=2)
@@ -160,7 +76,7 @@ def _spot(
 def draw_dual(transport: LightTransport) -> Picture:
     """The scene as the projector would photograph it, lit evenly from the camera."""
     image = transport.dual_image()
-    with _picture(3.6, 3.6) as drawing:
+    with figure(3.6, 3.6) as drawing:
         title = "Dual image: seen from the projector"
         panel(drawing.subplots(), display(image, white_level(image)), title)
     return drawing
@@ -170,7 +86,7 @@ def draw_parts(images: Mapping[str, NDArray[Any]]) -> Picture:
     """Parts of one photograph by name, faint ones brightened by a power of two."""
     # The level is that of all parts together, since a black part has none of its own.
     whole = white_level(np.stack(list(images.values())))
-    with _picture(3.4 * len(images), 3.6) as drawing:
+    with figure(3.4 * len(images), 3.6) as drawing:
         for axes, (name, image) in zip(
             drawing.subplots(1, len(images)), images.items(), strict=True
         ):
@@ -191,7 +107,7 @@ def draw_spectrum(transport: LightTransport) -> Picture:
     """The largest singular values of T, as shares of the largest."""
     values = spectrum(transport)["values"]
     shares = values / max(float(values[0]), np.finfo(float).tiny)
-    with _picture(4.2, 2.8) as drawing:
+    with figure(4.2, 2.8) as drawing:
         axes = drawing.subplots()
         axes.plot(np.arange(1, len(shares) + 1), shares, "o-", color=COLOURS[0], markersize=3)
         axes.set_ylim(0, 1.05)
@@ -205,7 +121,7 @@ def draw_spectrum(transport: LightTransport) -> Picture:
 def draw_correspondence(transport: LightTransport) -> Picture:
     """The projector pixel that each camera pixel sees most, and how much light comes from it."""
     maps = correspondence_maps(correspondence(transport))
-    with _picture(10.2, 3.4) as drawing:
+    with figure(10.2, 3.4) as drawing:
         for number, (axes, shown) in enumerate(zip(drawing.subplots(1, 3), maps, strict=True)):
             draw_into(drawing, axes, shown)
             # Lines of equal row or column, in eight bands, can be read without colour.
@@ -218,7 +134,7 @@ def draw_correspondence(transport: LightTransport) -> Picture:
 
 def draw_map(shown: Map) -> Picture:
     """A map with its title and the scale of its colours."""
-    with _picture(4.4, 3.6) as drawing:
+    with figure(4.4, 3.6) as drawing:
         draw_into(drawing, drawing.subplots(), shown)
     return drawing
 

@@ -42,7 +42,7 @@ from lightmatrix.planning.exposure_advice import (
     single_clipped_share,
 )
 from lightmatrix.ranges import as_float, check_number, check_sides, check_whole
-from lightmatrix.reprs import html_table, text_table
+from lightmatrix.reprs import text_table
 from lightmatrix.simulation import library
 from lightmatrix.simulation.scenes import names
 from lightmatrix.simulation.truth import Truth
@@ -225,9 +225,6 @@ class Advice:
 
     def __repr__(self) -> str:
         return text_table("Advice", self._summary)
-
-    def _repr_html_(self) -> str:
-        return html_table("Advice", self._summary)
 
     @property
     def _summary(self) -> dict[str, Any]:

@@ -217,9 +217,9 @@ class Facts:
         if not isinstance(self.validation, Validation):
             return relighting_verdict(self.transport, stored_findings(self.transport))
         error = float(np.hypot(_validation_error(self.validation), self.own.beyond_clip))
-        level = "doubtful" if self.own.clip_doubts else level_of(error)
-        reasons = (_validation_sentence(self.validation), *self.own.clip_doubts, *self.own.warnings)
-        return Verdict(level, None, reasons)
+        level = "doubtful" if self.own.light_doubts else level_of(error)
+        sentence = _validation_sentence(self.validation)
+        return Verdict(level, None, (sentence, *self.own.light_doubts, *self.own.warnings))
 
     @cached_property
     def verdict(self) -> Verdict:

@@ -20,8 +20,8 @@ from lightmatrix.files.kinds import IMAGE, NUMBERS, NUMBERS_MARK
 from lightmatrix.files.writing import atomic_file, check_output
 from lightmatrix.geometry.rig_geometry import RigGeometry
 from lightmatrix.pictures import maps
+from lightmatrix.pictures.style import Picture
 from lightmatrix.pictures.transport import (
-    Picture,
     draw_column,
     draw_correspondence,
     draw_dual,

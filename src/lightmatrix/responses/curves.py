@@ -13,7 +13,6 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
-import matplotlib as mpl
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import isotonic_regression
@@ -29,8 +28,7 @@ from lightmatrix.files.kinds import PICTURE, RESPONSE
 from lightmatrix.files.stacks import ImageStack
 from lightmatrix.files.writing import check_output
 from lightmatrix.patterns.projector_curve import ProjectorResponse
-from lightmatrix.pictures.style import COLOURS, STYLE
-from lightmatrix.pictures.transport import Picture
+from lightmatrix.pictures.style import COLOURS, Picture, figure
 from lightmatrix.ranges import as_float, check_positive, real_array, real_numbers
 from lightmatrix.reprs import short_repr
 
@@ -491,9 +489,8 @@ def _draw(
     residuals: NDArray[np.float64] | None = None,
 ) -> Picture:
     """The measured curve of a device beside known ones, and the residuals of a camera's."""
-    with mpl.rc_context(STYLE):
-        count = 1 if residuals is None else 2
-        drawing = Picture(figsize=(3.7 * count, 3.2), layout="constrained")
+    count = 1 if residuals is None else 2
+    with figure(3.7 * count, 3.2) as drawing:
         curve, *others = drawing.subplots(1, count, squeeze=False)[0]
         style = "o-" if len(levels) < 100 else "-"
         curve.plot(levels, light, style, color=COLOURS[0], markersize=4, label="measured")

@@ -52,7 +52,7 @@ def project(
     source : array, str or Path
         (rows, cols[, 3]) in [0, 1], an image file, a folder of images in natural order, or a video
         file. Folders and videos begin anew at their end. Of several projectors, a list of a picture
-        for each.
+        for each, or pictures that hold those of all, one above the other.
     seconds : float, optional
         How long, above 0. None: until a key is pressed in the projector's window, or `until`.
     fps : float, optional
@@ -105,12 +105,19 @@ def project(
     curve = projector_response
     if isinstance(curve, str | Path):
         curve = ProjectorResponse.parse(curve)
+    several, screen = pattern_sizes(projector, cell), projector.shape
     if isinstance(source, list):
         lights = [given_image("a picture", one, read_light) for one in source]
-        sizes = pattern_sizes(projector, cell) or [lights[0].shape[:2]]
-        source = stacked(lights, sizes)
+        source = stacked(lights, several or [lights[0].shape[:2]])
     pictures, rate = _pictures(source)
-    shown = (_on_screen(picture, projector.shape, cell, curve) for picture in pictures)
+
+    def on_all(picture: NDArray[Any]) -> NDArray[np.uint8]:
+        """A picture on the screen; that of several projectors must hold the pictures of all."""
+        if several and [cell * side for side in picture.shape[:2]] != list(screen):
+            stacked([picture], several)
+        return _on_screen(picture, screen, cell, curve)
+
+    shown = map(on_all, pictures)
     if photograph is not None:
         check_output(photograph, IMAGE, overwrite=overwrite)
         if rig is None:

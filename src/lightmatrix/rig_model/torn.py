@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from lightmatrix.capture.capture import Capture
-from lightmatrix.check.pursuit import best_pixels, column_scale
+from lightmatrix.check.prediction import best_pixels, column_scale
 from lightmatrix.rig_model.prediction import Prediction, samples_of_rows
 from lightmatrix.rig_model.previous import Previous
 from lightmatrix.rig_model.term import Array, Draft, Term

@@ -174,13 +174,13 @@ def light_corners(corners: Array, matches: Correspondence, board: Shape) -> Boar
     return BoardCorners(corners, projector, float(np.mean(mirrored)) if mirrored else 0.0)
 
 
-def pose_images(capture: Capture) -> tuple[Array, Correspondence]:
-    """The image (rows, cols) under white light, and the correspondence.
+def pose_images(capture: Capture, projector: int = 1) -> tuple[Array, Correspondence]:
+    """The image (rows, cols) under white light, and the correspondence, of one projector.
 
-    Stripes are decoded; of other patterns, T is estimated.
+    Stripes are decoded; of other patterns, and of several projectors at once, T is estimated.
     """
-    if stripes_of(capture.patterns) is None:
-        transport = estimate(capture)
+    if capture.projectors or stripes_of(capture.patterns) is None:
+        transport = estimate(capture).split()[projector - 1]
         image = np.asarray(
             transport.relight(np.ones(transport.projector_shape, np.float32)), np.float64
         )
@@ -384,6 +384,7 @@ def calibrate_rig(
     square: float = 1.0,
     *,
     kind: BoardKind = "chessboard",
+    projector: int = 1,
     units: str | None = None,
     output: str | Path | None = None,
     overwrite: bool = False,
@@ -409,6 +410,9 @@ def calibrate_rig(
         What is printed. The markers of a ChArUco board may be of any dictionary of 4 x 4 to 7 x 7
         bits; only a part of such a board need be seen. Of any board, 8 corners in two rows and two
         columns must be lit.
+    projector : int
+        Number of the projector, from 1 on, of several that showed random patterns at once. The
+        geometries of all of them are in the frame of the one camera.
     units : str, optional
         Unit of length, such as "mm".
     output : str or Path, optional
@@ -454,7 +458,7 @@ def calibrate_rig(
         raise InputError(f"a board of the kind {kind!r}", hint=hint)
     check_list(poses, hint="give a capture for each pose of the board")
     _check_count(len(poses), {})
-    corners, shapes, left_out = _all_corners(poses, board, kind, progress)
+    corners, shapes, left_out = _all_corners(poses, board, kind, projector, progress)
     points = board_points(board, square, kind)
     mirrored = bool(np.mean([pose.mirrored for pose in corners.values()]) > 0.5)
     if mirrored:
@@ -522,8 +526,9 @@ def calibrate_rig(
 
 
 def _all_corners(
-    poses: Sequence[Capture | str | Path], board: Shape, kind: BoardKind, progress: Progress | None
-) -> tuple[dict[str, BoardCorners], tuple[Shape, Shape], dict[str, str]]:
+    poses: Sequence[Capture | str | Path], board: Shape, kind: BoardKind, projector: int,
+    progress: Progress | None,
+) -> tuple[dict[str, BoardCorners], tuple[Shape, Shape], dict[str, str]]:  # fmt: skip
     """The corners of usable poses by name, the image sizes, and why other poses are not usable."""
     found: dict[str, BoardCorners] = {}
     left_out: dict[str, str] = {}
@@ -532,13 +537,16 @@ def _all_corners(
         name = f"pose {number}" if isinstance(pose, Capture) else str(pose)
         capture = open_capture(pose)
         rows, cols = capture.camera_shape[:2]
-        sizes = ((rows, cols), capture.projector_shape)
+        several = capture.projectors or (capture.projector_shape,)
+        if not 0 < projector <= len(several):
+            raise InputError(f"{name}: has no projector {projector}", hint=f"it has {len(several)}")
+        sizes = ((rows, cols), several[projector - 1])
         if shapes is not None and sizes != shapes:
             hint = "photograph all poses with the same camera and projector"
             raise InputError(f"{name}: has images of other sizes than the poses before", hint=hint)
         shapes = sizes
         try:
-            white, matches = pose_images(capture)
+            white, matches = pose_images(capture, projector)
         except InputError as error:
             # Frames out of order, or no light of the projector.
             left_out[name] = error.message
@@ -548,9 +556,10 @@ def _all_corners(
         if corners is None:
             left_out[name] = f"no board of {board[0]} x {board[1]} inner corners is found"
         elif not _suffice(corners.lit, board):
+            seen = int(np.isfinite(corners.camera).all(axis=1).sum())
             left_out[name] = (
-                f"the camera sees the board, but the projector lights only {corners.lit.sum()} of "
-                f"its {len(corners.lit)} corners"
+                f"the camera sees {seen} of {len(corners.lit)} corners, and the projector lights "
+                f"{corners.lit.sum()} of them: {_FEWEST} in two rows and two columns are needed"
             )
         else:
             found[name] = corners
@@ -669,7 +678,7 @@ def self_calibrate(
     found = correspondence(opened) if isinstance(opened, LightTransport) else opened
     projector_shape = found.projector_shape
     if projector_shape is None:
-        hint = "set projector_shape"
+        hint = "give T or a file of `decode`; in Python, replace(matches, projector_shape=...)"
         raise InputError("the correspondence does not say the projector's size", hint=hint)
     # Matches of less confidence come from several places at once; chosen by hand.
     at = np.argwhere(np.isfinite(found.place).all(axis=2) & (found.confidence >= 0.3))
@@ -743,9 +752,9 @@ def self_calibrate(
             raise InputError(
                 f"{100 * min(behind, of_other):.0f} % of the matches would lie behind the camera "
                 "or the projector, or at infinity",
-                hint="the axis of a device does not pass the middle of its image (give the "
-                "camera's principal=COL,ROW, or projector_intrinsics), or the focal length is "
-                "wrong",
+                hint="the focal length is wrong, or the axis of a device does not pass the middle "
+                "of its image: give the column and row of the camera's (principal), or K of the "
+                "projector (projector_intrinsics, in Python)",
             )
         warn("the camera sees the projector's image mirrored: the geometry takes it into account")
         rig = other

@@ -6,7 +6,6 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-import matplotlib as mpl
 import numpy as np
 from numpy.typing import NDArray
 
@@ -16,8 +15,8 @@ from lightmatrix.files.kinds import CLOUD, IMAGE, PICTURE
 from lightmatrix.files.writing import atomic_files, check_output
 from lightmatrix.geometry.rig_geometry import RigGeometry
 from lightmatrix.paths import as_path
-from lightmatrix.pictures.style import STYLE, display, panel, white_level
-from lightmatrix.pictures.transport import Picture, draw_into
+from lightmatrix.pictures.style import Picture, display, figure, panel, white_level
+from lightmatrix.pictures.transport import draw_into
 from lightmatrix.reprs import short_repr
 from lightmatrix.shape.shape import depth_map, write_cloud
 from lightmatrix.shape.spots import check_thresholds, seen_by, surface_probability
@@ -79,8 +78,7 @@ class Layers:
     def show(self) -> Picture:
         """A Matplotlib figure: the nearest surface, the one behind it, and what mirrors show."""
         scale = depth_map(self.depth, self.geometry.units)
-        with mpl.rc_context(STYLE):
-            drawing = Picture(figsize=(11, 3.4), layout="constrained")
+        with figure(11, 3.4) as drawing:
             *surfaces, mirrors = drawing.subplots(1, 3)
             for number, title in enumerate(("Depth of the first surface", "Of the one behind it")):
                 shown = replace(scale, title=title, values=self.depth[..., number])

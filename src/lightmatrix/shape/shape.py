@@ -8,7 +8,6 @@ from enum import IntEnum
 from pathlib import Path
 from typing import Any
 
-import matplotlib as mpl
 import numpy as np
 import tifffile
 from matplotlib.colors import BoundaryNorm, ListedColormap
@@ -21,12 +20,23 @@ from lightmatrix.files.writing import atomic_file
 from lightmatrix.geometry.rig_geometry import Array, RigGeometry, decomposed
 from lightmatrix.paths import as_path
 from lightmatrix.pictures.maps import UNKNOWN, Map
-from lightmatrix.pictures.style import COLOURS, STYLE, panel
-from lightmatrix.pictures.transport import Picture, draw_into
+from lightmatrix.pictures.style import COLOURS, Picture, figure, panel
+from lightmatrix.pictures.transport import draw_into
 from lightmatrix.reprs import short_repr
 from lightmatrix.uses.separation import shifted
 
-MILLIMETRES = {"mm": 1.0, "cm": 10.0, "m": 1000.0, "in": 25.4}
+
+def millimetres(geometry: RigGeometry) -> float:
+    """Millimetres in the unit of a geometry, or an InputError."""
+    known = {"mm": 1.0, "cm": 10.0, "m": 1000.0, "in": 25.4, "ft": 304.8}
+    if (factor := known.get(geometry.units or "")) is None:
+        given = f"the unit {geometry.units!r}" if geometry.units else "an unknown unit"
+        raise InputError(
+            f"a depth in millimetres of a geometry in {given}",
+            hint=f"calibrate in one of {', '.join(known)}, or write the depth as .tif",
+        )
+    return factor
+
 
 # Normals and triangles of a surface of which the depth of each camera pixel is known.
 
@@ -188,8 +198,7 @@ def normal_colours(normals: NDArray[np.floating]) -> Array:
 
 def normals_picture(normals: NDArray[np.float32]) -> Picture:
     """Normals (rows, cols, 3) in the camera's frame."""
-    with mpl.rc_context(STYLE):
-        drawing = Picture(figsize=(4.4, 3.6), layout="constrained")
+    with figure(4.4, 3.6) as drawing:
         panel(drawing.subplots(), normal_colours(normals), _NORMALS)
     return drawing
 
@@ -300,13 +309,7 @@ class Shape:
         if part.suffix == ".npy":
             np.save(part, self.depth)
         elif part.suffix == ".png":
-            factor = MILLIMETRES.get(self.geometry.units or "")
-            if factor is None:
-                raise InputError(
-                    "a depth in millimetres of a geometry whose unit is unknown",
-                    hint='calibrate with a unit, such as units="mm", or write the depth as .tif',
-                )
-            level = np.rint(np.nan_to_num(self.depth * factor))
+            level = np.rint(np.nan_to_num(self.depth * millimetres(self.geometry)))
             if far := int((level > 65535).sum()):
                 warn(f"{far} depths beyond 65.5 m are 0 in 16 bits of millimetres")
             fill_image(part, np.where(level > 65535, 0, level).astype(np.uint16))
@@ -320,8 +323,7 @@ class Shape:
 
     def show(self) -> Picture:
         """A Matplotlib figure: maps of depth, normals, probability and failed tests."""
-        with mpl.rc_context(STYLE):
-            drawing = Picture(figsize=(14.5, 3.4), layout="constrained")
+        with figure(14.5, 3.4) as drawing:
             depths, directions, certain, tests = drawing.subplots(1, 4)
             draw_into(drawing, depths, depth_map(self.depth, self.geometry.units))
             panel(directions, normal_colours(self.camera_normals), _NORMALS)

@@ -14,7 +14,8 @@ from lightmatrix.errors import InputError
 from lightmatrix.files.kinds import CLOUD, DEPTH, PICTURE
 from lightmatrix.files.writing import atomic_files, check_output
 from lightmatrix.geometry.rig_geometry import Array, RigGeometry, load_rig
-from lightmatrix.shape.shape import Shape, ShapeTest, surface_normals
+from lightmatrix.paths import as_path
+from lightmatrix.shape.shape import Shape, ShapeTest, millimetres, surface_normals
 from lightmatrix.shape.spots import check_thresholds, seen_by, surface_probability
 from lightmatrix.transport.correspondence import Correspondence
 from lightmatrix.transport.matrix import LightTransport
@@ -91,6 +92,8 @@ def triangulate(
         check_output(path, kind, overwrite=overwrite)
     source = open_matches(transport)
     rig = geometry_of(source, geometry)
+    if depth is not None and as_path(depth).suffix.lower() == ".png":
+        millimetres(rig)
     seen = seen_by(source, rig)
     grid, probability = seen.grid, surface_probability(seen, tolerance)
     chosen = np.arange(len(probability)), probability.argmax(axis=1)
@@ -197,7 +200,8 @@ def geometry_of(
             raise InputError(
                 f"places reach row {row:g} and column {col:g} of a projector of "
                 f"{rig.projector_shape[0]} x {rig.projector_shape[1]} pixels",
-                hint="are they in pixels of this projector? Is x the column, and y the row?",
+                hint="give pixels of this projector, x as the column and y as the row; files of "
+                "`map` hold shares of an image: give T itself in their place",
             )
     blocks = {}
     for device, shape in shapes.items():

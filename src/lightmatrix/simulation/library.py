@@ -17,7 +17,6 @@ from lightmatrix.defaults import PROCEDURAL, USUAL_SAMPLES
 from lightmatrix.errors import InputError, OutputError, warn
 from lightmatrix.files.numpy_files import read_npz
 from lightmatrix.paths import as_path
-from lightmatrix.reprs import html_table
 from lightmatrix.simulation.procedural import ProceduralScene
 from lightmatrix.simulation.renderer import Progress, render
 from lightmatrix.simulation.scenes import Scene, names, scene, seen_by
@@ -160,16 +159,7 @@ class SceneSummary(NamedTuple):
     cameras: int = 1
 
 
-class Scenes(tuple[SceneSummary, ...]):
-    """The scenes of the simulator; a table in a notebook."""
-
-    __slots__ = ()
-
-    def _repr_html_(self) -> str:
-        return html_table("Scenes", {scene.name: scene.description for scene in self})
-
-
-def scenes() -> Scenes:
+def scenes() -> tuple[SceneSummary, ...]:
     """The scenes of the simulator.
 
     Returns
@@ -185,7 +175,7 @@ def scenes() -> Scenes:
     >>> [scene.name for scene in lm.scenes() if scene.bundled]
     ['l_objects', 'gripper', 'metal', 'corner']
     """
-    return Scenes(
+    return tuple(
         SceneSummary(name, scene(name).description, name in BUNDLED, *devices_of(name))
         for name in names()
     )

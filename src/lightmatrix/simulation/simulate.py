@@ -238,10 +238,12 @@ def simulate(
         raise InputError("a fault black without a black frame", hint=hint)
     shape = patterns.primary_shape if isinstance(patterns, ColourPatterns) else patterns.shape
     several = 1 if isinstance(scene, Truth) else library.devices_of(scene)[0]
-    if shape[0] % several:
+    # Projectors twice as wide as they are high do not exist: these are the patterns of one.
+    if shape[0] % several or (several > 1 and shape[1] >= 2 * (shape[0] // several)):
         raise InputError(
-            f"patterns of {shape[0]} rows for {several} projectors, one above the other",
-            hint="make patterns of as many rows as all projectors have: 128x64 for two of 64x64",
+            f"patterns of {shape[0]} x {shape[1]} for {several} projectors, one above the other",
+            hint="make patterns of as many rows as all projectors have: "
+            f"{several * shape[0]}x{shape[1]} for {several} of {shape[0]}x{shape[1]}",
         )
     size = (shape[0] // several, shape[1])
     truth = library.truth(scene, size, camera=camera, progress=progress)

@@ -22,13 +22,13 @@ from lightmatrix.errors import InputError
 from lightmatrix.files.kinds import TRUTH
 from lightmatrix.files.reading import parse_json
 from lightmatrix.files.writing import atomic_file
-from lightmatrix.geometry.rig_geometry import RigGeometry, binned_matrix, checked_fields
+from lightmatrix.geometry.rig_geometry import RigGeometry, checked_fields
 from lightmatrix.regions import Region
 from lightmatrix.reprs import short_repr
 from lightmatrix.simulation.scenes import Scene, names, scene
 from lightmatrix.simulation.shapes import Mesh, merge
 from lightmatrix.transport.matrix import LightTransport
-from lightmatrix.transport.npz import VERSION, read_transport, text_of
+from lightmatrix.transport.npz import VERSION, matrix_arrays, read_transport, text_of
 from lightmatrix.transport.sparse_rows import checked_float32
 
 # The surface that each camera pixel of a scene sees: exact depth and normals, without a renderer.
@@ -209,23 +209,6 @@ class Truth:
         """Unit normals (rows, cols, 3) that face the camera, in the world's frame; as `depth`."""
         return None if self._surface is None else self._surface.normals
 
-    def depths_within(self, side: int) -> NDArray[np.float64] | None:
-        """Exact depths on a grid of `side` x `side` points in each pixel, (rows, cols, side^2).
-
-        A pixel at an edge sees several surfaces; the depth of its centre belongs to one of them.
-        """
-        if self._scene is None or self.geometry is None:
-            return None
-        rows, cols = self.geometry.camera_shape
-        finer = replace(
-            self.geometry,
-            camera_matrix=binned_matrix(self.geometry.camera_matrix, (1 / side, 1 / side)),
-            camera_shape=(rows * side, cols * side),
-        )
-        fine = trace_surface(self._scene, finer).depth
-        blocks = fine.reshape(rows, side, cols, side).swapaxes(1, 2)
-        return blocks.reshape(rows, cols, side * side)
-
     @cached_property
     def _scene(self) -> Scene | None:
         """The scene that was rendered, if it is one of ours and has not changed since."""
@@ -267,7 +250,6 @@ class Truth:
 
     def save(self, path: Path, *, overwrite: bool = False) -> None:
         """Write a truth file, T.npz, which `scipy.sparse.load_npz` reads too."""
-        matrix = self.matrix
         known: dict[str, Any] = {}
         if self.geometry is not None:
             known["geometry"] = np.array(json.dumps(self.geometry.as_dict()))
@@ -279,13 +261,7 @@ class Truth:
                 stream,
                 # This key comes first, so that even a truncated file is recognised as a truth.
                 lightmatrix_truth=np.array(VERSION),
-                format=np.array("csr").astype("S"),
-                # SciPy writes this key to tell arrays from matrices.
-                _is_array=np.array(True),
-                shape=np.array(matrix.shape),
-                data=matrix.data,
-                indices=matrix.indices,
-                indptr=matrix.indptr,
+                **matrix_arrays(self.matrix),
                 camera_shape=np.array(self.camera_shape),
                 projector_shape=np.array(self.projector_shape),
                 direct_data=self.direct_data,

@@ -23,7 +23,7 @@ from typing import Any, Self
 import numpy as np
 
 from lightmatrix.errors import ClusterError, InputError, LightMatrixError, OutputError
-from lightmatrix.files.kinds import PARTIAL, STORE
+from lightmatrix.files.kinds import PARTIAL, PROJECTOR_STORES, STORE, FolderKind
 from lightmatrix.files.numpy_files import read_npz
 from lightmatrix.files.running import RunningResults
 from lightmatrix.files.writing import claimed
@@ -31,7 +31,7 @@ from lightmatrix.resources.threads import work_ahead
 from lightmatrix.transport.matrix import LightTransport
 from lightmatrix.transport.sparse_rows import SparseRows
 from lightmatrix.transport.store import open as open_store
-from lightmatrix.transport.store import save_rows
+from lightmatrix.transport.store import save_projectors, save_rows
 
 # First row of a tile, and the row after its last.
 Span = tuple[int, int]
@@ -50,26 +50,29 @@ class Checkpoint:
     """
 
     def __init__(
-        self, path: Path, kept: RunningResults, token: str, overwrite: bool, claim: ExitStack
-    ) -> None:
-        self._path, self._kept, self._token = path, kept, token
+        self, path: Path, kind: FolderKind, kept: RunningResults, token: str, overwrite: bool,
+        claim: ExitStack,
+    ) -> None:  # fmt: skip
+        self._path, self._kind, self._kept, self._token = path, kind, kept, token
         self._overwrite, self._claim = overwrite, claim
         # The undamaged tiles of each step that was asked for.
         self._spans: dict[str, list[Span]] = {}
 
     @classmethod
     def open(
-        cls, path: str | Path, fingerprint: Mapping[str, Any], *, overwrite: bool = False
-    ) -> Checkpoint:
+        cls, path: str | Path, fingerprint: Mapping[str, Any], *, kind: FolderKind = STORE,
+        overwrite: bool = False,
+    ) -> Checkpoint:  # fmt: skip
         """Begin, or continue, the running results of an output, in scene.zarr.partial.
 
-        The `fingerprint` is everything the result depends on, JSON-ready. An OutputError refuses an
-        output that exists or that another run writes, and tiles of another fingerprint; with
-        `overwrite` both are replaced.
+        The output is a store, or of the kind PROJECTOR_STORES a folder of them. The `fingerprint`
+        is everything the result depends on, JSON-ready. An OutputError refuses an output that
+        exists or that another run writes, and tiles of another fingerprint; with `overwrite` both
+        are replaced.
         """
         wanted = json.loads(json.dumps(dict(fingerprint), default=str))
         with ExitStack() as claim:
-            target = claim.enter_context(claimed(path, STORE, overwrite=overwrite))
+            target = claim.enter_context(claimed(path, kind, overwrite=overwrite))
             kept = RunningResults.resume(
                 target, PARTIAL, wanted, file=_FINGERPRINT,
                 contents="an incomplete estimate with other settings", overwrite=overwrite,
@@ -81,7 +84,7 @@ class Checkpoint:
                 except OutputError:
                     kept.discard()
                     raise
-            return cls(Path(path), kept, _token(wanted), overwrite, claim.pop_all())
+            return cls(Path(path), kind, kept, _token(wanted), overwrite, claim.pop_all())
 
     def __enter__(self) -> Self:
         return self
@@ -146,12 +149,17 @@ class Checkpoint:
         if [start for start, _ in spans] != edges[:-1] or edges[-1] != rows:
             raise InputError(f"{self._kept.path}: the tiles do not cover all {rows} rows once")
         provenance = dict(provenance or {})
+        shapes = camera_shape, projector_shape, background_grid
+        several: LightTransport | None = None
         try:
-            save_rows(
-                self._path, self._tiles(step), camera_shape=camera_shape,
-                projector_shape=projector_shape, background_grid=background_grid,
-                provenance=provenance, overwrite=self._overwrite,
-            )  # fmt: skip
+            if self._kind is PROJECTOR_STORES:
+                parts = self.read(step)
+                several = LightTransport(
+                    parts.coefficients, parts.background, *shapes, parts.diagnostics, provenance
+                )
+                save_projectors(self._path, several, overwrite=self._overwrite)
+            else:
+                save_rows(self._path, self._tiles(step), *shapes, provenance, self._overwrite)
         except OutputError as error:
             raise OutputError(
                 error.message,
@@ -159,6 +167,8 @@ class Checkpoint:
                 "permissions and the free space, and run the same estimate again",
             ) from error
         self._kept.discard()
+        if several is not None:
+            return several
         return replace(open_store(self._path), provenance=provenance)
 
     def _files(self) -> list[tuple[str, str, Span]]:

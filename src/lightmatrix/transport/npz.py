@@ -6,7 +6,6 @@
 from __future__ import annotations
 
 import json
-import re
 from pathlib import Path
 from typing import Any
 
@@ -114,16 +113,18 @@ def export(
                 stream,
                 # First, so that even a file that was cut off is recognized as ours.
                 lightmatrix_transport=np.array(VERSION),
-                format=np.array(b"csr"),
-                _is_array=np.array(True),
-                shape=np.array(matrix.shape),
-                data=matrix.data,
-                indices=matrix.indices,
-                indptr=matrix.indptr,
+                **matrix_arrays(matrix),
                 background=background,
                 metadata=np.array(json.dumps(dict(transport.provenance), default=str)),
                 **shapes,
             )
+
+
+def matrix_arrays(matrix: sparse.csr_array) -> dict[str, Any]:
+    """A CSR matrix as `scipy.sparse.load_npz` reads it; `_is_array` tells it from a csr_matrix."""
+    parts = {name: getattr(matrix, name) for name in ("data", "indices", "indptr")}
+    marks = {"format": np.array(b"csr"), "_is_array": np.array(True)}
+    return marks | {"shape": np.array(matrix.shape)} | parts
 
 
 def import_npz(path: str | Path) -> LightTransport:
@@ -262,11 +263,15 @@ def _map_of_images(file: Path) -> Correspondence:
             raise InputError(f"{file}: has one channel", hint="give x in red and y in green")
         x, y = channels[:2]
     else:
-        stem = re.fullmatch(r"(.*?)[xy]", file.stem, flags=re.IGNORECASE | re.DOTALL)
-        if stem is None:
+        name, axis = file.stem[:-1], file.stem[-1:]
+        if axis not in tuple("xyXY"):
             hint = "name the images NAME-x.png and NAME-y.png, and give one of them"
             raise InputError(f"{file}: is no image of a pair", hint=hint)
-        x, y = (read_image(file.with_name(f"{stem[1]}{axis}{file.suffix}")) for axis in "xy")
+        both = "XY" if axis.isupper() else "xy"
+        x, y = (read_image(file.with_name(f"{name}{axis}{file.suffix}")) for axis in both)
+        if x.dtype.itemsize == 1 or y.dtype.itemsize == 1:
+            hint = "write pixels as 16 bits; 8 bits hold none beyond 255"
+            raise InputError(f"{file}: is a map of 8 bits", hint=hint)
     with errors_naming(file):
         return _of_map(x, y)
 
@@ -282,6 +287,11 @@ def _of_map(x: NDArray[Any], y: NDArray[Any]) -> Correspondence:
         known &= (place < 65535).all(axis=-1) & (place > 0).any(axis=-1)
     if not known.any():
         raise InputError("no camera pixel sees the projector", hint="is this the right file?")
+    if not np.issubdtype(x.dtype, np.integer) and place[known].max() <= 1:
+        raise InputError(
+            "x and y lie between 0 and 1: they are shares of an image, as `map` writes, no pixels",
+            hint="give T itself or the file of `decode`, or x and y in pixels of the projector",
+        )
     place[~known] = np.nan
     pixel = np.where(known[..., None], np.rint(np.nan_to_num(place)), -1).astype(np.int32)
     return Correspondence(pixel, place, known.astype(np.float32))

@@ -25,7 +25,7 @@ from scipy.sparse import csr_array
 from zarr.codecs import BloscCodec
 
 from lightmatrix.errors import InputError
-from lightmatrix.files.colours import COLOURS, colour_paths
+from lightmatrix.files.colours import COLOURS, colour_paths, instead_of
 from lightmatrix.files.kinds import (
     COLOUR_STORES,
     CORRESPONDENCE_MARK,
@@ -103,17 +103,14 @@ def save(path: str | Path, transport: LightTransport, *, overwrite: bool = False
     # Checked again, because arrays can be changed, and `open` would refuse what they hold.
     transport = replace(transport)
     rows = SparseRows(transport.sparse, transport.background, transport.diagnostics)
-    save_rows(
-        path, [rows], camera_shape=transport.camera_shape,
-        projector_shape=transport.projector_shape, background_grid=transport.background_grid,
-        provenance=transport.provenance, overwrite=overwrite,
-    )  # fmt: skip
+    shapes = transport.camera_shape, transport.projector_shape, transport.background_grid
+    save_rows(path, [rows], *shapes, transport.provenance, overwrite)
 
 
 def save_rows(
-    path: str | Path, parts: Iterable[SparseRows], *, camera_shape: tuple[int, ...],
+    path: str | Path, parts: Iterable[SparseRows], camera_shape: tuple[int, ...],
     projector_shape: tuple[int, int], background_grid: tuple[int, int],
-    provenance: Mapping[str, Any], overwrite: bool = False,
+    provenance: Mapping[str, Any], overwrite: bool,
 ) -> None:  # fmt: skip
     """Write a matrix as `save` does, from parts with all rows in order, one at a time in memory."""
     with atomic_folder(path, STORE, overwrite=overwrite) as part:
@@ -370,7 +367,7 @@ class StoredTransport(TransportOperator):
                 hint = "run the same `lightmatrix estimate` again; it continues where it stopped"
                 raise InputError(f"{place}: the estimate is incomplete", hint=hint)
             raise InputError(f"{place}: no such file", hint="check the name")
-        hint = "give a .zarr folder from `lightmatrix estimate`"
+        hint = instead_of(place, "give a .zarr folder from `lightmatrix estimate`")
         attributes = read_group(place, STORE.name, FORMAT, VERSION, hint)
         with as_damage_error(place, remedy):
             camera = checked_shape(attributes["camera_shape"], (2, 3), "camera_shape")

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lightmatrix.errors import InputError
-from lightmatrix.files.colours import stores_within
+from lightmatrix.files.colours import shown_files, stores_within
 from lightmatrix.files.extras import video_frames
 from lightmatrix.files.images import DISPLAY_GAMMA, write_image
 from lightmatrix.files.kinds import IMAGE, PATTERNS
@@ -26,7 +26,7 @@ from lightmatrix.files.writing import check_output
 from lightmatrix.patterns.folder import write_patterns
 from lightmatrix.patterns.pattern_set import ImagePatterns
 from lightmatrix.patterns.projector_curve import ProjectorResponse
-from lightmatrix.ranges import check_list, check_number, check_whole
+from lightmatrix.ranges import check_list, check_number
 from lightmatrix.reprs import short_repr
 from lightmatrix.transport.matrix import LightTransport
 from lightmatrix.uses.loading import Transport, loaded
@@ -160,17 +160,12 @@ def write_shown(
     output: str | Path, patterns: Sequence[Singles], *, overwrite: bool = False
 ) -> None:
     """Write patterns as images: one, three in colour, or several with numbers."""
-    path = Path(output)
-    if len(patterns) == 3 and len({pattern.shape for pattern in patterns}) == 1:
-        images = {path: np.stack(patterns, axis=-1)}
-    elif len(patterns) == 1:
-        images = {path: patterns[0]}
-    else:
-        names = [path.with_name(f"{path.stem}-{k}{path.suffix}") for k, _ in enumerate(patterns, 1)]
-        images = dict(zip(names, patterns, strict=True))
-    for place in images:
+    files = shown_files(output, [pattern.shape for pattern in patterns])
+    in_colour = len(files) < len(patterns)
+    images = [np.stack(patterns, axis=-1)] if in_colour else patterns
+    for place in files:
         check_output(place, IMAGE, overwrite=overwrite)
-    for place, image in images.items():
+    for place, image in zip(files, images, strict=True):
         write_image(place, image, overwrite=overwrite)
 
 
@@ -518,7 +513,6 @@ def compensate(
     brightness: float | None = None,
     gamma: float | None = None,
     fit: str | None = None,
-    iterations: int = USUAL_ITERATIONS,
     projector_response: ProjectorResponse | str | Path | None = None,
     output: str | Path | None = None,
     overwrite: bool = False,
@@ -556,8 +550,6 @@ def compensate(
     fit : {"cover", "contain", "stretch"}, optional
         How a picture of another size is fitted to the camera: it covers all of it and is cut off,
         is seen whole with black beside it, or is stretched. None: it is refused.
-    iterations : int
-        Of the solver, at least 1.
     projector_response : ProjectorResponse, str or Path, optional
         What the grey values of the projector are in light, by which the output is encoded: a file
         from `projector_response`, "gamma:2.2", or "linear", which writes light. None: as the
@@ -590,12 +582,11 @@ def compensate(
     (64, 64)
     """
     check_brightness(brightness)
-    check_whole("iterations", iterations, hint="use at least 1, such as 25")
     if output is not None:
         check_output(output, IMAGE, overwrite=overwrite)
     shared = compensator(transport, ambient=ambient, mask=mask, projector_mask=projector_mask)
     samples = wanted_samples(wanted, shared.light.camera_shape, gamma=gamma, fit=fit)
-    found = shared.solve(samples, brightness, iterations=iterations)
+    found = shared.solve(samples, brightness)
     plain = found.psnr_of(shared.uncompensated(found, samples))
     encoding = encoding_of(projector_response, shared.light)
     found = replace(found, uncompensated_psnr=plain, encoding=encoding)

@@ -349,6 +349,9 @@ def map_projectors(
     [(64, 64), (64, 64)]
     """
     if output is not None:
+        if as_path(output).suffix.lower() != ".mpcdi":
+            hint = "end it in .mpcdi, or map the store of each projector"
+            raise OutputError(f"{output}: only .mpcdi holds several projectors", hint=hint)
         check_output(output, kinds.MPCDI, overwrite=overwrite)
     light = joint_light(transport)
     white = compensate(light.matrices, np.ones(light.camera_shape, np.float32))

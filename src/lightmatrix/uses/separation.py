@@ -28,7 +28,8 @@ from lightmatrix.geometry.matches import (
     fit_parallel_lines,
     spread_of_spots,
 )
-from lightmatrix.pictures.transport import Picture, draw_parts
+from lightmatrix.pictures.style import Picture
+from lightmatrix.pictures.transport import draw_parts
 from lightmatrix.reprs import short_repr
 from lightmatrix.transport import store
 from lightmatrix.transport.correspondence import pixel_rows
@@ -61,28 +62,14 @@ class EpipolarGeometry:
         camera pixel: coefficients of 1, row, col, row^2, row col, col^2.
     parallax_range : (float, float)
         Where along the line good rows lie, relative to the mean surface, in projector pixels.
-    middle : (float, float)
-        The camera pixel for which `direction` is told: the mean of good rows.
     """
 
     fundamental: Floats
     spread: float
     surface: Floats
     parallax_range: tuple[float, float]
-    middle: tuple[float, float]
 
     __repr__ = short_repr
-
-    @property
-    def direction(self) -> float:
-        """Angle of epipolar lines to the projector's rows, in degrees from -90 to 90.
-
-        Lines that meet have it at the middle of the scene.
-        """
-        row, col = self._along(np.array([self.middle]))[0]
-        if col < 0:
-            row, col = -row, -col
-        return float(np.degrees(np.arctan2(row, col)))
 
     def distance(self, camera: Floats, projector: Floats) -> Floats:
         """Signed distances of projector pixels (n, 2) to the lines of camera pixels (n, 2)."""
@@ -133,11 +120,10 @@ def on_surface(surface: Floats, camera: Floats) -> Floats:
 
 def fit_epipolar(camera: Floats, projector: Floats, surface: Floats) -> EpipolarGeometry:
     """Fit parallel lines to matches (n, 2) each, n >= 4, or lines that meet where those miss."""
-    row, col = camera.mean(axis=0)
 
     def fitted(fundamental: Floats) -> tuple[EpipolarGeometry, float]:
         """The geometry of lines, and the share of matches that lie close to them."""
-        made = EpipolarGeometry(fundamental, 0.0, surface, (0.0, 0.0), (float(row), float(col)))
+        made = EpipolarGeometry(fundamental, 0.0, surface, (0.0, 0.0))
         distance = made.distance(camera, projector)
         share = float((np.abs(distance) < ROBUST.support).mean())
         return replace(made, spread=spread_of_spots(distance)), share

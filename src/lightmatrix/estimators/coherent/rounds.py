@@ -33,6 +33,7 @@ from lightmatrix.estimators.coherent.row_errors import (
     smooth_misfit,
     squared_misfit,
     squared_residual,
+    under_atoms,
     without,
 )
 from lightmatrix.estimators.coherent.row_solver import RowSolver, coherent_row_bytes
@@ -228,7 +229,8 @@ class Rounds(Work):
                 light = solved.background[:, None] * weighted.background[:, some]
                 if solved.cells.shape[1]:
                     light += solved.cells @ solver.backgrounds.shown_means[:, some]
-                predicted[:, places] = solved.coefficients @ self._held_out_atoms[:, places] + light
+                light += under_atoms(solver.atoms, solved.coefficients)[:, some]
+                predicted[:, places] = light
             misfits[rows - start] = squared_misfit(samples, predicted, held)
             missed[rows - start], seen[rows - start] = held_out_energy(samples, predicted, held)
             chosen = np.flatnonzero(np.isin(rows, self._every(self._looked_at, start, stop)))
@@ -261,12 +263,6 @@ class Rounds(Work):
         _, cols, channels = self._grid(len(self.rounds) - 1).camera
         row, col = np.divmod(rows // channels, cols)
         return rows[(row % spacing == 0) & (col % spacing == 0)]
-
-    @computed_once
-    def _held_out_atoms(self) -> NDArray[np.float32]:
-        """The atoms under the H judged frames, (S N, H)."""
-        atoms = self.solver.atoms
-        return np.stack([atoms.rows(k, k + 1)[0] for k in self._held_out.judged], axis=1)
 
     @computed_once
     def _held_out(self) -> HeldOut:

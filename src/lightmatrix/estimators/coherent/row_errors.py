@@ -473,18 +473,18 @@ def _residuals(
     light: NDArray[Any] = solved.background[rows][:, None] * weighted.background[rows]
     light = light + solved.cells[rows] @ weighted.cells.means
     samples = problem.observed.at(rows).astype(np.float64)
-    predicted = _under(solver.atoms, coefficients) + light[:, :count]
+    predicted = under_atoms(solver.atoms, coefficients) + light[:, :count]
     term = Fidelity(solver.solver.fidelity).term
     shown = samples.weights * term.residual(predicted, samples)
     if pseudo is None:
         return shown, None
-    unseen = _under(solver.unseen, coefficients) + light[:, count:]
+    unseen = under_atoms(solver.unseen, coefficients) + light[:, count:]
     both = np.concatenate([predicted, unseen], axis=1)
     further = pseudo.weights[rows] * (pseudo.values[rows] - both)
     return shown + further[:, :count], np.ascontiguousarray(further[:, count:])
 
 
-def _under(atoms: AtomPatterns, rows: csr_array) -> NDArray[np.float64]:
+def under_atoms(atoms: AtomPatterns, rows: csr_array) -> NDArray[np.float64]:
     """The samples of rows of atoms under the patterns, (n, K)."""
     used, place = np.unique(rows.indices, return_inverse=True)
     own = csr_array((rows.data, place, rows.indptr), shape=(rows.shape[0], len(used)))

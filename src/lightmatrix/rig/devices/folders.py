@@ -11,7 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lightmatrix.errors import DeviceError, InputError
-from lightmatrix.files.images import FORMATS, READABLE, read_image, write_image
+from lightmatrix.files.images import FORMATS, read_image, write_image
+from lightmatrix.files.new_files import NewFiles, State
 from lightmatrix.rig.devices.base import (
     Address,
     Camera,
@@ -76,74 +77,33 @@ class WatchedFolder(Camera):
 
     def __init__(self, address: Address, folder: Path, exposure: float, clip: float | None) -> None:
         super().__init__(address)
-        self._folder, self._stated, self._clip = folder, exposure, clip
+        self._stated, self._clip = exposure, clip
         self._name, self._trigger = f"folder {folder}", "elsewhere"
-        # The ending of all frames: that of the first.
-        self._suffix = ""
-        self._seen = self._states()
+        # The oldest first; those of one moment by name.
+        self._files = NewFiles(folder, lambda item: (item[1][1], item[0].name))
+        self._files.pass_over()
 
     def get_image(self, timeout: float) -> Frame:
         """The next complete file, timed by its last change, the likeliest end of exposure."""
         self._check_open()
         until = time.monotonic() + timeout
-        changes: dict[Path, tuple[tuple[int, int], float]] = {}
-        failure: InputError | None = None
-        while True:
-            # Later files wait for the oldest one.
-            for file, state in self._new_files()[:1]:
-                now = time.monotonic()
-                if file not in changes or changes[file][0] != state:
-                    changes[file] = (state, now)
-                # A file is complete if it can be read and did not change for 0.1 s, which covers
-                # the pauses of a program that writes to a slow disk.
-                if now - changes[file][1] >= 0.1:
-                    try:
-                        image = read_image(file)
-                    # The file is still being written, or damaged; time will tell.
-                    except InputError as error:
-                        failure = error
-                    else:
-                        if _size_and_time(file) == state:
-                            return self._frame(file, image, state)
+        while (found := self._files.next(read_image)) is None:
             if time.monotonic() >= until:
-                if failure is None:
-                    hint = f"does the other program write {self._suffix or FORMATS} files here?"
+                if self._files.failure is None:
+                    endings = self._files.suffix or FORMATS
+                    hint = f"does the other program write {endings} files here?"
                     raise self._timeout(timeout, hint)
                 hint = "have files written elsewhere and moved here when they are whole"
-                raise self._timeout(timeout, hint, f"; {failure.message}")
+                raise self._timeout(timeout, hint, f"; {self._files.failure[0].message}")
             time.sleep(0.02)
+        return self._frame(*found)
 
     def flush(self) -> None:
         """Pass over the files that are there."""
         self._check_open()
-        self._seen = self._states()
+        self._files.pass_over()
 
-    def _states(self) -> dict[Path, tuple[int, int]]:
-        """Files that may be frames, with their sizes and the times of their last changes."""
-        endings = (self._suffix,) if self._suffix else READABLE
-        try:
-            files = [
-                file
-                for file in self._folder.iterdir()
-                if file.suffix.lower() in endings and file.name[0] != "."
-            ]
-        except OSError as error:
-            raise self._error(
-                f"the folder cannot be read ({error.strerror})", "check its name and permissions"
-            ) from error
-        return {file: state for file in files if (state := _size_and_time(file)) is not None}
-
-    def _new_files(self) -> list[tuple[Path, tuple[int, int]]]:
-        """Files that are new or written again, the oldest first; those of one moment by name."""
-        new = [item for item in self._states().items() if self._seen.get(item[0]) != item[1]]
-        # Cameras may write one photograph in two formats, under one name.
-        best: dict[str, tuple[Path, tuple[int, int]]] = {}
-        for item in sorted(new, key=lambda item: READABLE.index(item[0].suffix.lower())):
-            best.setdefault(item[0].stem, item)
-        return sorted(best.values(), key=lambda item: (item[1][1], item[0].name))
-
-    def _frame(self, file: Path, image: NDArray[Any], state: tuple[int, int]) -> Frame:
-        self._seen[file] = state
+    def _frame(self, file: Path, image: NDArray[Any], state: State) -> Frame:
         if image.dtype not in (np.uint8, np.uint16):
             hint = "have frames saved with 8 or 16 bits"
             raise DeviceError(f"{file}: is {image.dtype}, which no sensor delivers", hint=hint)
@@ -153,7 +113,7 @@ class WatchedFolder(Camera):
                 f"{size_in_words(self._shape)}",
                 hint="do not turn the camera or change its image size meanwhile",
             )
-        self._suffix = file.suffix.lower()
+        self._files.suffix = file.suffix.lower()
         self._shape, self._bits = image.shape, 8 * image.dtype.itemsize
         # The wall clock may be set meanwhile, so only its difference to now is used.
         age = max(0.0, time.time() - state[1] * 1e-9)
@@ -178,12 +138,3 @@ def open_watched(address: Address) -> WatchedFolder:
         hint = "make it first, or check the name"
         raise InputError(f"{address}: there is no such folder", hint=hint)
     return WatchedFolder(address, folder, exposure, clip)
-
-
-def _size_and_time(file: Path) -> tuple[int, int] | None:
-    """Size and time of the last change; None if the file was moved away meanwhile."""
-    try:
-        status = file.stat()
-    except OSError:
-        return None
-    return status.st_size, status.st_mtime_ns

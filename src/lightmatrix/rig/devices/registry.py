@@ -89,6 +89,8 @@ def open_projector(address: str | Sequence[str]) -> Projector:
     >>> projector.close()
     """
     several = [address] if isinstance(address, str) else address
+    if not several:
+        raise InputError("no projector", hint="give an address such as window:1")
     with ExitStack() as opened:
         opening = (_open_device(PROJECTORS, "projector", one) for one in several)
         each = [opened.enter_context(closing(one)) for one in opening]

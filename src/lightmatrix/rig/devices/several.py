@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import ExitStack
 from typing import Any
 
 import numpy as np
@@ -31,9 +32,12 @@ def stacked(pictures: Sequence[NDArray[Any]], sizes: Sequence[tuple[int, int]]) 
             f"{len(shapes)} pictures of {shapes}, for projectors of {listed}", hint=hint
         )
     rows, cols = (max(sides) for sides in zip(*sizes, strict=True))
-    whole = np.zeros((len(sizes), rows, cols, *pictures[0].shape[2:]), pictures[0].dtype)
+    # Grey pictures beside others in colour are shown in all three primaries.
+    colours = max((picture.shape[2:] for picture in pictures), key=len)
+    whole = np.zeros((len(sizes), rows, cols, *colours), pictures[0].dtype)
     for slot, picture in zip(whole, pictures, strict=True):
-        slot[: picture.shape[0], : picture.shape[1]] = picture
+        part = picture[..., None] if picture.ndim < slot.ndim else picture
+        slot[: picture.shape[0], : picture.shape[1]] = part
     return whole.reshape(-1, *whole.shape[2:])
 
 
@@ -67,5 +71,6 @@ class SeveralProjectors(Projector):
         return any(one.asked_to_end() for one in self._projectors)
 
     def close(self) -> None:
-        for one in self._projectors:
-            one.close()
+        with ExitStack() as stack:
+            for one in self._projectors:
+                stack.callback(one.close)
