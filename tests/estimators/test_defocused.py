@@ -7,7 +7,7 @@ import pytest
 from scipy.ndimage import gaussian_filter
 
 import lightmatrix as lm
-from lightmatrix.estimators.defocused import _Strip, defocused
+from lightmatrix.estimators.defocused import _gaussian, _Strip, defocused
 from lightmatrix.judgement.judgement import OwnError
 from lightmatrix.rig_model.model import RigModel
 
@@ -25,7 +25,7 @@ def unfocused() -> tuple[lm.Capture, lm.LightTransport, lm.Truth]:
 
 @pytest.fixture(scope="module")
 def strip(unfocused: tuple[lm.Capture, lm.LightTransport, lm.Truth]) -> _Strip:
-    return _Strip.of(*unfocused[:2], 1.0, slice(5, 20))
+    return _Strip.of(*unfocused[:2], _gaussian(1.0), slice(5, 20))
 
 
 def test_the_blur_is_found_and_t_is_estimated_with_it(
@@ -57,7 +57,7 @@ def test_a_strip_blurs_as_a_lens_does_and_has_an_adjoint(strip: _Strip) -> None:
     random = np.random.default_rng(0)
     images = random.random(strip.known.shape, np.float32)
     flat = images.reshape(*strip.shape[:2], -1)
-    expected = gaussian_filter(flat, (1, 1, 0), mode="nearest", truncate=3.5)
+    expected = gaussian_filter(flat, (1, 1, 0), mode="nearest", truncate=3)
     assert strip.blurred(images).reshape(flat.shape) == pytest.approx(expected, abs=1e-5)
     light = random.random(strip.light.shape, np.float32)
     given = np.vdot(strip.shown(light, strip.columns), images)

@@ -11,7 +11,7 @@ Their light may only lie where the rows of a first T lie, or beside their strong
 penalty is what noise alone would give a place, and the noise is what the last step left (scaled
 lasso, Sun and Zhang 2012). What the samples of a row have in common belongs to its background.
 
-C is found in a window of the camera: a Gaussian at first, then any kernel, from S by least squares.
+C is a Gaussian or the image of an aperture, whichever predicts photographs held out best.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import correlate1d
-from scipy.optimize import minimize_scalar, nnls
+from scipy.optimize import minimize_scalar
 from scipy.sparse import csr_array
 
 from lightmatrix import _core
@@ -49,7 +49,7 @@ Array = NDArray[np.float32]
 _BLURS = (0.7, 1.0, 1.4, 2.0)
 # Camera samples of the trials that find the blur, and of a strip of the camera, which takes about
 # 200 MiB with 32 patterns.
-_TRIED, _TOGETHER = 1600, 1 << 15
+_TRIED, _TOGETHER = 1200, 1 << 15
 # Diagnostics of the first T that say nothing of rows that are solved together.
 _OF_SINGLE_ROWS = {"objective", "certified_everywhere", "searched_everywhere"}
 # Pixels at the border of such a window that see what lies outside.
@@ -91,9 +91,7 @@ def _is_soft(capture: Capture) -> bool:
     under random patterns, 0.5 to 0.6 times with a blur of half a pixel, 0.3 with 0.7 pixels. A
     blurred projector looks alike.
     """
-    some = capture.select(np.linspace(0, capture.count - 1, min(8, capture.count)).astype(int))
-    window = window_of_light(some, np.arange(some.count), 1 << 16)
-    some = some if window is None else some.window(*window)
+    some = capture.select(np.arange(min(8, capture.count)))
     values = some.samples(0, some.rows).values.reshape(*some.camera_shape[:2], -1, some.count)
     values = values - values.mean(axis=-1, keepdims=True)
     near, far = (
@@ -114,35 +112,26 @@ def _found_kernel(capture: Capture, first: LightTransport, held: HeldOut) -> Arr
         capture = capture.window(*window)
     inner = np.zeros((high, wide, capture.rows // (high * wide)), np.bool_)
     inner[_BORDER:-_BORDER, _BORDER:-_BORDER] = True
-    inside = inner.ravel()
-
-    def tried(kernel: Array) -> tuple[float, Array, _Strip]:
-        strip = _Strip.of(capture, first, kernel, slice(0, high)).without(held.frames).solved(0.05)
-        missed, _ = held_out_energy(strip.samples, strip.predicted[:, held.judged], held.judged)
-        return float(missed[inside].mean()), kernel, strip
-
-    found = list[tuple[float, Array, _Strip]]()
 
     def misses(size: float, shape: Callable[[float], Array]) -> float:
-        found.append(tried(shape(size)))
-        return found[-1][0]
+        whole = _Strip.of(capture, first, shape(size), slice(0, high))
+        strip = whole.without(held.frames).solved(0.05)
+        missed, _ = held_out_energy(strip.samples, strip.predicted[:, held.judged], held.judged)
+        return float(missed[inner.ravel()].mean())
 
-    sizes = {(misses(size, shape), size, shape) for size in _BLURS for shape in (_gaussian, _disk)}
-    _, size, shape = min(sizes, key=lambda each: each[0])
-    around, exact = (size / 1.4, size * 1.4), {"xatol": 0.03 * size}
-    minimize_scalar(misses, args=(shape,), bounds=around, method="bounded", options=exact)
-    least, kernel, strip = min(found, key=lambda each: each[0])
-    if least > 0.8 * tried(np.ones((1, 1), np.float32))[0]:
-        return None
-    # S has adapted to a wrong kernel at the frames that it was solved with. At those held out it is
-    # less wrong than the kernel, so that a better one follows from them, at last in a few steps.
-    now, worse = strip, 0
-    while worse < 3:
-        missed, fitted, now = tried(now.fitted(held.frames, inside))
-        worse = 0 if missed < 0.95 * least else worse + 1
-        if missed < least:
-            least, kernel = missed, fitted
-    return kernel
+    # Where T is no better with a small blur, the projector is blurred, or the scene is smooth.
+    most, tried = (
+        0.8 * misses(0.0, _gaussian),
+        list[tuple[float, float, Callable[[float], Array]]](),
+    )
+    for size in _BLURS:
+        tried += [(misses(size, shape), size, shape) for shape in (_gaussian, _disk)]
+        least, best, shape = min(tried, key=lambda each: each[0])
+        if least > most:
+            return None
+    around, exact = (best / 1.4, best * 1.4), {"xatol": 0.03 * best}
+    found = minimize_scalar(misses, args=(shape,), bounds=around, method="bounded", options=exact)
+    return shape(found.x if found.fun < least else best)
 
 
 def _estimate(
@@ -338,29 +327,6 @@ class _Strip:
             way /= np.float32(max(size, 1e-30))
         return 1.05 * size
 
-    def fitted(self, frames: NDArray[np.int64], inside: NDArray[np.bool_]) -> Array:
-        """The kernel that explains some frames and rows best with the light of S; it is even."""
-        known = self.samples.counted & ~self.samples.clipped
-        strip = replace(
-            self, known=(known & np.isin(np.arange(known.shape[1]), frames)) * np.float32(1)
-        )
-        light = _core.light_at_places(self.starts, self.places, self.columns, self.light)
-        (lines, cols, channels), reach = self.shape, len(self.kernel) // 2
-        sides = ((reach, reach), (reach, reach), (0, 0), (0, 0))
-        light = np.pad(light.reshape(lines, cols, channels, -1), sides, mode="edge")
-        moved = [
-            strip.centred(light[down : down + lines, right : right + cols].reshape(known.shape))
-            for down in range(self.kernel.shape[0]) for right in range(self.kernel.shape[1])
-        ]  # fmt: skip
-        parts = np.stack([each[inside].ravel() for each in moved])
-        target = strip.centred(self.samples.values - self.low)[inside].ravel()
-        values, vectors = np.linalg.eigh((parts @ parts.T).astype(np.float64))
-        # Kernels that change the frames by less than noise stay as they are.
-        root = np.sqrt(np.maximum(values, 1e-6 * values[-1]))
-        kernel, _ = nnls((vectors * root).T, (vectors / root).T @ (parts @ target))
-        even = (kernel + kernel[::-1]).reshape(self.kernel.shape)
-        return np.asarray(even / max(even.sum(), 1e-30), np.float32)
-
     def rows(self, pixels: int) -> SparseRows:
         """The rows of T = C S, with what their light leaves of the samples as background."""
         shape = len(self.starts) - 1, pixels
@@ -398,7 +364,7 @@ def _places(
 def _gaussian(size: float) -> Array:
     """A kernel of a standard deviation in pixels, as of a lens that is not quite sharp."""
     place = np.arange(-int(np.ceil(3 * size)), int(np.ceil(3 * size)) + 1)
-    profile = np.exp(-(place**2) / (2 * size**2))
+    profile = np.exp(-(place**2) / (2 * max(size, 0.1) ** 2))
     kernel = np.outer(profile, profile)
     return (kernel / kernel.sum()).astype(np.float32)
 
