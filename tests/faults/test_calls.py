@@ -162,7 +162,7 @@ CALLS: dict[str, tuple[Callable[[Any], Any], tuple[Any, ...]]] = {
     "compensate mask": (lambda v: lm.compensate(T, PICTURE, mask=v), ARRAYS[2:]),
     "compensate gamma": (lambda v: lm.compensate(T, PICTURE, gamma=v), NUMBERS[1:]),
     "compensate_video": (lambda v: lm.compensate_video(T, [v]), ARRAYS[2:]),
-    "cancel_global": (lambda v: lm.cancel_global(T, v, direct=T), ARRAYS[2:]),
+    "cancel_global": (lambda v: lm.cancel_global(T, v), ARRAYS[2:]),
     "separate": (lambda v: lm.separate(T, pattern=v), ARRAYS[2:]),
     "plan size": (lambda v: lm.plan("metal", size=v), SHAPES[1:]),
     "plan frames": (lambda v: lm.plan("metal", frames=v), WHOLE[1:]),

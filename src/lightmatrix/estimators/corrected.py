@@ -13,7 +13,6 @@ from lightmatrix.check.refusals import refuse_unusable
 from lightmatrix.errors import InputError
 from lightmatrix.estimators.choice import choose_estimator
 from lightmatrix.estimators.defocused import defocused
-from lightmatrix.rig_model.camera_blur import CameraBlur
 from lightmatrix.rig_model.model import RIG, RigModel
 from lightmatrix.rig_model.terms import TERMS, allowed_terms
 from lightmatrix.solvers.loop import Progress
@@ -124,13 +123,13 @@ def corrected(
             transport = estimate(simpler.corrected(capture, best)) if rest else first
             if _missed(transport) * _CLEARLY <= _missed(best):
                 model, best = simpler, transport
-    if CameraBlur.name in allowed and (
+    if "camera-blur" in allowed and (
         focused := defocused(model.corrected(capture, best), best, progress)
     ):
         blur, best = focused
-        model = replace(model, values={**model.values, CameraBlur.name: np.array([blur])})
-    proof = {"certificate": best.provenance["certificate"]}
-    provenance = {**first.provenance, **proof, **({RIG: model.as_dict()} if model.names else {})}
+        model = replace(model, values={**model.values, "camera-blur": np.array([blur])})
+    provenance = {**first.provenance, "certificate": best.provenance["certificate"]}
+    provenance |= {RIG: model.as_dict()} if model.names else {}
     return model, replace(best, provenance=provenance)
 
 

@@ -73,11 +73,8 @@ def defocused(
         return None
     with one_blas_thread():
         kernel = _found_kernel(capture, first, held)
-        if kernel is None:
-            return None
-        transport = _estimate(capture, first, kernel, held, progress)
-    after = prediction_error(transport)
-    if after is None or after > 0.98 * before:
+        transport = first if kernel is None else _estimate(capture, first, kernel, held, progress)
+    if kernel is None or (prediction_error(transport) or np.inf) > 0.98 * before:
         return None
     # The standard deviation along an axis, averaged over both.
     place = np.arange(len(kernel)) - len(kernel) // 2
@@ -88,8 +85,7 @@ def _is_soft(capture: Capture) -> bool:
     """Whether neighbouring pixels differ so little that the camera may be out of focus.
 
     Differences of neighbours have 0.7 to 0.9 times the energy of those of pixels further apart
-    under random patterns, 0.5 to 0.6 times with a blur of half a pixel, 0.3 with 0.7 pixels. A
-    blurred projector looks alike.
+    under random patterns, 0.3 times with a blur of 0.7 pixels. A blurred projector looks alike.
     """
     some = capture.select(np.arange(min(8, capture.count)))
     values = some.samples(0, some.rows).values.reshape(*some.camera_shape[:2], -1, some.count)
@@ -104,6 +100,8 @@ def _is_soft(capture: Capture) -> bool:
 def _found_kernel(capture: Capture, first: LightTransport, held: HeldOut) -> Array | None:
     """The kernel that predicts photographs held out best in a window of the camera, if it helps."""
     high, wide = capture.camera_shape[:2]
+    tested = capture.select(held.judged).tiles()
+    energy = np.mean([np.square(tile.values).mean() for _, tile in tested])
     window = window_of_light(capture, np.arange(min(8, capture.count)), _TRIED)
     if window is not None:
         corner, whole = (window[0].start, window[1].start), (high, wide)
@@ -131,7 +129,8 @@ def _found_kernel(capture: Capture, first: LightTransport, held: HeldOut) -> Arr
             return None
     around, exact = (best / 1.4, best * 1.4), {"xatol": 0.03 * best}
     found = minimize_scalar(misses, args=(shape,), bounds=around, method="bounded", options=exact)
-    return shape(found.x if found.fun < least else best)
+    before = energy * np.nanmean(first.diagnostics["prediction_error"][inner.ravel()] ** 2)
+    return shape(found.x if found.fun < least else best) if found.fun < before else None
 
 
 def _estimate(
@@ -148,7 +147,8 @@ def _estimate(
         whole = _Strip.of(capture, first, kernel, near)
         tried = whole.without(held.frames).solved()
         samples, predicted = whole.samples.rows(own), tried.predicted[own][:, held.judged]
-        rest = np.square(tried.missed).sum(axis=1) / np.maximum(tried.known.sum(axis=1), 1)
+        left = tried.centred(whole.samples.values - tried.predicted)
+        rest = np.square(left).sum(axis=1) / np.maximum(tried.known.sum(axis=1), 1)
         missed, seen = held_out_energy(samples, predicted, held.judged)
         own_facts = {
             "misfit": squared_misfit(samples, predicted, held.judged), "missed": missed,
@@ -191,9 +191,11 @@ class _Strip:
     samples: Samples
     # Which samples count and do not clip, (m, K).
     known: Array
-    # The background of the first T, (m, B), and its cells under the patterns, (B, K).
+    # The background of the first T, (m, B), what it gives the samples, (m, K), and what a unit in
+    # each of its cells gives them on average.
     background: Array
-    cells: Array
+    low: Array
+    even: float
     # Where each row's places begin, (m + 1,), the projector pixel of each among `pixels`, and the
     # light of S there.
     starts: NDArray[np.int64]
@@ -203,17 +205,15 @@ class _Strip:
     pixels: NDArray[np.int64]
     columns: Array
     means: Array
-    # The kernel (2 h + 1, 2 h + 1) of C, C and its transpose, and (lines, columns, channels).
+    # The kernel of C, (2 h + 1, 2 h + 1), and C and its transpose.
     kernel: Array
     blurs: tuple[csr_array, csr_array]
-    shape: tuple[int, int, int]
 
     @classmethod
     def of(cls, capture: Capture, first: LightTransport, kernel: Array, lines: slice) -> _Strip:
         """The strip with light where the first T has its own."""
         cols, channels = capture.camera_shape[1], int(np.prod(capture.camera_shape[2:]))
-        height, width = lines.stop - lines.start, cols * channels
-        rows = slice(lines.start * width, lines.stop * width)
+        rows = slice(lines.start * cols * channels, lines.stop * cols * channels)
         samples = capture.samples(rows.start, rows.stop)
         known = samples.counted & ~samples.clipped & capture.valid[rows, None]
         starts, places, light = _places(csr_array(first.sparse[rows]), capture.projector_shape)
@@ -221,11 +221,12 @@ class _Strip:
         columns = np.ascontiguousarray(capture.patterns.columns(pixels).T, np.float32)
         means = columns.mean(axis=1, keepdims=True)
         cells = np.concatenate([first.pooling @ part.T for _, part in capture.patterns.chunks()], 1)
-        blur = _blur((height, cols, channels), kernel)
+        background, even = first.background[rows], float(cells.sum(axis=0).mean())
+        blur = _blur((lines.stop - lines.start, cols, channels), kernel)
         return cls(
-            samples, known.astype(np.float32), first.background[rows], cells.astype(np.float32),
-            starts, at.astype(np.int64), light, pixels, columns - means, means,
-            kernel, (blur, csr_array(blur.T)), (height, cols, channels),
+            samples, known.astype(np.float32), background,
+            (background @ cells).astype(np.float32), even, starts, at.astype(np.int64), light,
+            pixels, columns - means, means, kernel, (blur, csr_array(blur.T)),
         )  # fmt: skip
 
     def without(self, frames: NDArray[np.int64]) -> _Strip:
@@ -253,16 +254,6 @@ class _Strip:
         return (values - (values * self.known).sum(axis=1, keepdims=True) / counted) * self.known
 
     @property
-    def low(self) -> Array:
-        """What the background gives the samples, (m, K)."""
-        return self.background @ self.cells
-
-    @property
-    def missed(self) -> Array:
-        """What the known samples are more than C S P, (m, K)."""
-        return self.centred(self.samples.values - self.low - self.shown(self.light, self.columns))
-
-    @property
     def predicted(self) -> Array:
         """All samples as C S P says, with the mean of the known ones, (m, K)."""
         shown = self.low + self.shown(self.light, self.columns)
@@ -271,14 +262,10 @@ class _Strip:
         return shown + rest / counted
 
     def solved(self, tolerance: float = 0.01) -> _Strip:
-        """The strip with its light estimated from the known samples.
-
-        It is done when `_PART` steps change it by less than the tolerance.
-        """
+        """The strip with its light, which `_PART` steps more change by less than the tolerance."""
         strip = self._descended(1.0, _STEPS, tolerance)
-        lit = strip._at(strip.light > 0)
         # The penalty makes all light a little too weak. Less of it does where the places are known.
-        return lit._descended(0.2, _PART, tolerance)
+        return strip._at(strip.light > 0)._descended(0.2, _PART, tolerance)
 
     def _descended(self, share: float, steps: int, tolerance: float) -> _Strip:
         """The strip after so many steps with a share of the penalty, or when they change little."""
@@ -338,7 +325,7 @@ class _Strip:
         mixed.eliminate_zeros()
         rest = self.samples.values - self.low - self.shown(self.light, self.columns + self.means)
         rest = (rest * self.known).sum(axis=1) / np.maximum(self.known.sum(axis=1), 1)
-        even = rest / max(float(self.cells.sum(axis=0).mean()), 1e-6)
+        even = rest / max(self.even, 1e-6)
         return SparseRows(mixed, np.maximum(self.background + even[:, None], 0))
 
 

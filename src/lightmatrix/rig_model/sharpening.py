@@ -1,4 +1,4 @@
-"""A projector that sharpens the picture that it is sent, and a camera that does so."""
+"""A projector that sharpens the picture that it is sent, a camera that does so, or is blurred."""
 
 from __future__ import annotations
 
@@ -76,6 +76,19 @@ class CameraSharpening(Term):
 
     def sentence(self, values: Array) -> str:
         return f"the camera sharpens its photographs by {100 * values.sum():.0f} %"
+
+
+class CameraBlur(Term):
+    """The camera is out of focus; `estimators/defocused.py` finds the blur together with T."""
+
+    name = "camera-blur"
+    advice = "focus the camera on the scene, or close its aperture"
+
+    def take_out(self, values: Array, draft: Draft) -> None:
+        pass
+
+    def sentence(self, values: Array) -> str:
+        return f"the camera is out of focus by {values[0]:.1f} of its pixels"
 
 
 def _sharpened(images: Array, amounts: Array) -> Array:

@@ -6,7 +6,6 @@ from collections.abc import Sequence
 
 from lightmatrix.rig_model.ambient import Ambient
 from lightmatrix.rig_model.black import Black
-from lightmatrix.rig_model.camera_blur import CameraBlur
 from lightmatrix.rig_model.camera_curve import CameraCurve
 from lightmatrix.rig_model.crosstalk import Crosstalk
 from lightmatrix.rig_model.dynamic_contrast import DynamicContrast
@@ -14,7 +13,7 @@ from lightmatrix.rig_model.gain import Gain
 from lightmatrix.rig_model.previous import Previous
 from lightmatrix.rig_model.projector_curve import ProjectorCurve
 from lightmatrix.rig_model.rows import Rows
-from lightmatrix.rig_model.sharpening import CameraSharpening, Sharpening
+from lightmatrix.rig_model.sharpening import CameraBlur, CameraSharpening, Sharpening
 from lightmatrix.rig_model.shift import Shift
 from lightmatrix.rig_model.term import Term
 from lightmatrix.rig_model.tone_mapping import ToneMapping

@@ -732,7 +732,6 @@ def cancel_global(
     transport: Transport,
     pattern: NDArray[Any] | str | Path | None = None,
     *,
-    direct: LightTransport | None = None,
     projector_response: ProjectorResponse | str | Path | None = None,
     output: str | Path | None = None,
     overwrite: bool = False,
@@ -741,8 +740,8 @@ def cancel_global(
 
     Seitz, Matsushita & Kutulakos ("A Theory of Inverse Light Transport", ICCV 2005) cancel
     interreflections in a photograph by the inverse of T. Here the projector does it: with the
-    direct part D of T, the pattern q with T q = D p makes the camera see D p. It is found as
-    `compensate` finds patterns, within [0, 1].
+    direct part D of T, that of `separate`, the pattern q with T q = D p makes the camera see D p.
+    It is found as `compensate` finds patterns, within [0, 1].
 
     Parameters
     ----------
@@ -750,8 +749,6 @@ def cancel_global(
         T, or where `open` finds it.
     pattern : (rows, cols) array, str or Path, optional
         The pattern p in [0, 1]. None: white.
-    direct : LightTransport, optional
-        The direct part D. None: that of `separate`.
     projector_response, output
         As in `compensate`, of the pattern q.
     overwrite : bool
@@ -782,14 +779,7 @@ def cancel_global(
     light.check_single()
     matrix = light.matrices[0]
     shown = pattern_or_white(pattern, matrix.projector_shape)
-    part = separate(matrix).direct if direct is None else direct
-    if part.shape != matrix.shape:
-        raise InputError(
-            f"direct light of {part.shape[0]} x {part.shape[1]}, for a matrix of {matrix.shape[0]} "
-            f"x {matrix.shape[1]}",
-            hint="give the direct part of the same matrix",
-        )
-    target = part.relight(shown)
+    target = separate(matrix).direct.relight(shown)
     if not target.any():
         hint = "give a pattern that lights the scene"
         raise InputError("the pattern gives no direct light", hint=hint)
