@@ -31,6 +31,8 @@ def relation(capture: lm.Capture) -> list[Finding]:
         ("by name", "order", "photographs are in the order of their names"),
         ("patterns inverted", "order", "negative"),
         ("negative", "order", "negative"),
+        ("half turned", "motion", "turned or moved"),
+        ("half turned by 90", "motion", "turned or moved"),
     ],
 )
 def test_names_what_the_photographs_follow(scene: str, damage: str, kind: str, words: str) -> None:

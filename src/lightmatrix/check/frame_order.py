@@ -98,10 +98,12 @@ def suspected_frames(survey: Survey, rows: Order) -> NDArray[np.bool_]:
     expected = np.stack([parts[part].expected[:, k] for k, part in enumerate(fold)], axis=1)
     lowest = samples.clip_levels_of_all().min(axis=1, keepdims=True)
     miss = misses_of_each(replace(parts[0], expected=expected), lowest)
-    better = miss.min(axis=1) / np.diag(miss)
-    # The other frames must predict them.
+    least = miss.min(axis=1)
+    better = least / np.diag(miss)
+    # The other frames must predict them. By predictions that are worse than the mean of all frames,
+    # some other pattern always seems better.
     worst = np.argsort(better)[: count // 6]
-    suspects[worst[better[worst] < 0.8]] = True
+    suspects[worst[(better[worst] < 0.8) & (least[worst] < 1)]] = True
     return suspects
 
 
