@@ -13,7 +13,7 @@ from pathlib import Path
 
 import matplotlib.pyplot as plt
 import numpy as np
-from scipy.sparse.linalg import lsqr
+from scipy.sparse.linalg import aslinearoperator, lsqr, svds
 
 import lightmatrix as lm
 
@@ -26,8 +26,8 @@ def main(out: Path) -> tuple[float, float, float]:
     transport = lm.truth("corner").transport()
     parts = lm.separate(transport)
     values = {
-        "direct": lm.singular_values(parts.direct, COUNT),
-        "global": lm.singular_values(parts.global_, COUNT),
+        name: np.sort(svds(aslinearoperator(part), COUNT, return_singular_vectors=False))[::-1]
+        for name, part in (("direct", parts.direct), ("global", parts.global_))
     }
 
     figure, axes = plt.subplots(figsize=(6, 3.5), layout="constrained")

@@ -96,7 +96,6 @@ from .transport.correspondence import (
     correspondence as correspondence,
 )
 from .transport.matrix import LightTransport as LightTransport
-from .transport.operator import singular_values as singular_values
 from .uses.compensation import (
     cancel_global as cancel_global,
     compensate as compensate,

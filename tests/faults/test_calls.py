@@ -147,8 +147,6 @@ CALLS: dict[str, tuple[Callable[[Any], Any], tuple[Any, ...]]] = {
     "save": (lambda v: lm.save("new.zarr", v), ARRAYS),
     "export": (lambda v: lm.export("new.npz", v), ARRAYS),
     "verdicts": (lm.verdicts, ARRAYS),
-    "singular_values": (lm.singular_values, ARRAYS),
-    "singular_values count": (lambda v: lm.singular_values(T, v), WHOLE),
     "relight matrix": (lambda v: lm.relight(v, PICTURE), ARRAYS[2:]),
     "relight": (lambda v: lm.relight(T, v), ARRAYS[2:]),
     "relight exposure": (lambda v: lm.relight(T, PICTURE, exposure=v), NUMBERS),

@@ -9,7 +9,6 @@ import pytest
 from scipy.sparse.linalg import aslinearoperator, lsqr
 
 import lightmatrix as lm
-from lightmatrix.regions import Region
 from lightmatrix.transport.operator import TransportOperator
 from tests.helpers.stores import transport as small_transport
 
@@ -107,25 +106,3 @@ def test_what_is_outside_is_named(held: str, tmp_path: Path) -> None:
         with pytest.raises(lm.InputError, match="there is no projector pixel"):
             operator.column(row, col)
     assert operator.row(2, 1, 2).shape == operator.row(0, 0, 0).shape == (6, 7)
-
-
-def test_singular_values_are_those_of_a_dense_svd(held: str, tmp_path: Path) -> None:
-    operator = _operator((5, 4), held, tmp_path)
-    expected = np.linalg.svd(_dense((5, 4)), compute_uv=False)
-    np.testing.assert_allclose(lm.singular_values(operator, 20), expected, rtol=1e-4)
-    np.testing.assert_allclose(lm.singular_values(operator, 3, seed=5), expected[:3], rtol=1e-3)
-
-
-def test_singular_values_of_a_scene_with_a_flat_spectrum() -> None:
-    part = lm.truth("metal").transport().crop(Region((20, 0), (8, 64), (64, 64)))
-    found = lm.singular_values(part, 20)
-    dense = part.sparse.toarray().astype(float)
-    expected = np.sqrt(np.linalg.eigvalsh(dense @ dense.T)[::-1][:20])
-    np.testing.assert_allclose(found, expected, rtol=0.01)
-    assert (found <= expected * (1 + 1e-5)).all()
-
-
-@pytest.mark.parametrize("count", [0, 21, -1, 2.5])
-def test_no_more_singular_values_than_there_are(count: int) -> None:
-    with pytest.raises(lm.InputError, match="ask for 1 to 20"):
-        lm.singular_values(small_transport(), count)

@@ -11,6 +11,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 from numpy.typing import NDArray
+from scipy.sparse.linalg import aslinearoperator, svds
 
 from lightmatrix.pictures.maps import Map, correspondence_maps, light_map
 from lightmatrix.pictures.style import (
@@ -24,7 +25,6 @@ from lightmatrix.pictures.style import (
 )
 from lightmatrix.transport.correspondence import correspondence
 from lightmatrix.transport.matrix import LightTransport
-from lightmatrix.transport.operator import singular_values
 
 
 def draw_row(transport: LightTransport, *camera_index: int) -> Picture:
@@ -100,7 +100,15 @@ def draw_parts(images: Mapping[str, NDArray[Any]]) -> Picture:
 
 def spectrum(transport: LightTransport) -> dict[str, NDArray[Any]]:
     """The 50 largest singular values of T, ``values``."""
-    return {"values": singular_values(transport, min(50, *transport.shape))}
+    if min(transport.shape) <= 50:
+        return {
+            "values": np.linalg.svd(
+                transport.to_matrix(dense_background=True).toarray(), compute_uv=False
+            )
+        }
+    start = np.ones(min(transport.shape))
+    values = svds(aslinearoperator(transport), 50, v0=start, return_singular_vectors=False)
+    return {"values": np.sort(values)[::-1]}
 
 
 def draw_spectrum(transport: LightTransport) -> Picture:

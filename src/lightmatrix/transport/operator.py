@@ -16,7 +16,7 @@ from scipy.sparse import csr_array
 from lightmatrix.errors import InputError
 from lightmatrix.files.numpy_files import as_float32
 from lightmatrix.patterns.pattern_set import grid_cells
-from lightmatrix.ranges import check_finite, check_seed, check_type, check_whole, real_array, whole
+from lightmatrix.ranges import check_finite, real_array, whole
 from lightmatrix.transport.sparse_rows import SparseRows
 
 # How a matrix is given where something else was, in messages.
@@ -287,64 +287,6 @@ def checked_patterns(
             + (": divide raw levels by their largest one, such as 255" if raw else ""),
         )
     return np.asarray(values, np.float32)
-
-
-def singular_values(
-    transport: TransportOperator, count: int = 20, *, seed: int = 0
-) -> NDArray[np.float64]:
-    """The largest singular values of T, by a randomised SVD.
-
-    Each value is the strength of one pair of a pattern and the image that it makes. Values that
-    fall quickly mean that few numbers describe the light (diffuse light), a flat spectrum that each
-    projector pixel lights its own place (direct light). T is only multiplied, never made dense.
-
-    Parameters
-    ----------
-    transport : LightTransport or StoredTransport
-        T. A store is read block by block, 14 times.
-    count : int
-        Number of values, from 1 to min(M, N).
-    seed : int
-        Seed of the random directions.
-
-    Returns
-    -------
-    (count,) float64
-        Descending, in camera full scale at exposure 1. Each is at most the true one.
-
-    Raises
-    ------
-    InputError
-        If T does not have so many, or has entries that are not finite.
-
-    References
-    ----------
-    Halko, Martinsson & Tropp 2011, "Finding structure with randomness", algorithms 4.4 and 5.1.
-
-    Examples
-    --------
-    >>> import lightmatrix as lm
-    >>> values = lm.singular_values(lm.truth("metal").transport(), 3)
-    >>> bool(values[0] > values[1] > values[2])
-    True
-    """
-    check_seed(seed)
-    check_type("a light transport matrix", transport, TransportOperator, hint=HOW_TO_GIVE)
-    rows, pixels = transport.shape
-    most = min(rows, pixels)
-    what = f"singular values of a matrix of {rows} x {pixels}"
-    check_whole(what, count, most=most, hint=f"ask for 1 to {most}")
-    # 20 directions more than asked for, and 6 rounds: direct light has a flat spectrum, for which
-    # Halko et al. advise several. The 20 largest values of metal then agree with a dense SVD to 1 %
-    # (tests/transport/test_operator.py).
-    basis = np.random.default_rng(seed).standard_normal((pixels, min(int(count) + 20, most)))
-    for _ in range(6):
-        image, _ = np.linalg.qr(transport @ basis)
-        basis, _ = np.linalg.qr(transport.T @ image)
-    image = transport @ basis
-    check_finite("entries of T", image)
-    values = np.linalg.svd(image, compute_uv=False)
-    return np.asarray(values[: int(count)], np.float64)
 
 
 def cell_means(projector_shape: tuple[int, int], grid: tuple[int, int]) -> csr_array:
