@@ -136,7 +136,11 @@ FAULTS: dict[str, tuple[Fault, str, str]] = {
         "evaluate T.zarr --truth T.npz",
         "T.npz holds its background separately",
     ),
-    "a truth of another rig": (nothing, "evaluate T.zarr --truth wall", "18 x 22"),
+    "a truth of another rig": (
+        nothing,
+        "evaluate T.zarr --truth wall",
+        "T.zarr is 396 x 320",
+    ),
 }
 
 

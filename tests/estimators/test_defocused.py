@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -86,3 +87,17 @@ def test_light_is_a_minimum_of_the_objective(strip: _Strip) -> None:
     assert penalty > 0
     assert slope[lit] == pytest.approx(-penalty, abs=0.1 * float(penalty))
     assert slope.min() > -1.1 * penalty
+
+
+def test_strips_without_light_or_samples_stay_as_they_are(strip: _Strip) -> None:
+    dark = strip._at(strip.light < 0)
+    assert dark.solved().light.size == 0
+    unseen = replace(strip, known=np.zeros_like(strip.known))
+    assert np.array_equal(unseen.solved().light, strip.light[strip.light > 0])
+
+
+def test_a_camera_too_narrow_to_tell_a_blur_is_left_alone() -> None:
+    scene = lm.ProceduralScene((12, 96), (32, 32)).truth()
+    capture = lm.simulate(scene, lm.BernoulliPatterns((32, 32), 24), camera_blur=1.0)
+    first = lm.estimate(capture, correct="none", check=False, progress=False)
+    assert defocused(capture, first) is None

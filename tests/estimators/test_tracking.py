@@ -346,3 +346,36 @@ def test_ctrl_c_leaves_no_photograph_half_taken_in(
 def test_changes_of_a_matrix_that_did_not_follow(followed: Followed) -> None:
     with pytest.raises(lm.InputError, match="no record of changes of its rows"):
         lm.show(followed.before, "changes")
+
+
+@pytest.mark.filterwarnings("ignore::lightmatrix.LightMatrixWarning")
+@pytest.mark.parametrize("level", [0, 255])
+def test_photographs_that_show_nothing_do_not_make_rows_known(
+    first: tuple[lm.Capture, lm.LightTransport], level: int
+) -> None:
+    """Of a lamp that is off, and of a camera that clips wherever it looks."""
+    capture, transport = first
+    tracker = lm.Tracker(capture, transport)
+    photograph = np.full((SIDE, SIDE), level, np.uint8)
+    for k in range(12):
+        step = tracker.update(photograph, capture.patterns.images(k, k + 1)[0])
+        assert step.missed < 1000
+    for row_fact in tracker.transport.diagnostics.values():
+        assert not np.isinf(row_fact).any()
+    if level:
+        changed = tracker.since > 0
+        assert changed.mean() > 0.5
+        assert step.unknown.ravel()[changed].all()
+        assert "doubtful" in lm.verdicts(tracker.transport).transport.level
+
+
+@pytest.mark.filterwarnings("ignore::lightmatrix.LightMatrixWarning")
+def test_a_matrix_with_an_even_background_is_followed(
+    first: tuple[lm.Capture, lm.LightTransport],
+) -> None:
+    transport = lm.estimate(first[0], coherent=False, check=False, progress=False)
+    assert transport.background_grid == (1, 1)
+    tracker = lm.Tracker(first[0], transport)
+    steps = list(tracker.follow(photographs("gripper", 26, 34)))
+    assert (tracker.since > 0).any()
+    assert np.isfinite(steps[-1].missed)

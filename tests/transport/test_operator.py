@@ -6,9 +6,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.sparse import csr_array
 from scipy.sparse.linalg import aslinearoperator, lsqr
 
 import lightmatrix as lm
+from lightmatrix.pictures.transport import spectrum
 from lightmatrix.transport.operator import TransportOperator
 from tests.helpers.stores import transport as small_transport
 
@@ -106,3 +108,14 @@ def test_what_is_outside_is_named(held: str, tmp_path: Path) -> None:
         with pytest.raises(lm.InputError, match="there is no projector pixel"):
             operator.column(row, col)
     assert operator.row(2, 1, 2).shape == operator.row(0, 0, 0).shape == (6, 7)
+
+
+@pytest.mark.parametrize("rows", [0, 1, 12])
+def test_the_spectrum_of_a_matrix_also_if_it_is_dark_or_of_one_sample(rows: int) -> None:
+    dense = np.random.default_rng(0).random((max(rows, 1), 20)) * (rows > 0)
+    shape = (max(rows, 1), 1), (4, 5)
+    transport = lm.LightTransport.from_matrix(csr_array(dense), *shape)
+    expected = np.linalg.svd(dense, compute_uv=False)
+    found = spectrum(transport)["values"]
+    np.testing.assert_allclose(found, expected[: len(found)], rtol=1e-5)
+    assert len(found) == max(1, rows - 1)

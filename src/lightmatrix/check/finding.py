@@ -39,6 +39,7 @@ KINDS = {
     "camera-sharpening": "a camera that sharpens its photographs",
     "dynamic-contrast": "a projector whose light follows its picture",
     "tone-mapping": "a camera that brightens what is dark around",
+    "camera-blur": "a camera that is out of focus",
 }
 
 # Kinds that say what a healthy capture cannot reveal; `check` exits with 0 if it has no other.

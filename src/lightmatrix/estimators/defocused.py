@@ -29,13 +29,8 @@ from lightmatrix import _core
 from lightmatrix.capture.capture import Capture
 from lightmatrix.capture.samples import Samples
 from lightmatrix.estimators.camera_window import window_of_light
-from lightmatrix.estimators.coherent.row_errors import (
-    HeldOut,
-    held_out_energy,
-    noise_of,
-    smooth_misfit,
-    squared_misfit,
-)  # fmt: skip
+from lightmatrix.estimators.coherent import row_errors
+from lightmatrix.estimators.coherent.row_errors import HeldOut
 from lightmatrix.patterns.atoms import AtomPatterns
 from lightmatrix.regions import Region
 from lightmatrix.resources.threads import one_blas_thread
@@ -50,8 +45,6 @@ _BLURS = (0.7, 1.0, 1.4, 2.0)
 # Camera samples of the trials that find the blur, and of a strip of the camera, which takes about
 # 200 MiB with 32 patterns.
 _TRIED, _TOGETHER = 1200, 1 << 15
-# Diagnostics of the first T that say nothing of rows that are solved together.
-_OF_SINGLE_ROWS = {"objective", "certified_everywhere", "searched_everywhere"}
 # Pixels at the border of such a window that see what lies outside.
 _BORDER = 5
 # Most steps, and steps after which places without light are left out. Matte scenes take 300 steps,
@@ -68,8 +61,7 @@ def defocused(
     photographs held out better than `first` by two per cent.
     """
     held, before = HeldOut.choose(capture.patterns), prediction_error(first)
-    small = min(capture.camera_shape[:2]) < 4 * _BORDER
-    if small or not len(held.judged) or before is None or not _is_soft(capture):
+    if not len(held.judged) or before is None or not _is_soft(capture):
         return None
     with one_blas_thread():
         kernel = _found_kernel(capture, first, held)
@@ -108,13 +100,15 @@ def _found_kernel(capture: Capture, first: LightTransport, held: HeldOut) -> Arr
         high, wide = (side.stop - side.start for side in window)
         first = first.crop(Region(corner, (high, wide), whole))
         capture = capture.window(*window)
+    if min(high, wide) < 4 * _BORDER:
+        return None
     inner = np.zeros((high, wide, capture.rows // (high * wide)), np.bool_)
     inner[_BORDER:-_BORDER, _BORDER:-_BORDER] = True
 
     def misses(size: float, shape: Callable[[float], Array]) -> float:
         whole = _Strip.of(capture, first, shape(size), slice(0, high))
-        strip = whole.without(held.frames).solved(0.05)
-        missed, _ = held_out_energy(strip.samples, strip.predicted[:, held.judged], held.judged)
+        predicted = whole.without(held.frames).solved(0.05).predicted[:, held.judged]
+        missed, _ = row_errors.held_out_energy(whole.samples, predicted, held.judged)
         return float(missed[inner.ravel()].mean())
 
     # Where T is no better with a small blur, the projector is blurred, or the scene is smooth.
@@ -149,9 +143,9 @@ def _estimate(
         samples, predicted = whole.samples.rows(own), tried.predicted[own][:, held.judged]
         left = tried.centred(whole.samples.values - tried.predicted)
         rest = np.square(left).sum(axis=1) / np.maximum(tried.known.sum(axis=1), 1)
-        missed, seen = held_out_energy(samples, predicted, held.judged)
+        missed, seen = row_errors.held_out_energy(samples, predicted, held.judged)
         own_facts = {
-            "misfit": squared_misfit(samples, predicted, held.judged), "missed": missed,
+            "misfit": row_errors.squared_misfit(samples, predicted, held.judged), "missed": missed,
             "seen": seen, "rest": rest[own],
             # Where hardly a sample around does not clip, a row stays as it is.
             "solved": (whole.blurred(whole.known).mean(axis=1) > 0.1)[own].astype(np.float32),
@@ -166,7 +160,7 @@ def _estimate(
     if len(kept):
         rows = rows.replaced(kept, SparseRows(first.sparse, first.background, facts).rows(kept))
     camera = lines, capture.camera_shape[1], width // capture.camera_shape[1]
-    misfit = smooth_misfit(facts["misfit"], camera, noise_of(facts["rest"]))
+    misfit = row_errors.smooth_misfit(facts["misfit"], camera, row_errors.noise_of(facts["rest"]))
     squares = rows.coefficients.multiply(rows.coefficients).sum(axis=1)
     squares = squares + (rows.background**2) @ (1 / np.diff(first.pooling.indptr))
     contrast = AtomPatterns(capture.patterns, (0.0,)).neighbour_contrast
@@ -176,7 +170,8 @@ def _estimate(
     footprint, no_gap = footprint_sizes(rows.coefficients), np.full(capture.rows, np.nan)
     names = "estimated_error", "prediction_error", "footprint", "gap"
     new = dict(zip(names, (own_error, missed, footprint, no_gap), strict=True))
-    old = {key: each for key, each in first.diagnostics.items() if key not in _OF_SINGLE_ROWS}
+    of_single_rows = {"objective", "certified_everywhere", "searched_everywhere"}
+    old = {key: each for key, each in first.diagnostics.items() if key not in of_single_rows}
     return replace(
         first, sparse=rows.coefficients, background=rows.background,
         diagnostics={**old, **{key: each.astype(np.float32) for key, each in new.items()}},
@@ -270,6 +265,8 @@ class _Strip:
     def _descended(self, share: float, steps: int, tolerance: float) -> _Strip:
         """The strip after so many steps with a share of the penalty, or when they change little."""
         strip, light, ahead, pace, before = self, self.light, self.light, 1.0, self.light
+        if not (len(self.places) and self.known.any()):
+            return self
         target = self.centred(self.samples.values - self.low)
         counted = np.maximum(self.known.sum(axis=1), 1)
         length = 1 / self._curvature()

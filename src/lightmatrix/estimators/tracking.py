@@ -234,16 +234,16 @@ class Tracker:
 
         # At least a tenth of what they missed counts as error, as elsewhere.
         wrong = np.maximum(self._lately - self._noise, 0.1 * self._lately)
-        state("estimated_error", np.where(unknown, 1, np.sqrt(wrong) / self._length))
+        state("estimated_error", np.where(unknown, 1, np.sqrt(wrong) / (self._length + 1e-12)))
         # Only some rows are looked at, evenly spread.
         looked_at = self._given.diagnostics.get("certain", np.nan)
         state("certain", np.where(unknown, 0 * looked_at, np.nan))
         if window:
             seen = np.mean([np.square(each.values[:, 0]) for each in window[-_JUDGED:]], axis=0)
-            missed = np.sqrt(self._lately / np.maximum(seen, 1e-30))
+            # Photographs without light show nothing but noise.
+            missed = np.sqrt(self._lately / np.maximum(seen, self._noise + 1e-12))
             state("prediction_error", np.where(unknown, 1, missed))
-            after = np.arange(1 - len(window), 1)[:, None] + self.photographs >= self.since
-            clipped = np.array([each.clipped[:, 0] for each in window]) & after
+            after, clipped = self._clipped
             state("clipped_share", clipped.sum(axis=0) / np.maximum(after.sum(axis=0), 1))
         diagnostics |= {"since": self.since.copy(), "unknown": unknown.astype(np.float32)}
         return replace(
@@ -295,7 +295,8 @@ class Tracker:
         self.since[lost] = self.photographs + 1 - _SEARCHED
         self._solve()
         right = known & ~changed & latest.counted[:, 0]
-        error = np.sqrt(missed[right].sum() / max(np.square(latest.values[right]).sum(), 1e-30))
+        least = right.sum() * np.mean(self._noise) + 1e-12
+        error = np.sqrt(missed[right].sum() / max(np.square(latest.values[right]).sum(), least))
         shape, unknown = self._given.camera_shape, self._unknown
         return (changed.reshape(shape), unknown.reshape(shape)), float(error)
 
@@ -342,7 +343,18 @@ class Tracker:
     def _unknown(self) -> NDArray[np.bool_]:
         # From an error of 0.2 on an estimate is called doubtful. Three standard deviations of the
         # camera's noise are no error.
-        return (self.since > 0) & ~(self._lately <= (0.2 * self._length) ** 2 + 9 * self._noise)
+        unknown = ~(self._lately <= (0.2 * self._length) ** 2 + 9 * self._noise)
+        # Any light explains photographs that clip, even none.
+        if self._window:
+            after, clipped = self._clipped
+            unknown |= (after & ~clipped).sum(axis=0) < _JUDGED
+        return (self.since > 0) & unknown
+
+    @property
+    def _clipped(self) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+        """Which photographs show a row as it is now, and which of them clip, (k, M)."""
+        after = np.arange(1 - len(self._window), 1)[:, None] + self.photographs >= self.since
+        return after, np.array([each.clipped[:, 0] for _, each in self._window]) & after
 
     def _solve(self) -> None:
         """Solve the rows that changed with the photographs since then."""
@@ -399,8 +411,10 @@ class Tracker:
                 solved, _ = solver.near(samples.rows(due), places[due], this_round, neighbours)
                 now = now.replaced(due, _lit(solved))
         shares = solver.backgrounds.spread(csr_array(neighbours.centres[places]))
-        background = (solved.background[:, None] * shares + solved.cells).astype(np.float32)
-        new = SparseRows(atoms.expand(now.coefficients), background)
+        background = solved.background[:, None] * shares
+        if solved.cells.shape[1]:
+            background += solved.cells
+        new = SparseRows(atoms.expand(now.coefficients), background.astype(np.float32))
         squares = _squares(samples, self._predicted(new, shown)).sum(axis=1)
         self._misfit[rows] = squares / np.maximum(weights.sum(axis=1), 1e-9)
         self._length[rows] = atoms.single_contrast * solver.backgrounds.lengths(new)

@@ -100,14 +100,12 @@ def draw_parts(images: Mapping[str, NDArray[Any]]) -> Picture:
 
 def spectrum(transport: LightTransport) -> dict[str, NDArray[Any]]:
     """The 50 largest singular values of T, ``values``."""
-    if min(transport.shape) <= 50:
-        return {
-            "values": np.linalg.svd(
-                transport.to_matrix(dense_background=True).toarray(), compute_uv=False
-            )
-        }
-    start = np.ones(min(transport.shape))
-    values = svds(aslinearoperator(transport), 50, v0=start, return_singular_vectors=False)
+    least = min(transport.shape)
+    matrix = transport.to_matrix(dense_background=least == 1)
+    if least == 1 or not (matrix.nnz or transport.background.any()):
+        return {"values": np.array([np.linalg.norm(matrix.data)])}
+    operator, count = aslinearoperator(transport), min(50, least - 1)
+    values = svds(operator, count, v0=np.ones(least), return_singular_vectors=False)
     return {"values": np.sort(values)[::-1]}
 
 
