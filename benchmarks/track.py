@@ -27,7 +27,7 @@ from lightmatrix.simulation.truth import Truth, binned
 
 # Photographs of the window, and further ones before the block is turned.
 WINDOW, QUIET = 32, 4
-# So many new photographs are estimated by themselves, too.
+# Numbers of new photographs from which T is also estimated afresh.
 ALONE = (8, 12, 16, 24, 32)
 # A row moved if it changed by more than a tenth; light that the block reflects changes most rows.
 MOVED = 0.1

@@ -45,10 +45,10 @@ _BLURS = (0.7, 1.0, 1.4, 2.0)
 # Camera samples of the trials that find the blur, and of a strip of the camera, which takes about
 # 200 MiB with 32 patterns.
 _TRIED, _TOGETHER = 1200, 1 << 15
-# Pixels at the border of such a window that see what lies outside.
+# Pixels at the border of the window of a trial, which see what lies outside.
 _BORDER = 5
-# Most steps, and steps after which places without light are left out. Matte scenes take 300 steps,
-# glossy ones 600.
+# The most steps, and those after which places without light are left out. Matte scenes take 300
+# steps, glossy ones 600.
 _STEPS, _PART = 800, 50
 
 
@@ -112,10 +112,8 @@ def _found_kernel(capture: Capture, first: LightTransport, held: HeldOut) -> Arr
         return float(missed[inner.ravel()].mean())
 
     # Where T is no better with a small blur, the projector is blurred, or the scene is smooth.
-    most, tried = (
-        0.8 * misses(0.0, _gaussian),
-        list[tuple[float, float, Callable[[float], Array]]](),
-    )
+    most = 0.8 * misses(0.0, _gaussian)
+    tried: list[tuple[float, float, Callable[[float], Array]]] = []
     for size in _BLURS:
         tried += [(misses(size, shape), size, shape) for shape in (_gaussian, _disk)]
         least, best, shape = min(tried, key=lambda each: each[0])
@@ -140,14 +138,15 @@ def _estimate(
         own = slice(place.start - near.start * width, place.stop - near.start * width)
         whole = _Strip.of(capture, first, kernel, near)
         tried = whole.without(held.frames).solved()
-        samples, predicted = whole.samples.rows(own), tried.predicted[own][:, held.judged]
-        left = tried.centred(whole.samples.values - tried.predicted)
+        shown = tried.predicted
+        samples, predicted = whole.samples.rows(own), shown[own][:, held.judged]
+        left = tried.centred(whole.samples.values - shown)
         rest = np.square(left).sum(axis=1) / np.maximum(tried.known.sum(axis=1), 1)
         missed, seen = row_errors.held_out_energy(samples, predicted, held.judged)
         own_facts = {
             "misfit": row_errors.squared_misfit(samples, predicted, held.judged), "missed": missed,
             "seen": seen, "rest": rest[own],
-            # Where hardly a sample around does not clip, a row stays as it is.
+            # A row stays as it is if nearly all samples around it clip.
             "solved": (whole.blurred(whole.known).mean(axis=1) > 0.1)[own].astype(np.float32),
         }  # fmt: skip
         rows = whole.solved().rows(capture.patterns.pixels)
@@ -191,8 +190,8 @@ class _Strip:
     background: Array
     low: Array
     even: float
-    # Where each row's places begin, (m + 1,), the projector pixel of each among `pixels`, and the
-    # light of S there.
+    # The places of row i are those from starts[i] to below starts[i + 1], (m + 1,). Each has a
+    # projector pixel, as an index into `pixels`, and the light of S there.
     starts: NDArray[np.int64]
     places: NDArray[np.int64]
     light: Array
@@ -243,18 +242,20 @@ class _Strip:
         samples = self.blurs[1] @ samples
         return _core.gathered_at_places(self.starts, self.places, self.columns, samples)
 
+    def mean(self, values: Array) -> Array:
+        """The mean of the known ones of values (m, K) in each row, (m, 1)."""
+        counted = np.maximum(self.known.sum(axis=1, keepdims=True), 1)
+        return np.asarray((values * self.known).sum(axis=1, keepdims=True) / counted)
+
     def centred(self, values: Array) -> Array:
         """The known ones of values (m, K), less their mean in each row."""
-        counted = np.maximum(self.known.sum(axis=1, keepdims=True), 1)
-        return (values - (values * self.known).sum(axis=1, keepdims=True) / counted) * self.known
+        return (values - self.mean(values)) * self.known
 
     @property
     def predicted(self) -> Array:
         """All samples as C S P says, with the mean of the known ones, (m, K)."""
         shown = self.low + self.shown(self.light, self.columns)
-        counted = np.maximum(self.known.sum(axis=1, keepdims=True), 1)
-        rest = ((self.samples.values - shown) * self.known).sum(axis=1, keepdims=True)
-        return shown + rest / counted
+        return shown + self.mean(self.samples.values - shown)
 
     def solved(self, tolerance: float = 0.01) -> _Strip:
         """The strip with its light, which `_PART` steps more change by less than the tolerance."""
@@ -289,12 +290,9 @@ class _Strip:
                     break
                 # Places that are far from having light are left out.
                 stay = (light > 0) | (ahead > 0) | (slope < -penalty / 2) | (step < 3 * _PART)
-                strip, ahead, before = (
-                    replace(strip, light=light)._at(stay),
-                    ahead[stay],
-                    light[stay],
-                )
-                light = before
+                strip = replace(strip, light=light)._at(stay)
+                light = before = strip.light
+                ahead = ahead[stay]
         return replace(strip, light=light)
 
     def _at(self, stay: NDArray[np.bool_]) -> _Strip:
@@ -321,9 +319,8 @@ class _Strip:
         mixed.data[mixed.data < 1e-3 * most] = 0
         mixed.eliminate_zeros()
         rest = self.samples.values - self.low - self.shown(self.light, self.columns + self.means)
-        rest = (rest * self.known).sum(axis=1) / np.maximum(self.known.sum(axis=1), 1)
-        even = rest / max(self.even, 1e-6)
-        return SparseRows(mixed, np.maximum(self.background + even[:, None], 0))
+        even = self.mean(rest) / max(self.even, 1e-6)
+        return SparseRows(mixed, np.maximum(self.background + even, 0))
 
 
 def _places(

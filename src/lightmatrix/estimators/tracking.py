@@ -383,7 +383,7 @@ class Tracker:
         patterns = ImagePatterns(shown.reshape(most, *self._given.projector_shape))
         capture = capture_of_samples(patterns, samples, camera[:2], self._longest)
         first, solver = self._solver, replace(self._solver, capture=capture)
-        # With the gains of the first atoms, those under unseen patterns are made once.
+        # Atoms under unseen patterns are made once, since the gains stay those of the first atoms.
         atoms = AtomPatterns(patterns, first.atoms.sizes, first.atoms.gains)
         vars(solver).update(atoms=atoms, unseen=first.unseen)
         light = self._light.rows(part)
