@@ -80,11 +80,15 @@ def fit_fundamental(camera: Array, projector: Array, *, parallel: bool = False) 
     design = (other[:, :, None] * own[:, None, :]).reshape(-1, 9)[:, free]
 
     def of_rank_two(numbers: Array) -> Array:
-        matrices = np.zeros((*numbers.shape[:-1], 9))
-        matrices[..., free] = numbers
-        left, values, right = np.linalg.svd(matrices.reshape(-1, 3, 3))
-        values[:, 2] = 0
-        return np.asarray(after.T @ ((left * values[:, None, :]) @ right) @ before)
+        every = np.zeros((numbers.size // len(free), 9))
+        every[:, free] = numbers
+        matrices = every.reshape(-1, 3, 3)
+        # That of parallel lines has no other rank.
+        if not parallel:
+            left, values, right = np.linalg.svd(matrices)
+            values[:, 2] = 0
+            matrices = (left * values[:, None, :]) @ right
+        return np.asarray(after.T @ matrices @ before)
 
     def solve(weight: Array) -> Array:
         moment = (design * weight[:, None]).T @ design
