@@ -9,8 +9,9 @@ from lightmatrix.defaults import PASSES
 from lightmatrix.errors import InputError
 from lightmatrix.estimators.base import Estimator, Plan, capture_provenance, solver_provenance
 from lightmatrix.estimators.coherent.rounds import Rounds
-from lightmatrix.estimators.coherent.row_solver import RowSolver
+from lightmatrix.estimators.coherent.row_solver import RowSolver, coherent_row_bytes
 from lightmatrix.estimators.coherent.schedule import schedule, spacings
+from lightmatrix.estimators.work import TILE_BYTES
 from lightmatrix.ranges import check_at_least_one
 from lightmatrix.solvers.active_set import ActiveSet
 from lightmatrix.solvers.fidelity import Fidelity
@@ -120,7 +121,8 @@ class CoherentEstimator(Estimator):
     def row_solver(self, capture: Capture, *, narrow: bool = False) -> RowSolver:
         """What solves rows of a capture with these parameters."""
         own = self._solver, self.regularization, self.trust, self.candidates, self.sizes
-        return RowSolver(capture, *own, self.background_grid, narrow)
+        most = self.tile_rows or TILE_BYTES // coherent_row_bytes(capture.count, self.candidates)
+        return RowSolver(capture, *own, self.background_grid, narrow, max(1, most // 4))
 
     def _provenance(self, capture: Capture, regularization: float) -> dict[str, object]:
         made_by = solver_provenance(self._solver)
@@ -128,18 +130,16 @@ class CoherentEstimator(Estimator):
             "trust": self.trust, "windows": [list(pair) for pair in self.windows],
             "candidates": self.candidates, "sizes": list(self.sizes),
         }  # fmt: skip
-        certificate = (
-            "the weighted problem of each row on its likeliest pixels, with expected samples"
-        )
         steps = spacings(capture.camera_shape, capture.patterns.pixels, self.windows)
         if len(steps) > 1:
             made_by["solver_parameters"] |= {"spacings": list(steps)}
-            certificate += "; that of some rows, evenly spread, against all pixels too"
         return {
             "estimator": "coherent",
             **made_by,
             "regularization": regularization,
-            "certificate": certificate,
+            "certificate": (
+                "the weighted problem of each row on its likeliest pixels, with expected samples"
+            ),
             # What tiles hold depends on it.
             **({} if self.judged else {"judged": False}),
             **capture_provenance(capture),

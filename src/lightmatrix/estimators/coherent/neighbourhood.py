@@ -330,6 +330,19 @@ class Neighbourhood:
         reach = (REACH * cols + REACH) * channels
         return max(0, start - reach), min(self.rows.count, stop + reach)
 
+    def part(self, rows: NDArray[np.int64], reach: int) -> tuple[Neighbourhood, NDArray[np.int64]]:
+        """The camera pixels within a reach of some rows, and the rows' numbers among them."""
+        row, col, channel = np.unravel_index(rows, self.camera)
+        top, left = max(0, int(row.min()) - reach), max(0, int(col.min()) - reach)
+        index = np.arange(self.rows.count).reshape(self.camera)
+        index = index[top : row.max() + reach + 1, left : col.max() + reach + 1]
+        own = np.ravel_multi_index((row - top, col - left, channel), index.shape)
+        known = [self.jacobian[index.ravel()]]
+        near = replace(
+            self, rows=self.rows.rows(index.ravel()), camera=index.shape, known_jacobians=known
+        )
+        return near, own
+
     def pseudo_samples(
         self, unseen: PatternSet, samples: Samples, clipped: NDArray[np.bool_], level: float,
         rows: NDArray[np.int64], background: NDArray[np.float32],
