@@ -38,14 +38,6 @@ class JacobianConstants:
 
     # The longest displacement between neighbours that is counted, in projector pixels.
     fastest: int = 12
-    # The largest distance in camera pixels over which displacements are counted for the whole
-    # frame. It starts at 1 and doubles: the longer, the finer the mean Jacobian.
-    farthest: int = 16
-    # A displacement in projector pixels that is long enough; the distance grows no further.
-    long: int = 8
-    # The peak at a distance lies this close to the one predicted from half the distance, in
-    # projector pixels per camera pixel.
-    nearby: float = 0.75
     # Camera pixels to both sides between which the local Jacobian is measured.
     step: int = 2
     # Side of the square of camera pixels whose median is the local Jacobian.
@@ -105,33 +97,17 @@ def strongest_entries(rows: csr_array) -> NDArray[np.int64]:
 def _frame_displacement(
     places: list[NDArray[np.int64]], lit: NDArray[np.bool_], axis: int, fastest: int
 ) -> tuple[float, float]:
-    """The commonest displacement per camera pixel along an axis; (0, 0) where there is none."""
-    length = lit.shape[axis]
-    mean = (0.0, 0.0)
-    distance = 1
-    while distance <= min(JACOBIAN.farthest, length - 1):
-        here, there = np.arange(length - distance), np.arange(distance, length)
-        both = lit.take(here, axis) & lit.take(there, axis)
-        steps = [(place.take(there, axis) - place.take(here, axis))[both] for place in places]
-        predicted = [round(part * distance) for part in mean]
-        reach = fastest if distance == 1 else max(3, int(np.ceil(JACOBIAN.nearby * distance)))
-        peak = _commonest([s - p for s, p in zip(steps, predicted, strict=True)], reach)
-        if peak is None:
-            break
-        sizes = [p + offset for p, offset in zip(predicted, peak, strict=True)]
-        mean = (sizes[0] / distance, sizes[1] / distance)
-        if max(map(abs, sizes)) >= JACOBIAN.long:
-            break
-        distance *= 2
-    return mean
+    """The centre of the commonest 3 x 3 displacements between neighbours along an axis.
 
-
-def _commonest(steps: list[NDArray[np.int64]], reach: int) -> tuple[float, float] | None:
-    """The centre of the commonest 3 x 3 displacements, none longer than `reach`; None if none."""
-    side = 2 * reach + 1
+    None is longer than `fastest`; (0, 0) where there is none.
+    """
+    here, there = np.arange(lit.shape[axis] - 1), np.arange(1, lit.shape[axis])
+    both = lit.take(here, axis) & lit.take(there, axis)
+    steps = [(place.take(there, axis) - place.take(here, axis))[both] for place in places]
+    reach, side = fastest, 2 * fastest + 1
     near = (np.abs(steps[0]) <= reach) & (np.abs(steps[1]) <= reach)
     if not near.any():
-        return None
+        return 0.0, 0.0
     flat = (steps[0][near] + reach) * side + steps[1][near] + reach
     counts = np.bincount(flat, minlength=side * side).reshape(side, side).astype(np.float64)
     sums = uniform_filter(counts, 3, mode="constant")
@@ -280,10 +256,6 @@ class LikelyAtomConstants:
     # well; later rounds doubt single pixels by the light that they hold.
     within_at_first: float = 0.04
     within: float = 0.5
-    # A single pixel, or a spot, makes the next wider spot in its place likely by this factor:
-    # several narrow spots are often one wider spot, which is cheaper.
-    wider_pixel: float = 0.25
-    wider_spot: float = 2.0
     # Single pixels count fully where they hold at least this share of the light around. Where they
     # hold less, they count by `pixels_power` of the proportion, at least `pixels_least`. After the
     # first round they hold a twentieth of the light where footprints are wide, from which they must
@@ -293,10 +265,6 @@ class LikelyAtomConstants:
     pixels_least: float = 0.001
     # Side in camera pixels of the square that counts as around.
     pixels_around: int = 9
-    # Neighbours must hold 1 + spread q^2 times as much of an atom, where the background holds the
-    # share q of a row's light. Rows of mostly global light then err by 6 % less, others hardly
-    # change.
-    spread: float = 6.0
 
 
 PSEUDO_SAMPLES = PseudoSampleConstants()
@@ -488,11 +456,11 @@ class Neighbourhood:
                 matrix = csr_array((found.data, found.indices, found.indptr), shape=shape)
                 several = several + self._of(number, matrix)
             return Candidates(several.indptr.astype(np.int64), several.indices, several.data)
-        wider = np.full(self.atoms.planes, constants.wider_spot, np.float32)
-        wider[0] = constants.wider_pixel
         indptr, atoms, penalties = _core.likely_pixels(
             self.rows.coefficients, self.camera, self.projector, self.jacobian, self.atoms.spots,
-            constants.within_at_first if first else constants.within, wider,
+            # A spot makes no wider one in its place likely: errors are the same.
+            constants.within_at_first if first else constants.within,
+            np.zeros(self.atoms.planes, np.float32),
             np.ones(self.rows.count, np.float32) if first else self.singles, reach, most,
             trust * self._independence(known, rows), (0, self.rows.count), rows,
         )  # fmt: skip
@@ -504,18 +472,9 @@ class Neighbourhood:
         """How far rows can do without neighbours, (m,); 1 with `enough` known samples.
 
         It is less with fewer samples for each pixel that a row may see: about as many pixels as
-        footprints move by from one camera pixel to the next. It is more where most light is in the
-        background, where faint light of single pixels probably belongs too.
+        footprints move by from one camera pixel to the next.
         """
         step = self.jacobian[rows].astype(np.float64) / self.spacing
         size = np.maximum(np.hypot(step[:, 0], step[:, 2]), np.hypot(step[:, 1], step[:, 3]))
         enough = PSEUDO_SAMPLES.enough
-        independence = np.clip(known, 1, enough) / enough / np.maximum(size, 1)
-        return independence * (1 + LIKELY_ATOMS.spread * self._background_share[rows] ** 2)
-
-    @computed_once
-    def _background_share(self) -> NDArray[np.float64]:
-        """Share of each row's light that its background holds, (M,)."""
-        background = self.rows.background.sum(axis=1, dtype=np.float64)
-        whole = background + np.asarray(self.rows.coefficients.sum(axis=1), np.float64).ravel()
-        return np.divide(background, whole, out=np.zeros_like(whole), where=whole > 0)
+        return np.asarray(np.clip(known, 1, enough) / enough / np.maximum(size, 1))
