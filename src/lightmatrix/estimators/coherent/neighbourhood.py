@@ -38,6 +38,14 @@ class JacobianConstants:
 
     # The longest displacement between neighbours that is counted, in projector pixels.
     fastest: int = 12
+    # The largest distance in camera pixels over which displacements are counted for the whole
+    # frame. It starts at 1 and doubles: the longer, the finer the mean Jacobian.
+    farthest: int = 16
+    # A displacement in projector pixels that is long enough; the distance grows no further.
+    long: int = 8
+    # The peak at a distance lies this close to the one predicted from half the distance, in
+    # projector pixels per camera pixel.
+    nearby: float = 0.75
     # Camera pixels to both sides between which the local Jacobian is measured.
     step: int = 2
     # Side of the square of camera pixels whose median is the local Jacobian.
@@ -97,17 +105,33 @@ def strongest_entries(rows: csr_array) -> NDArray[np.int64]:
 def _frame_displacement(
     places: list[NDArray[np.int64]], lit: NDArray[np.bool_], axis: int, fastest: int
 ) -> tuple[float, float]:
-    """The centre of the commonest 3 x 3 displacements between neighbours along an axis.
+    """The commonest displacement per camera pixel along an axis; (0, 0) where there is none."""
+    length = lit.shape[axis]
+    mean = (0.0, 0.0)
+    distance = 1
+    while distance <= min(JACOBIAN.farthest, length - 1):
+        here, there = np.arange(length - distance), np.arange(distance, length)
+        both = lit.take(here, axis) & lit.take(there, axis)
+        steps = [(place.take(there, axis) - place.take(here, axis))[both] for place in places]
+        predicted = [round(part * distance) for part in mean]
+        reach = fastest if distance == 1 else max(3, int(np.ceil(JACOBIAN.nearby * distance)))
+        peak = _commonest([s - p for s, p in zip(steps, predicted, strict=True)], reach)
+        if peak is None:
+            break
+        sizes = [p + offset for p, offset in zip(predicted, peak, strict=True)]
+        mean = (sizes[0] / distance, sizes[1] / distance)
+        if max(map(abs, sizes)) >= JACOBIAN.long:
+            break
+        distance *= 2
+    return mean
 
-    None is longer than `fastest`; (0, 0) where there is none.
-    """
-    here, there = np.arange(lit.shape[axis] - 1), np.arange(1, lit.shape[axis])
-    both = lit.take(here, axis) & lit.take(there, axis)
-    steps = [(place.take(there, axis) - place.take(here, axis))[both] for place in places]
-    reach, side = fastest, 2 * fastest + 1
+
+def _commonest(steps: list[NDArray[np.int64]], reach: int) -> tuple[float, float] | None:
+    """The centre of the commonest 3 x 3 displacements, none longer than `reach`; None if none."""
+    side = 2 * reach + 1
     near = (np.abs(steps[0]) <= reach) & (np.abs(steps[1]) <= reach)
     if not near.any():
-        return 0.0, 0.0
+        return None
     flat = (steps[0][near] + reach) * side + steps[1][near] + reach
     counts = np.bincount(flat, minlength=side * side).reshape(side, side).astype(np.float64)
     sums = uniform_filter(counts, 3, mode="constant")

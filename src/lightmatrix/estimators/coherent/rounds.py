@@ -121,7 +121,7 @@ class Rounds(Work):
         if step != ROWS:
             return partial(self._solve, number, neighbours)
         if not self.judged:
-            return partial(self._finish, neighbours)
+            return partial(self._judge, neighbours, None, None)
         before = read(HELD_OUT).diagnostics
         misfit = before[HELD_OUT]
         with np.errstate(divide="ignore", invalid="ignore"):
@@ -262,14 +262,6 @@ class Rounds(Work):
     def _held_out(self) -> HeldOut:
         return HeldOut.choose(self.capture.patterns)
 
-    def _finish(
-        self, neighbours: Neighbourhood, start: int, stop: int, progress: Progress
-    ) -> SparseRows:
-        """The rows start..stop of the result, in pixels, with their backgrounds on the cells."""
-        rows, samples = np.arange(start, stop), self.capture.samples(start, stop)
-        solved, _ = self.solver.near(samples, rows, self.rounds[-1], neighbours, progress)
-        return self._in_pixels(neighbours, samples, solved, start)
-
     def _in_pixels(
         self, neighbours: Neighbourhood, samples: Samples, solved: Result, start: int
     ) -> SparseRows:
@@ -284,14 +276,16 @@ class Rounds(Work):
         return replace(atoms, coefficients=pixels, background=background.astype(np.float32))
 
     def _judge(
-        self, neighbours: Neighbourhood, misfit: NDArray[np.float32], missed: NDArray[np.float32],
-        start: int, stop: int, progress: Progress,
+        self, neighbours: Neighbourhood, misfit: NDArray[np.float32] | None,
+        missed: NDArray[np.float32] | None, start: int, stop: int, progress: Progress,
     ) -> SparseRows:  # fmt: skip
-        """The rows start..stop of the result, which also say how far to trust them."""
+        """The rows start..stop of the result, in pixels, and with misfits how far to trust them."""
         solver, rows = self.solver, np.arange(start, stop)
         samples = self.capture.samples(start, stop)
         solved, background = solver.near(samples, rows, self.rounds[-1], neighbours, progress)
         pixels = self._in_pixels(neighbours, samples, solved, start)
+        if misfit is None or missed is None:
+            return pixels
         length = solver.backgrounds.lengths(pixels)
         with np.errstate(divide="ignore", invalid="ignore"):
             error = np.sqrt(misfit[start:stop]) / (solver.atoms.neighbour_contrast * length)
