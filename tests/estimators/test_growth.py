@@ -11,7 +11,7 @@ from scipy.sparse import csr_array
 
 from lightmatrix.capture.capture import Capture
 from lightmatrix.capture.sensor import Sensor
-from lightmatrix.estimators.coherent import schedule
+from lightmatrix.estimators.coherent import row_solver, schedule
 from lightmatrix.estimators.coherent.estimator import WINDOWS, CoherentEstimator
 from lightmatrix.estimators.coherent.neighbourhood import CameraGrid
 from lightmatrix.estimators.coherent.rounds import SEARCHED
@@ -213,3 +213,20 @@ def test_narrow_atoms_are_right_to_a_hundred_thousandth(count: int) -> None:
         correlations = e @ columns.T.astype(np.float64)
         assert (correlations <= unit * (scores + offset + up) + 1e-6).all()
         assert (correlations >= unit * (scores + offset - down) - 1e-6).all()
+
+
+def test_a_projector_in_parts_gives_the_same(
+    scene: Truth,
+    estimates: dict[schedule.Growth, LightTransport],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Atoms on sheets, made for some camera pixels each, find what all atoms find."""
+    monkeypatch.setattr(schedule, "GROWTH", LARGE_FRAMES)
+    monkeypatch.setattr(row_solver, "KEPT_PIXELS", 0)
+    monkeypatch.setattr(row_solver, "_SQUARE", 24)
+    parts = CoherentEstimator(tile_rows=400).estimate(photographed(scene))
+    whole, known = estimates[LARGE_FRAMES], scene.transport()
+    assert relative_error(parts, known) < 1.01 * relative_error(whole, known)
+    for name in ("estimated_error", "prediction_error"):
+        stated = [np.nanmedian(each.diagnostics[name]) for each in (parts, whole)]
+        assert stated[0] == pytest.approx(stated[1], rel=0.02)
