@@ -168,7 +168,7 @@ def _held_bytes(capture: Capture, coherent: bool, active_set: bool, sample_bytes
     # pixels and spots under it included, and of grey values besides; of each row (entries before
     # and after a round), and of each camera sample (its level, value and clip state).
     # `python -m benchmarks.resource_estimate` measures that no estimate takes more.
-    pixel, value, grey, row, sample = 100, 19, 28, 400, 9
+    pixel, value, grey, row, sample = 100, 19.0, 28, 400, 9
     values = patterns.pixels * capture.count
     if coherent:
         pixel, value, grey, row, sample = 2700, 35, 26, 1500, 6
@@ -192,7 +192,7 @@ def _held_bytes(capture: Capture, coherent: bool, active_set: bool, sample_bytes
         # The regression of what the rig did takes up to 320,000 samples and their margins, and
         # changes 64 MiB of patterns at a time.
         size += 300 * min(rows * capture.count, 640_000) + 20 * min(values, 1 << 24)
-    return size
+    return int(size)
 
 
 def _seconds(capture: Capture, coherent: bool) -> float:

@@ -223,7 +223,7 @@ class AtomPatterns(PatternSet):
 
 
 # Rows and columns of projector pixels.
-Box = tuple[slice, slice]
+Box = tuple[slice, ...]
 # The side in projector pixels of the cells that boxes consist of. Chosen by hand.
 _CELL = 16
 

@@ -339,7 +339,8 @@ class RowSolver:
                 seen.append(near.rows.coefficients.indices)
             boxes = boxes_around(np.concatenate(seen) % atoms.single.pixels, atoms.shape)
             sheet = Sheet.of(boxes, atoms.shape, self._margin(near, this_round))
-            problem = replace(problem, patterns=atoms.part(sheet.pixels))
+            shown = atoms.part(sheet.pixels)
+            problem = replace(problem, patterns=shown)
             if this_round.has_pseudo_samples:
                 unseen = unseen.part(sheet.pixels)
             parts = candidates.data, candidates.indices, candidates.indptr
@@ -356,7 +357,7 @@ class RowSolver:
             if sheet is not None:
                 laid = sheet.laid(near.rows.coefficients)
                 moved = replace(near.rows, coefficients=laid)
-                near = replace(near, rows=moved, atoms=problem.patterns)
+                near = replace(near, rows=moved, atoms=shown)
             pseudo_samples = near.pseudo_samples(
                 unseen, samples, samples.clipped & Fidelity(self.solver.fidelity).term.clip_aware,
                 self.capture.reference_level, rows, light * halos,
