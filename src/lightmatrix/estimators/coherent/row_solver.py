@@ -252,7 +252,7 @@ class RowSolver:
         solver = replace(self.solver, tolerance=tolerance, max_passes=most)
         if not parts:
             return solver.solve(problem, progress)
-        best, (rows, cols), reach = None, self.atoms.shape, self._spot_reach
+        best, (rows, cols), reach = None, self.atoms.shape, len(self.atoms.kernels[-1]) - 1
         problem = replace(problem, background_column=self.capture.patterns.means)
         for top, left in product(range(0, rows, _SQUARE), range(0, cols, _SQUARE)):
             sides = zip((top, left), (rows, cols), strict=True)
@@ -271,11 +271,6 @@ class RowSolver:
             best = found
         assert best is not None
         return Result(best, Status.CONVERGED)
-
-    @property
-    def _spot_reach(self) -> int:
-        """Pixels that the widest spot reaches to each side."""
-        return len(self.atoms.kernels[-1]) - 1
 
     def unexplained(self, samples: Samples, solved: Result, share: float) -> NDArray[np.int64]:
         """Rows whose samples the solution does not explain, but other atoms might.
@@ -379,10 +374,9 @@ class RowSolver:
 
     def _margin(self, neighbours: Neighbourhood, this_round: Round) -> int:
         """Pixels around the light of neighbours that a sheet holds, for spots and for movements."""
-        if not this_round.has_pseudo_samples:
-            return self._spot_reach
         steps = np.abs(neighbours.jacobian).reshape(-1, 2, 2).sum(axis=2)
-        return self._spot_reach + 1 + int(np.ceil(REACH * steps.max()))
+        moved = 1 + int(np.ceil(REACH * steps.max())) if this_round.has_pseudo_samples else 0
+        return len(self.atoms.kernels[-1]) - 1 + moved
 
     def _groups(
         self, rows: NDArray[np.int64], this_round: Round, neighbours: Neighbourhood
