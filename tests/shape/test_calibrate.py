@@ -224,10 +224,7 @@ def test_poses_need_few_lit_corners_in_two_rows(
     with monkeypatch.context() as patch:
         patch.setattr(calibrate, "light_corners", in_part)
         if count == 6:
-            with pytest.raises(
-                lm.InputError,
-                match="projector lights 6 of them: 8 in two rows",
-            ):
+            with pytest.raises(lm.InputError, match="projector lights 6 of them: 8 in two rows"):
                 lm.calibrate_rig(poses, BOARD, SQUARE)
         else:
             found = calibrate._all_corners(poses, BOARD, "chessboard", 1, None)[0]
@@ -452,10 +449,7 @@ def test_a_rendered_scene_gives_the_rig() -> None:
     ways = ((transport, None, 0.3), (lm.correspondence(transport), exact.projector_intrinsics, 0.1))
     for source, projector, most in ways:
         rig = lm.self_calibrate(
-            source,
-            exact.camera_intrinsics,
-            projector_intrinsics=projector,
-            baseline=exact.baseline,
+            source, exact.camera_intrinsics, projector_intrinsics=projector, baseline=exact.baseline
         )
         turn, direction = errors(rig, exact)
         assert turn < 0.1
