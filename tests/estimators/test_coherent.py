@@ -78,7 +78,12 @@ def rendered(name: str) -> tuple[Capture, LightTransport, NDArray[np.int64], Lig
 # Measured: 0.0178, 0.0133, 0.0286, 0.0323; row by row 0.43, 0.14, 0.21, 0.52.
 @pytest.mark.parametrize(
     ("name", "most"),
-    [("l_objects", 0.0205), ("gripper", 0.015), ("metal", 0.035), ("corner", 0.037)],
+    [
+        ("l_objects", 0.0205),
+        ("metal", 0.035),
+        pytest.param("gripper", 0.015, marks=pytest.mark.slow),
+        pytest.param("corner", 0.037, marks=pytest.mark.slow),
+    ],
 )
 def test_few_patterns_do_what_row_by_row_takes_many_for(name: str, most: float) -> None:
     capture, known, rows, coherent = rendered(name)
@@ -90,6 +95,7 @@ def test_few_patterns_do_what_row_by_row_takes_many_for(name: str, most: float) 
     assert coherent.diagnostics["converged"].mean() > 0.99
 
 
+@pytest.mark.slow
 def test_pseudo_samples_and_halos_lower_the_error(monkeypatch: pytest.MonkeyPatch) -> None:
     """Left out, the error is 1.14 and 1.05 times what it is with them."""
     capture, known, rows, estimate = rendered("l_objects")
