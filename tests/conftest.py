@@ -10,6 +10,7 @@ from typing import Any
 import pytest
 from hypothesis import HealthCheck, settings
 
+import lightmatrix as lm
 from lightmatrix.simulation import library
 from lightmatrix.simulation.library import read_bundled
 from lightmatrix.simulation.truth import Truth, binned
@@ -21,8 +22,12 @@ settings.load_profile("busy")
 
 
 @pytest.fixture(scope="session", autouse=True)
-def _scenes_are_unpacked_once() -> Iterator[None]:
-    """The bundled scenes, which take up to a second each and are asked for hundreds of times."""
+def _scenes_are_unpacked_once(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
+    """The bundled scenes, which take up to a second each and are asked for hundreds of times.
+
+    Others are rendered from few paths, and not kept in the user's cache.
+    """
+    rendered = tmp_path_factory.mktemp("rendered")
 
     @cache
     def once(path: Path) -> Truth:
@@ -34,7 +39,9 @@ def _scenes_are_unpacked_once() -> Iterator[None]:
         return truth
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("lightmatrix.simulation.library.read_bundled", once)
+        patch.setattr(library, "read_bundled", once)
+        patch.setattr(library, "USUAL_SAMPLES", 64)
+        patch.setattr(library, "cache_folder", lambda: rendered)
         yield
 
 
@@ -56,6 +63,18 @@ def small_scenes() -> Iterator[None]:
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(library, "truth", truth)
+        patch.setattr(lm, "truth", truth)
+        yield
+
+
+@pytest.fixture(scope="module")
+def unchecked() -> Iterator[None]:
+    """Estimates that do not look for faults of their photographs, which takes longest."""
+    with pytest.MonkeyPatch.context() as patch:
+        for module in ("estimate", "colour"):
+            name = f"lightmatrix.estimators.{module}.refuse_unordered"
+            patch.setattr(name, lambda capture: [])
+        patch.setattr("lightmatrix.estimators.estimate._without_faults", lambda *_: None)
         yield
 
 

@@ -14,6 +14,8 @@ from lightmatrix.estimators.defocused import _gaussian, _Strip, defocused
 from lightmatrix.judgement.judgement import OwnError
 from lightmatrix.rig_model.model import RigModel
 
+pytestmark = pytest.mark.usefixtures("small_scenes")
+
 
 def blurred(**options: Any) -> tuple[lm.Capture, lm.LightTransport, lm.Truth]:
     patterns = lm.BernoulliPatterns((32, 32), 32)

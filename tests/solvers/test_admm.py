@@ -19,7 +19,7 @@ from tests.helpers.problems import clipping_problem, with_samples
 CONVEX = [Fidelity.LINEAR, Fidelity.ONE_SIDED, Fidelity.REJECTION]
 # Projector size for rows that are solved to the last digit. That takes 1,800 iterations here, but
 # up to 13,000 at 9 x 11.
-QUICK: dict[str, Any] = {"rows": 4, "shape": (6, 7), "count": 24}
+QUICK: dict[str, Any] = {"rows": 2, "shape": (6, 7), "count": 24}
 
 
 def _augmented(problem: Problem, scale: float) -> np.ndarray[Any, Any]:
