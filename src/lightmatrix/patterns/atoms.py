@@ -7,6 +7,7 @@ of a spot under a pattern is the blurred pattern at its place.
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any
@@ -42,13 +43,16 @@ class AtomPatterns(PatternSet):
     gains: tuple[float, ...] = ()
     # The compiled solver keeps columns in half the memory, to within 1e-5.
     narrow: bool = False
+    # Whether contrast is what differs from even light. Else it has what spots lose at the border,
+    # which is three times their contrast where these are wide.
+    even: bool = False
 
     def __post_init__(self) -> None:
         sizes = self.sizes
         if not sizes or sizes[0] != 0 or not all(a < b for a, b in pairwise(sizes)):
             raise InputError(f"spots of sizes {sizes}", hint="let sizes ascend from 0")
         if not self.gains:
-            others = (self._contrast(plane) for plane in range(1, len(sizes)))
+            others = (self.contrast(plane) for plane in range(1, len(sizes)))
             lengths = np.array([self.single_contrast, *others])
             shares = lengths.min() / lengths if lengths.min() > 0 else np.ones(len(sizes))
             object.__setattr__(self, "gains", tuple(float(share) for share in shares))
@@ -86,7 +90,7 @@ class AtomPatterns(PatternSet):
     @computed_once
     def single_contrast(self) -> float:
         """Standard deviation of the values of the single pixels' patterns."""
-        return self._contrast(0)
+        return self.contrast(0)
 
     @computed_once
     def neighbour_contrast(self) -> float:
@@ -204,10 +208,13 @@ class AtomPatterns(PatternSet):
                 images = convolve1d(images, whole, axis=axis, mode="constant")
         return images.reshape(x.shape)
 
-    def _contrast(self, plane: int) -> float:
+    def contrast(self, plane: int) -> float:
         """Standard deviation of the values of the columns of a size, without gain."""
         kernel = self.kernels[plane]
-        parts = [_core.blurred_moments(c, self.shape, kernel) for _, c in self.single.chunks()]
+        chunks: Iterable[NDArray[Any]] = (chunk for _, chunk in self.single.chunks())
+        if self.even:
+            chunks = (chunk - chunk.mean(axis=1, keepdims=True) for chunk in chunks)
+        parts = [_core.blurred_moments(c, self.shape, kernel) for c in chunks]
         total, squares = np.sum(parts, axis=0) / (self.count * self.single.pixels)
         return float(np.sqrt(max(squares - total**2, 0.0)))
 

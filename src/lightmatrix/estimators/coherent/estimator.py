@@ -21,7 +21,7 @@ from lightmatrix.solvers.fidelity import Fidelity
 WINDOWS = ((2, 1), (2, 1), (2, 1), (2, 1), (1, 1), (1, 1), (1, 1), (1, 1))
 # Standard deviations of the spots in projector pixels; 0 is a single pixel. Each is about 1.4 times
 # the one before, so that a mixture of two of them comes close to any size between.
-SIZES = (0.0, 0.7, 1.0, 1.4, 2.0, 2.8, 4.0)
+SIZES = (0.0, 0.7, 1.0, 1.4, 2.0, 2.8, 4.0, 5.6, 8.0, 11.3)
 
 
 @dataclass(frozen=True)
@@ -59,7 +59,8 @@ class CoherentEstimator(Estimator):
         Likeliest atoms kept of each row.
     sizes : tuple of float
         Standard deviations of the spots in projector pixels, ascending; the first is 0, a single
-        pixel. Those wider than a sixteenth of the projector are left out.
+        pixel. Those wider than 4, or a sixteenth of the projector, are left out but where the
+        photographs have little contrast; there those up to an eighth of it are used.
     background_grid : (int, int)
         Rows and columns of the coarse cells; (1, 1) keeps one coefficient a row.
     fidelity : Fidelity
@@ -115,18 +116,18 @@ class CoherentEstimator(Estimator):
         rounds = schedule(capture.camera_shape, capture.patterns.pixels, self.windows)
         solver = self.row_solver(capture, narrow=rounds[0].spacing > 1)
         work = Rounds(solver, rounds, self.tile_rows, self.judged)
-        return Plan(work, self._provenance(capture, solver.penalty), solver.backgrounds.grid)
+        return Plan(work, self._provenance(capture, solver), solver.backgrounds.grid)
 
     def row_solver(self, capture: Capture, *, narrow: bool = False) -> RowSolver:
         """What solves rows of a capture with these parameters."""
         own = self._solver, self.regularization, self.trust, self.candidates, self.sizes
         return RowSolver(capture, *own, self.background_grid, narrow)
 
-    def _provenance(self, capture: Capture, regularization: float) -> dict[str, object]:
+    def _provenance(self, capture: Capture, solver: RowSolver) -> dict[str, object]:
         made_by = solver_provenance(self._solver)
         made_by["solver_parameters"] |= {
             "trust": self.trust, "windows": [list(pair) for pair in self.windows],
-            "candidates": self.candidates, "sizes": list(self.sizes),
+            "candidates": self.candidates, "sizes": list(solver.atoms.sizes),
         }  # fmt: skip
         certificate = (
             "the weighted problem of each row on its likeliest pixels, with expected samples"
@@ -138,7 +139,7 @@ class CoherentEstimator(Estimator):
         return {
             "estimator": "coherent",
             **made_by,
-            "regularization": regularization,
+            "regularization": solver.penalty,
             "certificate": certificate,
             # What tiles hold depends on it.
             **({} if self.judged else {"judged": False}),

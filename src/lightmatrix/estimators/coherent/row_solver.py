@@ -199,12 +199,30 @@ class RowSolver:
     @computed_once
     def atoms(self) -> AtomPatterns:
         """Pixels and spots under the patterns shown."""
-        patterns = self.capture.patterns
+        patterns, wide = self.capture.patterns, self._widest
         # The standard deviation of a spot is at most this share of the projector's shorter side.
         # Chosen by hand.
-        widest = min(patterns.shape) / 16
+        widest = min(wide or 4.0, min(patterns.shape) / (8 if wide else 16))
         sizes = tuple(size for size in self.sizes if size <= widest)
-        return AtomPatterns(patterns, sizes, narrow=self.narrow)
+        return AtomPatterns(patterns, sizes, narrow=self.narrow, even=wide > 0)
+
+    @computed_once
+    def _widest(self) -> float:
+        """The widest spots that low contrast asks for; 0 if spots of 2.8 pixels explain it."""
+        frames = np.linspace(0, self.capture.count - 1, min(8, self.capture.count)).astype(int)
+        some = self.capture.select(frames)
+        tiles = [tile.values[~tile.clipped.any(axis=1)] for _, tile in some.tiles()]
+        means, changes = (
+            np.concatenate([of(tile, axis=1) for tile in tiles]) for of in (np.mean, np.std)
+        )
+        bright = means > max(means.mean(), 0) if len(means) else means > 0
+        if not bright.any():
+            return 0.0
+        # Contrast falls with the size. Noise adds to it, so spots may be a fifth wider than it
+        # says; much wider ones than there are double the error of glossy scenes.
+        spot = AtomPatterns(some.patterns, (0.0, 2.8), (1.0, 1.0), even=True).contrast(1)
+        contrast = np.median(changes[bright] / means[bright]) * some.patterns.means.mean()
+        return float(1.2 * 2.8 * spot / max(contrast, 1e-9)) if contrast < spot else 0.0
 
     @computed_once
     def unseen(self) -> AtomPatterns:
@@ -232,7 +250,8 @@ class RowSolver:
     def backgrounds(self) -> Backgrounds:
         """The cells of the background, at most one a pixel."""
         shape, several = self.capture.projector_shape, max(1, len(self.capture.projectors))
-        down, right = self.background_grid
+        # Wide spots cannot be told from cells and halos.
+        down, right = (1, 1) if self._widest else self.background_grid
         grid = min(several * down, shape[0]), min(right, shape[1])
         return Backgrounds(grid, self.capture.patterns, self.unseen.single)
 
