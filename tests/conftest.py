@@ -17,7 +17,9 @@ from lightmatrix.simulation.truth import Truth, binned
 from tests.helpers.projectors import two_projectors
 
 # A busy machine may need long for an example, and for drawing it.
-settings.register_profile("busy", deadline=None, suppress_health_check=[HealthCheck.too_slow])
+settings.register_profile(
+    "busy", deadline=None, max_examples=50, suppress_health_check=[HealthCheck.too_slow]
+)
 settings.load_profile("busy")
 
 
@@ -78,27 +80,39 @@ def unchecked() -> Iterator[None]:
         yield
 
 
-# One process at a time can serve a camera on the loopback network, or look for cameras there and
-# find none.
-_TOGETHER = {"tests/rig/test_aravis.py": "gige", "tests/rig/test_devices.py": "gige"}
+# Files that one process runs together: it alone has the loopback network's camera, a browser, and
+# the work folder of the faults with its fork server. They take longest, and so come first.
+_TOGETHER = {
+    "tests/faults/": "faults",
+    "tests/rig/test_aravis.py": "gige",
+    "tests/rig/test_devices.py": "gige",
+    "tests/viewer/": "viewer",
+}
+
+
+def _group(nodeid: str) -> str:
+    """The tests that one process runs one after the other: those of a file, as they share fixtures.
+
+    The examples share nothing and are the longest file, so each is handed out by itself.
+    """
+    file = nodeid.split("::", 1)[0]
+    if file == "tests/project/test_examples.py":
+        return nodeid
+    return next((name for start, name in _TOGETHER.items() if file.startswith(start)), file)
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Put the largest groups first, so that no process is left alone with one."""
+    items.sort(key=lambda item: _group(item.nodeid) not in _TOGETHER.values())
 
 
 @pytest.hookimpl(optionalhook=True)
 def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
-    """Each file to one process, as it has fixtures of its own, and some files to the same one.
-
-    The examples share nothing and are the longest file, so each is handed out by itself.
-    """
+    """Hand out the groups, each to one process."""
     if config.getoption("dist") != "loadfile":
         return None
     from xdist.scheduler import LoadFileScheduling
 
-    def group(nodeid: str) -> str:
-        file = nodeid.split("::", 1)[0]
-        if file == "tests/project/test_examples.py":
-            return nodeid
-        return _TOGETHER.get(file, file)
-
     scheduling = LoadFileScheduling(config, log)
-    scheduling._split_scope = group
+    scheduling._split_scope = _group
     return scheduling

@@ -115,5 +115,5 @@ def test_samples_that_only_their_own_frame_shows_are_not_compared() -> None:
 
 def test_no_other_photograph_shows_a_pixel_that_is_lit_alone() -> None:
     """What it gives cannot be predicted from them, so its frame is not accused."""
-    capture = draw("fibres", "one pixel", "intact", 16, 1).capture
+    capture = draw("fibres", "one pixel", "intact", 32, 1).capture
     assert [each.kind for each in check_capture(capture)] == ["unlit", "linearity"]

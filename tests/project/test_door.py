@@ -82,6 +82,7 @@ def test_tab_shows_the_names_and_nothing_else() -> None:
         lm.nothing_of_that_name  # type: ignore[attr-defined]  # noqa: B018
 
 
+@pytest.mark.usefixtures("unchecked")
 @pytest.mark.filterwarnings("ignore::lightmatrix.errors.LightMatrixWarning")
 @pytest.mark.parametrize("name", NAMES)
 def test_every_name_has_an_example_that_runs(name: str) -> None:
