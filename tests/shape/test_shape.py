@@ -294,12 +294,14 @@ def test_images_that_are_no_map_are_refused(tmp_path: Path) -> None:
             lm.triangulate(tmp_path / name, rig())
 
 
-@pytest.mark.parametrize("view", ["depth", "normals"])
+@pytest.mark.parametrize("view", ["depth", "normals", "layers"])
 def test_views_of_a_shape(view: str, tmp_path: Path) -> None:
     known = small("metal", 2)
     matrix, geometry = known.transport(), known.geometry
-    shape = lm.triangulate(matrix, geometry)
-    expected = getattr(shape, view)
+    if view == "layers":
+        expected = lm.layers(matrix, geometry).depth
+    else:
+        expected = getattr(lm.triangulate(matrix, geometry), view)
     assert np.isnan(expected).any()
     for name in ("x.npy", "x.tiff"):
         lm.show(matrix, view, geometry=geometry, output=tmp_path / name)

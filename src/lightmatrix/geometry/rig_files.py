@@ -138,6 +138,11 @@ def _plain(content: Values) -> dict[str, Array]:
         if (array := _array(value)) is not None:
             key = re.sub("[_-]", "", name.lower())
             plain[f"{key}lens" if re.fullmatch("k[cp]", name) else key] = array
+    # It states a size as two numbers.
+    sizes = {"camerasize": "framewidth frameheight", "projectorsize": "screenresx screenresy"}
+    for size, sides in sizes.items():
+        if set(sides.split()) <= plain.keys():
+            plain[size] = np.concatenate([plain[side].ravel() for side in sides.split()])
     return plain
 
 
