@@ -124,7 +124,7 @@ def test_the_page_has_its_sections_and_numbers(written: Path, estimate: lm.Light
     assert numbers["verdict"] in ("good", "fair")
     assert numbers["sentence"] in words
     for phrase in (
-        "Relit by stripes", "Clipped samples per frame",
+        "Pattern: stripes", "Clipped samples per frame",
         "duality gap (largest)", "Estimated error per camera pixel", "Prediction minus photograph",
         "Projector row", "Projector column", "Confidence", "Footprint size", "Background",
         "Dual image", "Row of camera pixel", "Column of projector pixel", "The truth",

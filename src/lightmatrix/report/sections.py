@@ -384,7 +384,6 @@ def _bars(title: str, values: NDArray[np.float64]) -> Bars:
         f"{percent(float(np.median(values)))}.",
         tuple(float(value) / max(top, 1e-12) for value in largest),
         percent(top),
-        0,
         len(values) - 1,
     )
 
@@ -429,10 +428,9 @@ def transport_matrix(facts: Facts) -> Section:
 
 
 def first_pictures(facts: Facts) -> Gallery:
-    """The scene under white, from the projector, and relit: what T is, at a glance."""
+    """The scene under white and from the projector: what T is, at a glance."""
     transport = facts.transport
     rows, cols, *_ = transport.camera_shape
-    stripes = unseen_patterns(transport.projector_shape)["stripes"]
     return Gallery(
         (
             photograph(
@@ -446,12 +444,6 @@ def first_pictures(facts: Facts) -> Gallery:
                 "The scene seen from the projector, lit from the camera",
                 "Dual image",
                 "The scene as the projector would photograph it, lit from the camera.",
-            ),
-            photograph(
-                transport.relight(stripes),
-                "The scene under stripes, computed from T",
-                "Relit by stripes",
-                "A pattern that was never projected.",
             ),
         )
     )
@@ -476,8 +468,7 @@ def _example_pixels(facts: Facts) -> dict[str, tuple[int, int]]:
     matches = facts.correspondence
     white = facts.white if facts.white.ndim == 2 else facts.white.sum(axis=2)
     lit = matches.valid & (white > np.quantile(white, 0.5))
-    if not lit.any():
-        lit = matches.valid
+    lit = lit if lit.any() else matches.valid
     if not lit.any():
         return {}
     confidence = np.where(lit, matches.confidence, np.nan)
