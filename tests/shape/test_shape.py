@@ -358,7 +358,7 @@ def test_rows_that_state_a_large_error_are_less_probable() -> None:
     fell = of[1].probability.ravel() - of[0].probability.ravel()
     assert fell[70] > 0
     assert (np.delete(fell, 70) == 0).all()
-    # Where a row always clips with its strongest pixel, nothing tells how much brighter that is than
+    # Where a row always clips with its strongest pixel, nothing tells how much brighter it is than
     # its neighbours: the place is unknown by half the width of the spot, unless more is tolerated.
     clipping = replace(plain, diagnostics={"only_bounded": np.ones_like(stated)})
     for tolerance, certain in ((0.01, False), (0.2, True)):
