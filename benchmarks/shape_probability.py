@@ -34,7 +34,15 @@ from lightmatrix.simulation.simulate import simulate
 from lightmatrix.transport.correspondence import Correspondence
 from lightmatrix.transport.matrix import LightTransport
 
-SCENES = ("corner", "l_objects", "metal", "gripper", "vase", "translucent", "mirror_balls")
+SCENES: tuple[str, ...] = (
+    "corner",
+    "l_objects",
+    "metal",
+    "gripper",
+    "vase",
+    "translucent",
+    "mirror_balls",
+)
 SCENES += ("curtain", "glass", "mirror", "wall")
 # Errors that are tolerated, as shares of the distance.
 TOLERANCES = (0.005, 0.01, 0.02)
