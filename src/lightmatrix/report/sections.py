@@ -200,7 +200,8 @@ def relighting(facts: Facts) -> Section:
             expected = percent(facts.validation.error)
             elements.append(Text(f"Expect errors as on unseen photographs: {expected}."))
     else:
-        error = relighting_error(facts.transport, facts.truth, np.stack(list(patterns.values())))
+        shown = np.stack(list(patterns.values()))
+        error = relighting_error([facts.transport], [facts.truth], shown)
         lead += f" Mean error of the images: {percent(error)}."
         assert facts.row_errors is not None
         caption = "Error of each camera pixel's rows of T, relative to their size."
