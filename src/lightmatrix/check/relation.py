@@ -306,7 +306,7 @@ class Relation:
         )
         squares = [(each**2).sum(axis=1, keepdims=True) - each**2 for each in (own, shown)]
         alike = (own @ shown.T) / np.sqrt(np.maximum(squares[0] * squares[1].T, 1e-12))
-        # In standard deviations of chance: those of frames and patterns that do not belong together.
+        # In standard deviations of what frames and patterns are that do not belong together.
         alike = np.arctanh(np.clip(alike, -0.999, 0.999))
         alike /= max(float(alike[off].std()), 1e-9)
         own, others = np.diag(alike), np.where(off, alike, -np.inf)

@@ -225,7 +225,8 @@ def evaluate_colour(
     energies = np.array([float(row_energies(matrix).sum()) for _, matrix in pairs])
     missed = np.array([errors.relative_error for errors in each]) ** 2 * energies
     patterns = np.stack(list(unseen_patterns(pairs[0][1].projector_shape).values()))
-    relighting = relighting_error(*zip(*pairs, strict=True), patterns)
+    matrices, expected = zip(*pairs, strict=True)
+    relighting = relighting_error(matrices, expected, patterns)
     relative = float(np.sqrt(missed.sum() / energies.sum()))
     return ColourErrors(red, green, blue, relative, relighting)
 
