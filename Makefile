@@ -47,9 +47,8 @@ demo: install ## run the demo; then open demo/report.html
 test-install: $(VENV)/.test-installed
 
 test: test-install ## run every check: format, types, Rust, Python, README, wheel
-	$(MAKE) --jobs=2 lint types rust-test
+	$(MAKE) --jobs=3 lint types rust-test wheel-demo
 	$(MAKE) py-test
-	$(MAKE) wheel-demo
 
 lint:
 	$(BIN)/ruff check .
@@ -63,11 +62,11 @@ types:
 rust-test:
 	cargo test --quiet --package lightmatrix-core --profile quick
 
-# Two processes, because many tests of devices wait; one thread each for numerics. The commands that
-# tests start import compiled bytecode, even where the environment forbids Python to keep it.
+# Three processes on two cores, as many tests wait for devices; one thread each for numerics. The
+# commands that tests start import compiled bytecode, even where the environment forbids to keep it.
 py-test:
 	env -u PYTHONDONTWRITEBYTECODE OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 \
-	  $(BIN)/python -m pytest --numprocesses 2 --dist loadfile --no-loadscope-reorder
+	  $(BIN)/python -m pytest --numprocesses 3 --dist loadfile --no-loadscope-reorder
 
 test-slow: test-install ## run the tests that are left out of `make test`: experiments, and long ones
 	$(BIN)/python -m pytest -m slow

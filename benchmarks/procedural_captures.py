@@ -5,21 +5,33 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.sparse import csr_array
 
 from lightmatrix.capture.capture import Capture
 from lightmatrix.capture.packing import pack
 from lightmatrix.capture.sensor import Sensor
 from lightmatrix.patterns.pattern_set import PatternSet
 from lightmatrix.simulation.irradiance import irradiance
-from lightmatrix.simulation.procedural import ProceduralScene
 from lightmatrix.transport.sparse_rows import stack_rows
 
 
-def photograph(output: Path, scene: ProceduralScene, patterns: PatternSet) -> None:
+class Scene(Protocol):
+    """The procedural scene, or a part of its camera."""
+
+    @property
+    def camera_shape(self) -> tuple[int, int]: ...
+
+    @property
+    def seed(self) -> int: ...
+
+    def rows(self, start: int, stop: int) -> tuple[csr_array, Any]: ...
+
+
+def photograph(output: Path, scene: Scene, patterns: PatternSet) -> None:
     """Write the capture that `lm.simulate` would make of the scene's truth."""
     sensor = Sensor(0.8, read_noise=0.003, bits=8)
     frames = _Photographs(scene, patterns, sensor)
@@ -34,7 +46,7 @@ class _Photographs:
     Packing reads them by `levels`; no whole photograph, selection or part of them exists.
     """
 
-    scene: ProceduralScene
+    scene: Scene
     patterns: PatternSet
     sensor: Sensor
 

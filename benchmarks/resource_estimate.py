@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 
 import lightmatrix as lm
-from benchmarks.growth import command_cost
+from benchmarks.scale import command_cost
 from experiments.harness import options
 from lightmatrix.simulation.procedural import ProceduralScene
 

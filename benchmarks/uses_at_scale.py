@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 from scipy.optimize import lsq_linear
 
 import lightmatrix as lm
-from benchmarks.growth import Shape, command_cost, size
+from benchmarks.scale import Shape, command_cost, size
 from experiments.harness import best_seconds, elsewhere
 from experiments.harness import options as options_of
 from lightmatrix.uses.compensation import compensator

@@ -10,19 +10,26 @@ from typing import Any
 import pytest
 from hypothesis import HealthCheck, settings
 
+import lightmatrix as lm
 from lightmatrix.simulation import library
 from lightmatrix.simulation.library import read_bundled
 from lightmatrix.simulation.truth import Truth, binned
 from tests.helpers.projectors import two_projectors
 
 # A busy machine may need long for an example, and for drawing it.
-settings.register_profile("busy", deadline=None, suppress_health_check=[HealthCheck.too_slow])
+settings.register_profile(
+    "busy", deadline=None, max_examples=50, suppress_health_check=[HealthCheck.too_slow]
+)
 settings.load_profile("busy")
 
 
 @pytest.fixture(scope="session", autouse=True)
-def _scenes_are_unpacked_once() -> Iterator[None]:
-    """The bundled scenes, which take up to a second each and are asked for hundreds of times."""
+def _scenes_are_unpacked_once(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
+    """The bundled scenes, which take up to a second each and are asked for hundreds of times.
+
+    Others are rendered from few paths, and not kept in the user's cache.
+    """
+    rendered = tmp_path_factory.mktemp("rendered")
 
     @cache
     def once(path: Path) -> Truth:
@@ -34,7 +41,9 @@ def _scenes_are_unpacked_once() -> Iterator[None]:
         return truth
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("lightmatrix.simulation.library.read_bundled", once)
+        patch.setattr(library, "read_bundled", once)
+        patch.setattr(library, "USUAL_SAMPLES", 64)
+        patch.setattr(library, "cache_folder", lambda: rendered)
         yield
 
 
@@ -56,30 +65,54 @@ def small_scenes() -> Iterator[None]:
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(library, "truth", truth)
+        patch.setattr(lm, "truth", truth)
         yield
 
 
-# One process at a time can serve a camera on the loopback network, or look for cameras there and
-# find none.
-_TOGETHER = {"tests/rig/test_aravis.py": "gige", "tests/rig/test_devices.py": "gige"}
+@pytest.fixture(scope="module")
+def unchecked() -> Iterator[None]:
+    """Estimates that do not look for faults of their photographs, which takes longest."""
+    with pytest.MonkeyPatch.context() as patch:
+        for module in ("estimate", "colour"):
+            name = f"lightmatrix.estimators.{module}.refuse_unordered"
+            patch.setattr(name, lambda capture: [])
+        patch.setattr("lightmatrix.estimators.estimate._without_faults", lambda *_: None)
+        yield
+
+
+# Files that one process runs together: it alone has the loopback network's camera, a browser, and
+# the work folder of the faults with its fork server. They take longest, and so come first.
+_TOGETHER = {
+    "tests/faults/": "faults",
+    "tests/rig/test_aravis.py": "gige",
+    "tests/rig/test_devices.py": "gige",
+    "tests/viewer/": "viewer",
+}
+
+
+def _group(nodeid: str) -> str:
+    """The tests that one process runs one after the other: those of a file, as they share fixtures.
+
+    The examples share nothing and are the longest file, so each is handed out by itself.
+    """
+    file = nodeid.split("::", 1)[0]
+    if file == "tests/project/test_examples.py":
+        return nodeid
+    return next((name for start, name in _TOGETHER.items() if file.startswith(start)), file)
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Put the largest groups first, so that no process is left alone with one."""
+    items.sort(key=lambda item: _group(item.nodeid) not in _TOGETHER.values())
 
 
 @pytest.hookimpl(optionalhook=True)
 def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
-    """Each file to one process, as it has fixtures of its own, and some files to the same one.
-
-    The examples share nothing and are the longest file, so each is handed out by itself.
-    """
+    """Hand out the groups, each to one process."""
     if config.getoption("dist") != "loadfile":
         return None
     from xdist.scheduler import LoadFileScheduling
 
-    def group(nodeid: str) -> str:
-        file = nodeid.split("::", 1)[0]
-        if file == "tests/project/test_examples.py":
-            return nodeid
-        return _TOGETHER.get(file, file)
-
     scheduling = LoadFileScheduling(config, log)
-    scheduling._split_scope = group
+    scheduling._split_scope = _group
     return scheduling

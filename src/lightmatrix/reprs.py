@@ -34,7 +34,6 @@ _LABELS = {
     "gap_median": "duality gap (median)",
     "gap_max": "duality gap (largest)",
     "rows_searched_everywhere": "rows searched everywhere",
-    "rows_certified_everywhere": "rows certified everywhere",
     "relative_error": "error of T",
     "relighting_error": "error of relit images",
     "response_rmse": "RMSE of single responses",
@@ -59,7 +58,6 @@ _SHARES = {
     "rows_half_clipped",
     "converged_rows",
     "rows_searched_everywhere",
-    "rows_certified_everywhere",
     "share_of_rows_unclipped_responses",
     "share_of_rows_diffuse",
 }

@@ -133,7 +133,7 @@ def described(tmp_path_factory: pytest.TempPathFactory) -> Path:
         ),
     )
 )
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=60, deadline=None)
 def test_any_description_is_read_or_refused(described: Path, change: dict[str, Any]) -> None:
     place = described
     shutil.copyfile(place / "as-it-was.json", place / "capture.json")

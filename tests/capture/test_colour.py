@@ -55,7 +55,7 @@ def rig(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, float]:
         capture = lm.Capture.from_folders(
             place / colour, place / f"{colour}.npy", lm.ReadSettings(exposure=exposure)
         )
-        lm.estimate(capture, output=place / f"{colour}.zarr")
+        lm.estimate(capture, output=place / f"{colour}.zarr", check=False, correct="none")
     return place, exposure
 
 

@@ -114,6 +114,7 @@ def test_samples_of_all_exposures_are_in_one_unit(mixed: Path) -> None:
     assert samples.clipped[:, ~short].mean() > 2 * samples.clipped[:, short].mean() > 0
 
 
+@pytest.mark.usefixtures("unchecked")
 def test_estimates_from_disk_use_every_exposure(
     mixed: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -125,7 +126,20 @@ def test_estimates_from_disk_use_every_exposure(
             line = f"simulate {mixed}/T.npz --patterns {mixed}/patterns --exposure 4 --bits 12"
             assert main([*line.split(), "--noise", "0.0005", "-o", str(source)]) == 0
         store = mixed / f"{name}.zarr"
-        assert main(["estimate", str(source), "-o", str(store), "--regularization", "0.02"]) == 0
+        assert (
+            main(
+                [
+                    "estimate",
+                    str(source),
+                    "-o",
+                    str(store),
+                    "--regularization",
+                    "0.02",
+                    "--no-check",
+                ]
+            )
+            == 0
+        )
         capsys.readouterr()
         assert main(["evaluate", str(store), "--truth", str(mixed / "T.npz"), "--json"]) == 0
         errors[name] = json.loads(capsys.readouterr().out)["relative_error"]
@@ -145,20 +159,20 @@ def _capture(patterns: PatternSet, known: Truth, exposure: object) -> Capture:
     return Capture.from_arrays(patterns, stack, sensor)
 
 
-@pytest.mark.parametrize("scene", ["l_objects", "metal"])
-def test_frames_of_several_exposures_are_in_order(scene: str) -> None:
-    known = truth(scene)
+def test_frames_of_several_exposures_are_in_order() -> None:
+    known = truth("metal")
     e = benchmark_exposure(known.transport())
     patterns = MixedPatterns((64, 64), 64, default_mix((64, 64), 64), seed=1)
     wanted = [(e, 0.5), (e / 4, 0.25), (e / 8, 0.25)]
     capture = _capture(patterns, known, exposure_sequence(wanted, patterns))
+    capture = capture.crop((16, 16), (32, 32))
     refuse_unordered(capture)
     swapped = [0, 9, *range(2, 9), 1, *range(10, 64)]
     with pytest.raises(InputError, match="order"):
         refuse_unordered(replace(capture, frames=capture.frames.select(swapped)))
 
 
-@pytest.mark.parametrize("scene", ["l_objects", "metal"])
+@pytest.mark.parametrize("scene", [pytest.param("l_objects", marks=pytest.mark.slow), "metal"])
 def test_a_quarter_of_short_frames_lowers_the_error(scene: str) -> None:
     """64 frames of 64 x 64 pixels: over all rows, and over those that do not clip singly too."""
     known = truth(scene)

@@ -17,8 +17,12 @@ from scipy.ndimage import gaussian_filter
 import lightmatrix as lm
 from benchmarks import frame_checks
 from lightmatrix.capture.folder import write_capture
-from lightmatrix.check.all_checks import check_distinguishable, check_interchanged
-from lightmatrix.check.finding import KINDS
+from lightmatrix.check.all_checks import (
+    check_capture,
+    check_distinguishable,
+    check_interchanged,
+)
+from lightmatrix.check.finding import KINDS, Finding
 from lightmatrix.check.survey import Survey
 from lightmatrix.cli import main
 from lightmatrix.files.images import decode_image, encode_image
@@ -44,9 +48,13 @@ Found = list[tuple[str, tuple[int, ...]]]
 
 
 def found(
-    frames: Frames, patterns: lm.PatternSet = PATTERNS, decoder: lm.Decoder = DECODER
+    frames: Frames,
+    patterns: lm.PatternSet = PATTERNS,
+    decoder: lm.Decoder = DECODER,
+    look: Callable[[lm.Capture], list[Finding]] = check_capture,
 ) -> Found:
-    findings = lm.check(lm.Capture.from_arrays(patterns, frames, decoder))
+    """What is found in the frames; by `lm.check`, which estimates T too, also of the rig."""
+    findings = look(lm.Capture.from_arrays(patterns, frames, decoder))
     assert {each.kind for each in findings} <= set(KINDS)
     assert all(each.message and each.advice for each in findings)
     return [(each.kind, each.frames) for each in findings]
@@ -90,12 +98,12 @@ def coded(frames: Frames) -> Frames:
     ids=["intact", "swapped", "black", "replaced", "shifted", "coded", "swapped and black"],
 )
 def test_faults_are_named(fault: Callable[[Frames], Frames], expected: Found) -> None:
-    assert found(fault(photographs(PATTERNS))) == expected
+    assert found(fault(photographs(PATTERNS)), look=lm.check) == expected
 
 
 def test_light_that_changes() -> None:
     beat = 1 + 0.05 * np.sin(1 + 1.3 * np.arange(K))
-    assert found(photographs(PATTERNS, gain=beat)) == [("gain", ())]
+    assert found(photographs(PATTERNS, gain=beat), look=lm.check) == [("gain", ())]
     one = np.where(np.arange(K) == 7, 1.1, 1.0)
     capture = lm.Capture.from_arrays(PATTERNS, photographs(PATTERNS, gain=one), DECODER)
     (finding,) = lm.check(capture)
@@ -149,7 +157,10 @@ def test_exact_mixtures_of_twelve_lights_are_left_alone() -> None:
 # ---- the bundled scenes
 
 
-@pytest.mark.parametrize("fault", ["two frames swapped", "JPEG at quality 60"])
+@pytest.mark.parametrize(
+    "fault",
+    ["two frames swapped", pytest.param("JPEG at quality 60", marks=pytest.mark.slow)],
+)
 def test_faults_of_a_bundled_scene_are_named(fault: str) -> None:
     draws = (draw for draw in frame_checks.draws(40, seed=5) if draw.patterns.count == 32)
     draw = next(draw for draw in draws if draw.scene == "metal")
@@ -157,6 +168,7 @@ def test_faults_of_a_bundled_scene_are_named(fault: str) -> None:
     assert named, [each.message for each in findings]
 
 
+@pytest.mark.slow
 def test_a_shift_is_named_though_photographs_seem_unrelated_to_their_patterns() -> None:
     draw = list(frame_checks.draws(7, seed=7))[-1]
     findings, named = frame_checks.FAULTS["shifted 2 px from the middle on"](
@@ -168,7 +180,7 @@ def test_a_shift_is_named_though_photographs_seem_unrelated_to_their_patterns() 
 def test_several_exposures_of_a_bundled_scene_are_left_alone() -> None:
     patterns = lm.BernoulliPatterns((64, 64), 32)
     capture = lm.simulate("metal", patterns, exposure="0.4:0.5,0.1:0.5", leak=0.01, ambient=0.05)
-    assert lm.check(capture) == []
+    assert check_capture(capture) == []
 
 
 MICRO = MicroPhasePatterns((64, 64))
@@ -192,7 +204,7 @@ def test_fine_stripes_that_are_alike_in_a_part_of_the_projector_accuse_nothing(
 ) -> None:
     capture = lm.simulate(scene, MICRO, seed=seed, noise=0.003)
     part = np.ascontiguousarray(stack(capture)[:, rows, cols])
-    findings = lm.check(lm.Capture.from_arrays(MICRO, part, capture.decoder))
+    findings = check_capture(lm.Capture.from_arrays(MICRO, part, capture.decoder))
     assert [each.kind for each in findings if each.kind in ("order", "unrelated")] == []
 
 
@@ -205,16 +217,15 @@ def test_motion_is_named_from_the_same_frame_on_in_a_crop() -> None:
     whole = lm.check(capture)
     assert [each.kind for each in whole] == ["motion"]
     assert abs(whole[0].frames[0] - 30) <= 1
-    assert lm.check(capture.crop((10, 20), (24, 32))) == whole
-    assert lm.check(capture, crop=((40, 4), (20, 20))) == whole
+    assert lm.check(capture, crop=((10, 20), (24, 32))) == whole
 
 
 def test_only_the_crop_must_see_light_of_the_projector() -> None:
-    frames = np.full((32, 96, 128), 3, np.uint8)
-    frames[:, 50 : 50 + CAMERA[0], 50 : 50 + CAMERA[1]] = photographs(PATTERNS)
+    frames = np.full((32, 60, 72), 3, np.uint8)
+    frames[:, 20 : 20 + CAMERA[0], 20 : 20 + CAMERA[1]] = photographs(PATTERNS)
     capture = lm.Capture.from_arrays(PATTERNS, frames, lm.Sensor())
-    assert "unseen" in [each.kind for each in lm.check(capture)]
-    assert lm.check(capture.crop((50, 50), CAMERA)) == []
+    assert "unseen" in [each.kind for each in check_capture(capture)]
+    assert check_capture(capture.crop((20, 20), CAMERA)) == []
 
 
 # All pixels differ.
@@ -286,7 +297,6 @@ def run(words: str, capsys: pytest.CaptureFixture[str]) -> tuple[int, list[dict[
 
 
 def test_the_command(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert run(str(folder), capsys) == (0, [])
     assert main(["check", str(folder)]) == 0
     assert "nothing is wrong" in capsys.readouterr().out
     images = sorted((folder / "images").iterdir())
@@ -300,8 +310,6 @@ def test_the_command(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert code == 1
     assert [(each["kind"], each["frames"]) for each in found] == [("counts", [3])]
     assert "31 photographs" in str(found[0]["message"])
-    assert main(["check", str(folder)]) == 1
-    assert "counts: 32 patterns" in capsys.readouterr().out
 
 
 def test_files_that_do_not_fit_together_are_findings(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
 
@@ -56,11 +57,10 @@ def swapped(count: int, a: int, b: int) -> NDArray[np.int64]:
     return order
 
 
-@pytest.mark.parametrize("seed", range(2))
 @pytest.mark.parametrize("exposure", [0.3, 2.0])
-@pytest.mark.parametrize("count", [8, 16, 32, 64])
-def test_good_captures_pass(count: int, exposure: float, seed: int) -> None:
-    for density in (0.5, 0.1):
+@pytest.mark.parametrize("count", [8, 32, 64])
+def test_good_captures_pass(count: int, exposure: float) -> None:
+    for seed, density in enumerate((0.5, 0.1)):
         patterns = BernoulliPatterns(PROJECTOR, count, density, seed)
         follow(capture(patterns, exposure=exposure, seed=seed, noise=0.02))
 
@@ -70,12 +70,11 @@ def test_good_captures_pass(count: int, exposure: float, seed: int) -> None:
     [
         HadamardPatterns(PROJECTOR, 48, "random", True),
         HadamardPatterns(PROJECTOR, 64, "sequency"),
-        HadamardPatterns(PROJECTOR, 64, "natural"),
         gray_code(),
-        BlockPatterns(PROJECTOR),
+        BlockPatterns(PROJECTOR, (2, 2)),
         ImagePatterns(np.repeat(gray_code().stack, 2, axis=0)),
     ],
-    ids=["hadamard", "sequency", "natural", "gray code", "one-pixel", "each pattern twice"],
+    ids=["hadamard", "sequency", "gray code", "blocks", "each pattern twice"],
 )
 def test_good_captures_of_other_patterns_pass(patterns: PatternSet) -> None:
     follow(capture(patterns, exposure=1.5, noise=0.02))
@@ -87,23 +86,20 @@ def test_a_diffuse_scene_is_left_alone() -> None:
     light = patterns.forward(generator.uniform(0, 2 / 320, (400, 320)))
     sensor = Sensor(read_noise=0.01)
     frames = sensor.expose(light).T.reshape(64, 20, 20)
-    follow(Capture.from_arrays(patterns, frames, sensor))
     follow(Capture.from_arrays(patterns, frames[swapped(64, 3, 9)], sensor))
 
 
-@pytest.mark.parametrize("exposure", [0.3, 1.5])
-@pytest.mark.parametrize("count", [20, 32, 64])
-def test_two_swapped_frames_are_named(count: int, exposure: float) -> None:
-    for seed in range(2):
-        a, b = np.sort(np.random.default_rng(seed).permutation(count)[:2])
-        patterns = BernoulliPatterns(PROJECTOR, count, seed=seed)
-        mixed = capture(patterns, swapped(count, a, b), exposure=exposure, seed=seed)
-        with pytest.raises(InputError, match=f"frame {a} and frame {b} look swapped"):
-            follow(mixed)
-        refuse_unusable(mixed)
+@pytest.mark.parametrize(("count", "exposure", "seed"), [(20, 1.5, 0), (32, 0.3, 1), (64, 1.5, 0)])
+def test_two_swapped_frames_are_named(count: int, exposure: float, seed: int) -> None:
+    a, b = np.sort(np.random.default_rng(seed).permutation(count)[:2])
+    patterns = BernoulliPatterns(PROJECTOR, count, seed=seed)
+    mixed = capture(patterns, swapped(count, a, b), exposure=exposure, seed=seed)
+    with pytest.raises(InputError, match=f"frame {a} and frame {b} look swapped"):
+        follow(mixed)
+    refuse_unusable(mixed)
 
 
-@pytest.mark.parametrize("first", [5, 20, 40, 55])
+@pytest.mark.parametrize("first", [5, 55])
 def test_a_missing_frame_shifts_those_after_it(first: int) -> None:
     patterns = BernoulliPatterns(PROJECTOR, 64)
     order = np.append(np.delete(np.arange(64), first), 63)
@@ -131,28 +127,29 @@ def lost(count: int, place: int) -> NDArray[np.int64]:
     return np.append(np.delete(np.arange(count), place), count - 1)
 
 
-@pytest.mark.parametrize("renamed", [True, False], ids=["files renamed", "projector late"])
-def test_displaced_frames_of_several_exposures_are_noticed(renamed: bool) -> None:
+@pytest.mark.parametrize(
+    ("renamed", "order", "words"),
+    [
+        (True, np.arange(48), None),
+        (True, lost(48, 22), "from frame 2[123] to .* after its own"),
+        (True, np.append(0, np.arange(47)), "each photograph shows the pattern before its own"),
+        (False, lost(48, 22), "from frame 2[123] to .* after its own"),
+        (False, np.append(np.arange(1, 48), 47), "each photograph shows the pattern after its own"),
+    ],
+)
+def test_displaced_frames_of_several_exposures_are_noticed(
+    renamed: bool, order: NDArray[np.int64], words: str | None
+) -> None:
     """Their exposure goes with them where files were renamed, else it is that of their place."""
-    count = 48
-    exposure = np.tile([2.0, 0.5, 2.0, 0.125], count // 4)
-    frames = np.arange(count)
-    patterns = BernoulliPatterns(PROJECTOR, count)
-    light = patterns.forward(surface())
-    for order, words in (
-        (frames, None),
-        (lost(count, 22), "from frame 2[123] to .* after its own"),
-        (np.append(frames[1:], count - 1), "each photograph shows the pattern after its own"),
-        (np.append(0, frames[:-1]), "each photograph shows the pattern before its own"),
-    ):
-        sensor = Sensor(exposure[order] if renamed else exposure, read_noise=0.003)
-        raw = sensor.expose(np.ascontiguousarray(light[:, order])).T.reshape(count, *CAMERA)
-        found = Capture.from_arrays(patterns, raw, Sensor(exposure))
-        if words is None:
-            follow(found)
-            continue
-        with pytest.raises(InputError, match=words):
-            follow(found)
+    exposure = np.tile([2.0, 0.5, 2.0, 0.125], 12)
+    patterns = BernoulliPatterns(PROJECTOR, 48)
+    light = np.ascontiguousarray(patterns.forward(surface())[:, order])
+    sensor = Sensor(exposure[order] if renamed else exposure, read_noise=0.003)
+    found = Capture.from_arrays(
+        patterns, sensor.expose(light).T.reshape(48, *CAMERA), Sensor(exposure)
+    )
+    with nullcontext() if words is None else pytest.raises(InputError, match=words):
+        follow(found)
 
 
 def test_a_capture_is_judged_as_check_does() -> None:

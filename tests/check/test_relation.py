@@ -22,17 +22,18 @@ def relation(capture: lm.Capture) -> list[Finding]:
     return check_relation(survey)
 
 
-@pytest.mark.parametrize("scene", ["textured", "translucent", "permutation"])
 @pytest.mark.parametrize(
-    ("damage", "kind", "words"),
+    ("scene", "damage", "kind", "words"),
     [
-        ("other seed", "unrelated", "do not follow the patterns"),
-        ("random order", "unrelated", "do not follow the patterns"),
-        ("by name", "order", "photographs are in the order of their names"),
-        ("patterns inverted", "order", "negative"),
-        ("negative", "order", "negative"),
-        ("half turned", "motion", "turned or moved"),
-        ("half turned by 90", "motion", "turned or moved"),
+        ("textured", "other seed", "unrelated", "do not follow the patterns"),
+        ("permutation", "other seed", "unrelated", "do not follow the patterns"),
+        ("translucent", "random order", "unrelated", "do not follow the patterns"),
+        ("textured", "by name", "order", "photographs are in the order of their names"),
+        ("translucent", "patterns inverted", "order", "negative"),
+        ("permutation", "negative", "order", "negative"),
+        ("textured", "half turned", "motion", "turned or moved"),
+        ("permutation", "half turned", "motion", "turned or moved"),
+        ("translucent", "half turned by 90", "motion", "turned or moved"),
     ],
 )
 def test_names_what_the_photographs_follow(scene: str, damage: str, kind: str, words: str) -> None:
@@ -71,13 +72,13 @@ def test_estimate_refuses_photographs_of_other_patterns() -> None:
     assert "check=False" in (refused.value.hint or "")
 
 
-@pytest.mark.parametrize(("scene", "seed"), [("translucent", 1), ("broad", 0), ("wall", 0)])
+@pytest.mark.parametrize(("scene", "seed"), [("translucent", 1), ("wall", 0)])
 def test_a_camera_that_sees_a_part_of_the_projector_is_not_accused(scene: str, seed: int) -> None:
     """Under 16 patterns, where little tells what photographs follow."""
     size, generator = 32, np.random.default_rng(seed)
     grid = np.stack(np.meshgrid(*[np.arange(size)] * 2, indexing="ij"), -1).reshape(-1, 2)
     places = generator.uniform(0, 0.7 * size, 2) + 0.3 * grid
-    spread = {"wall": 0.6, "translucent": 1.5, "broad": 3.0}[scene]
+    spread = {"wall": 0.6, "translucent": 1.5}[scene]
     away = ((places[:, None] - grid) ** 2).sum(axis=2)
     matrix = np.exp(-away / (2 * spread**2)) / spread**2
     patterns = lm.BernoulliPatterns((size, size), 16, seed=seed)

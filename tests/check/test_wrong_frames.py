@@ -110,11 +110,10 @@ def test_samples_that_only_their_own_frame_shows_are_not_compared() -> None:
     frames = np.zeros((256, 256), np.uint8)
     frames[np.arange(256), np.arange(256)] = np.random.default_rng(0).integers(60, 250, 256)
     capture = lm.Capture.from_arrays(patterns, frames.reshape(256, 16, 16), lm.Sensor())
-    assert [each.kind for each in lm.check(capture)] == ["linearity"]
+    assert [each.kind for each in check_capture(capture)] == ["linearity"]
 
 
-@pytest.mark.parametrize("seed", [1, 3])
-def test_no_other_photograph_shows_a_pixel_that_is_lit_alone(seed: int) -> None:
+def test_no_other_photograph_shows_a_pixel_that_is_lit_alone() -> None:
     """What it gives cannot be predicted from them, so its frame is not accused."""
-    capture = draw("fibres", "one pixel", "intact", 32, seed).capture
+    capture = draw("fibres", "one pixel", "intact", 32, 1).capture
     assert [each.kind for each in check_capture(capture)] == ["unlit", "linearity"]

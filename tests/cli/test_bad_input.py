@@ -22,6 +22,7 @@ from lightmatrix.capture.sensor import Sensor
 from lightmatrix.cli import main
 from lightmatrix.files.images import write_image
 from lightmatrix.patterns.bits import BernoulliPatterns
+from lightmatrix.simulation.procedural import ProceduralScene
 from lightmatrix.transport import store
 from lightmatrix.transport.matrix import LightTransport
 from lightmatrix.transport.npz import export
@@ -50,6 +51,7 @@ def good(tmp_path_factory: pytest.TempPathFactory) -> Path:
     )
     store.save(folder / "T.zarr", empty)
     export(folder / "T.npz", empty)
+    ProceduralScene((4, 4), (4, 4)).truth().save(folder / "other.npz")
     return folder
 
 
@@ -136,11 +138,7 @@ FAULTS: dict[str, tuple[Fault, str, str]] = {
         "evaluate T.zarr --truth T.npz",
         "T.npz holds its background separately",
     ),
-    "a truth of another rig": (
-        nothing,
-        "evaluate T.zarr --truth wall",
-        "T.zarr is 396 x 320",
-    ),
+    "a truth of another rig": (nothing, "evaluate T.zarr --truth other.npz", "T.zarr is 396 x 320"),
 }
 
 
@@ -185,6 +183,7 @@ def test_a_fault_gives_one_message_and_leaves_nothing(
     assert snapshot(folder) == before
 
 
+@pytest.mark.usefixtures("unchecked")
 def test_suspicious_input_is_used_with_a_warning(
     good: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -21,6 +21,7 @@ from lightmatrix.files.images import read_image, write_image
 from lightmatrix.simulation.procedural import ProceduralScene
 from lightmatrix.transport import store
 
+pytestmark = pytest.mark.usefixtures("unchecked")
 COMMANDS: dict[str, Any] = typer.main.get_command(app).commands  # type: ignore[attr-defined]
 
 

@@ -20,6 +20,8 @@ from lightmatrix.reprs import labelled
 from lightmatrix.solvers import solve
 from tests.helpers.systems import SHELL, SIGNALS
 
+pytestmark = pytest.mark.usefixtures("unchecked")
+
 
 @pytest.fixture(autouse=True)
 def _a_folder_of_its_own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -278,10 +280,10 @@ def test_ctrl_c_that_a_finalizer_swallows_comes_again() -> None:
         "        time.sleep(0.2)\n"
         "def work():\n"
         "    Finalized()\n"
-        "    time.sleep(60)\n"
+        "    time.sleep(110)\n"
         "cli.main = work\n"
         "signal.signal(signal.SIGINT, signal.default_int_handler)\n"
         "cli.console()\n"
     )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=50)
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=120)
     assert (done.returncode, done.stdout, done.stderr) == (130, "", "")

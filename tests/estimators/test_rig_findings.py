@@ -64,12 +64,13 @@ def test_curves_that_are_to_be_found_are_no_fault() -> None:
 @pytest.mark.parametrize(
     ("scene", "patterns", "seed"),
     [
-        ("speckle", "random", 0),
         ("broad", "few", 1),
-        ("diffuse", "mixed", 5),
-        ("broad", "stripes", 5),
         ("permutation", "shown four times", 31011),
         ("wall", "grey", 0),
+        *(
+            pytest.param(*each, marks=pytest.mark.slow)
+            for each in (("speckle", "random", 0), ("diffuse", "mixed", 5), ("broad", "stripes", 5))
+        ),
     ],
 )
 def test_light_that_is_hard_to_explain_is_no_fault(scene: str, patterns: str, seed: int) -> None:

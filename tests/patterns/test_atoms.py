@@ -15,7 +15,7 @@ from lightmatrix import _core
 from lightmatrix.errors import InputError
 from lightmatrix.estimators.coherent import neighbourhood
 from lightmatrix.estimators.coherent.neighbourhood import Neighbourhood
-from lightmatrix.patterns.atoms import AtomPatterns
+from lightmatrix.patterns.atoms import AtomPatterns, Sheet, boxes_around
 from lightmatrix.patterns.bits import BernoulliPatterns
 from lightmatrix.patterns.hadamard import HadamardPatterns
 from lightmatrix.patterns.pattern_set import ImagePatterns, PatternSet
@@ -164,3 +164,24 @@ def test_single_pixels_are_believed_in_where_they_hold_light() -> None:
     share = 2 / 9 / constants.pixels_believed
     expected = max(share**constants.pixels_power, constants.pixels_least)
     np.testing.assert_allclose(belief[:, 32], expected, rtol=1e-5)
+
+
+def test_a_sheet_holds_the_atoms_of_its_boxes() -> None:
+    whole = AtomPatterns(BernoulliPatterns((70, 90), 6), SIZES)
+    rows = csr_array((2, whole.pixels), dtype=np.float32).tolil()
+    far = np.array([3, 40 * 90 + 4, 69 * 90 + 89])
+    # One in each of the boxes, a spot at the border among them, and one beyond all boxes.
+    rows[0, far], rows[1, 2 * 6300 + far[::-1]], rows[1, 20 * 90 + 60] = 1, 2, 5
+    boxes = boxes_around(far, whole.shape)
+    assert len(boxes) == 3
+    sheet = Sheet.of(boxes, whole.shape, len(whole.kernels[-1]) - 1)
+    laid = sheet.laid(csr_array(rows.tocsr()))
+    part = whole.part(sheet.pixels)
+    assert laid.shape == (2, part.pixels)
+    assert laid.nnz == 6
+    np.testing.assert_allclose(
+        part.columns(laid.indices), whole.columns(rows.tocsr().indices[[0, 1, 2, 4, 5, 6]])
+    )
+    lifted = sheet.lifted(laid, whole.planes)
+    rows[1, 20 * 90 + 60] = 0
+    assert (lifted != rows.tocsr()).nnz == 0

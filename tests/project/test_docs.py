@@ -120,7 +120,7 @@ def test_tables_fit_a_telephone_and_a_page_is_accessible(site: Path) -> None:
     fits = "(e) => e.scrollWidth <= e.clientWidth"
     with opened() as browser:
         page = browser.new_page(viewport={"width": 390, "height": 844})
-        for name in ("response", "simulation", "viewer", "mathematics"):
+        for name in ("response", "mathematics"):
             page.goto((site / f"{name}.html").as_uri())
             wraps = page.locator(".md-typeset__scrollwrap").all()
             assert wraps

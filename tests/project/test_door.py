@@ -20,7 +20,6 @@ from lightmatrix.estimators.choice import choose_estimator
 from lightmatrix.estimators.coherent.estimator import CoherentEstimator
 from lightmatrix.estimators.multiscale import MultiScaleEstimator
 from lightmatrix.estimators.plain import PlainEstimator
-from lightmatrix.patterns import making
 from lightmatrix.rig.devices import registry
 
 HEAVY = ("numpy", "scipy", "matplotlib", "zarr", "rich", "typer", "PIL")
@@ -83,6 +82,7 @@ def test_tab_shows_the_names_and_nothing_else() -> None:
         lm.nothing_of_that_name  # type: ignore[attr-defined]  # noqa: B018
 
 
+@pytest.mark.usefixtures("unchecked")
 @pytest.mark.filterwarnings("ignore::lightmatrix.errors.LightMatrixWarning")
 @pytest.mark.parametrize("name", NAMES)
 def test_every_name_has_an_example_that_runs(name: str) -> None:
@@ -212,32 +212,3 @@ def test_a_chosen_estimator_is_the_one_that_was_asked_for() -> None:
     assert isinstance(scaled, MultiScaleEstimator)
     many = lm.simulate("metal", lm.BernoulliPatterns((64, 64), 257))
     assert isinstance(choose_estimator(many), PlainEstimator)
-
-
-@pytest.mark.filterwarnings("ignore::lightmatrix.errors.LightMatrixWarning")
-def test_pictures_are_drawn(tmp_path: Path) -> None:
-    capture = lm.simulate("metal", lm.BernoulliPatterns((64, 64), 8), exposure=2)
-    transport = lm.estimate(capture, coherent=False, iterations=2)
-    pictures = [
-        lm.show(transport, "row", 3, 4),
-        lm.show(transport, "column", 3, 4),
-        *(lm.show(transport, name) for name in ("dual", "clipping", "gap", "correspondence")),
-    ]
-    for picture in pictures:
-        assert picture._repr_png_().startswith(b"\x89PNG")
-        assert picture.axes[0].get_title()
-    with pytest.raises(lm.InputError, match="no camera sample"):
-        lm.show(transport, "row", 64, 3)
-    with pytest.raises(lm.InputError, match="no projector pixel"):
-        lm.show(transport, "column", 3, 64)
-    with pytest.raises(lm.InputError, match="this matrix has no gap"):
-        lm.show(capture.truth.transport(), "gap")
-
-
-def test_kinds_of_patterns_by_name() -> None:
-    for kind in making.KINDS:
-        # Gray code has as many patterns as it needs, with and without sinusoids.
-        count = {"graycode": 10, "phase": 12}.get(kind, 12)
-        assert lm.make_patterns(kind, (16, 16), count, block=(4, 4)).count == count
-    with pytest.raises(lm.InputError, match="kind 'stripes'"):
-        lm.make_patterns("stripes", (8, 8))

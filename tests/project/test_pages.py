@@ -193,7 +193,7 @@ def _run(words: list[str]) -> None:
 
 
 @pytest.mark.filterwarnings("ignore::lightmatrix.errors.LightMatrixWarning")
-@pytest.mark.usefixtures("small_scenes")
+@pytest.mark.usefixtures("small_scenes", "unchecked")
 @pytest.mark.parametrize("page", [name for name in PAGES if BLOCKS.search(PAGES[name].read_text())])
 def test_a_page_runs(
     page: str,

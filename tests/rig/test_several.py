@@ -237,6 +237,7 @@ def test_a_capture_names_its_projectors(capture: SimulatedCapture, stores: Path)
             lm.Capture.open(stores / "packed")
 
 
+@pytest.mark.usefixtures("unchecked")
 def test_a_studio(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

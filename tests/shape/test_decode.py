@@ -151,14 +151,13 @@ def order(count: int, fault: str) -> np.ndarray:
     }.get(fault, frames)
 
 
-@pytest.mark.parametrize("name", ["graycode", "graycode, inverse", "phase", "microphase"])
 @pytest.mark.parametrize(
-    ("fault", "words"),
+    ("name", "fault", "words"),
     [
-        ("swapped", "frame 1 and frame 4 look swapped"),
-        ("late", "each photograph shows the pattern before its own"),
-        ("by name", "the order of their names as text"),
-        ("backwards", "the opposite order"),
+        ("graycode", "swapped", "frame 1 and frame 4 look swapped"),
+        ("graycode, inverse", "late", "each photograph shows the pattern before its own"),
+        ("phase", "by name", "the order of their names as text"),
+        ("microphase", "backwards", "the opposite order"),
     ],
 )
 def test_frames_out_of_order_are_refused_by_name(name: str, fault: str, words: str) -> None:

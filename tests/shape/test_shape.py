@@ -35,6 +35,7 @@ def triangulated(scene: str) -> tuple[Known, Shape]:
     return known, lm.triangulate(known.transport(), known.geometry)
 
 
+@cache
 def small(scene: str, factor: int = 4) -> Known:
     """A scene at fewer pixels, where its accuracy does not matter."""
     return cast(Known, binned(lm.truth(scene), factor))

@@ -16,7 +16,13 @@ from tests.helpers.renderer import needs_llvm
 
 
 @needs_llvm
-@pytest.mark.parametrize("name", library.BUNDLED)
+@pytest.mark.parametrize(
+    "name",
+    [
+        pytest.param(name, marks=[pytest.mark.slow] * (name != "gripper"))
+        for name in library.BUNDLED
+    ],
+)
 def test_bundled_scenes_agree_with_a_rendering(name: str) -> None:
     bundled = library.truth(name)
     rendered = render(name, library.BUNDLED_SIZE, samples=512, seed=7)

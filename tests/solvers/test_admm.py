@@ -8,19 +8,18 @@ from typing import Any
 import numpy as np
 import pytest
 from scipy.optimize import minimize
-from scipy.sparse import csr_array
 
 from lightmatrix.errors import InputError, SolverError
 from lightmatrix.patterns.bits import BernoulliPatterns
-from lightmatrix.solvers import ADMM, Fidelity, Problem, SaturationADMM, solve
+from lightmatrix.solvers import ADMM, ActiveSet, Fidelity, Problem, SaturationADMM, solve
 from lightmatrix.solvers.admm import System
-from lightmatrix.solvers.problem import objective, relative_gap
+from lightmatrix.solvers.problem import objective
 from tests.helpers.problems import clipping_problem, with_samples
 
 CONVEX = [Fidelity.LINEAR, Fidelity.ONE_SIDED, Fidelity.REJECTION]
 # Projector size for rows that are solved to the last digit. That takes 1,800 iterations here, but
 # up to 13,000 at 9 x 11.
-QUICK: dict[str, Any] = {"rows": 4, "shape": (6, 7), "count": 24}
+QUICK: dict[str, Any] = {"rows": 2, "shape": (6, 7), "count": 24}
 
 
 def _augmented(problem: Problem, scale: float) -> np.ndarray[Any, Any]:
@@ -150,50 +149,14 @@ def test_two_solvers_one_problem(nonnegative: bool, background: bool) -> None:
 @pytest.mark.parametrize("fidelity", CONVEX)
 @pytest.mark.parametrize("nonnegative", [False, True])
 @pytest.mark.parametrize("background", [False, True])
-def test_optimum_is_certified_by_its_duality_gap(
+def test_the_active_set_finds_the_same_optimum(
     fidelity: Fidelity, nonnegative: bool, background: bool
 ) -> None:
     problem, _ = clipping_problem(nonnegative=nonnegative, background=background, **QUICK)
     result = solve(problem, SaturationADMM(fidelity, max_iterations=20_000, tolerance=1e-9))
     assert problem.samples.clipped.any()
-    assert (result.gap > -1e-9).all()
-    assert result.gap.max() < 1e-5
-
-
-@pytest.mark.parametrize("fidelity", CONVEX)
-@pytest.mark.parametrize("nonnegative", [False, True])
-def test_no_dual_value_is_above_any_primal_one(fidelity: Fidelity, nonnegative: bool) -> None:
-    """Weak duality between points that have nothing to do with each other, and the optimum.
-
-    The gap of one point alone says little: far from the optimum its dual value is next to nothing,
-    whatever the bound is worth.
-    """
-    problem, _ = clipping_problem(nonnegative=nonnegative, seed=3, **QUICK)
-    solver = SaturationADMM(fidelity, max_iterations=20_000, tolerance=1e-9)
-    best = solve(problem, solver)
-    x, b = best.coefficients.toarray(), best.background
-    # The residual gives too high a bound unless it is orthogonal to the means.
-    alone = solve(replace(problem, background=False), solver)
-    points = [(alone.coefficients.toarray(), alone.background)]
-    random = np.random.default_rng(0)
-    for size in (0, 1e-4, 1e-3, 0.01, 0.1, 1):
-        for _ in range(3):
-            moved = x + size * random.standard_normal(x.shape) * (x != 0)
-            points.append((moved, b + size * random.standard_normal(b.shape)))
-    primal, dual = [], []
-    for pixels, background in points:
-        if nonnegative:
-            pixels, background = np.maximum(pixels, 0), np.maximum(background, 0)
-        value, gap = relative_gap(problem, csr_array(pixels), background, fidelity)
-        floor = 1e-6 * (problem.samples.values**2).sum(axis=1) / 2
-        primal.append(value)
-        dual.append(value - gap * np.maximum(value, floor))
-    highest, lowest = np.max(dual, axis=0), np.min(primal, axis=0)
-    optimum = best.objective
-    assert (highest <= optimum * (1 + 1e-9)).all()
-    assert (lowest >= optimum * (1 - 1e-9)).all()
-    # Near the optimum the bound is tight.
-    np.testing.assert_allclose(highest, optimum, rtol=1e-4)
+    certified = solve(problem, ActiveSet(fidelity, tolerance=1e-8))
+    np.testing.assert_allclose(result.objective, certified.objective, rtol=1e-5)
 
 
 @pytest.mark.parametrize("fidelity", [Fidelity.CLIPPED, Fidelity.ONE_SIDED])
@@ -265,7 +228,8 @@ def test_bound_of_the_background_does_not_stall() -> None:
     assert (blind.background == 0).any()
     assert blind.converged.all()
     assert blind.iterations.max() < 600
-    assert blind.gap.max() < 0.05
+    certified = solve(problem, ActiveSet(Fidelity.LINEAR, tolerance=1e-8))
+    assert (blind.objective < 1.05 * certified.objective).all()
 
 
 def test_rows_stop_by_themselves() -> None:
@@ -330,6 +294,5 @@ def test_dark_rows_and_no_rows() -> None:
         result = solve(dark, solver)
         assert result.converged.all()
         assert result.coefficients.nnz == 0
-        assert np.isfinite(result.gap).all()
         nothing = solve(problem.take(np.arange(0)), solver)
         assert nothing.coefficients.shape == (0, problem.patterns.pixels)

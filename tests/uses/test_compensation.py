@@ -66,7 +66,7 @@ def test_the_operator_has_its_adjoint(camera: tuple[int, ...], projectors: int) 
     assert [part.shape for part in light.split(p)] == sizes
 
 
-@settings(max_examples=8, deadline=None)
+@settings(max_examples=4, deadline=None)
 @given(seed=st.integers(0, 1000), level=st.floats(0.1, 2))
 def test_it_is_the_bounded_least_squares_solution(seed: int, level: float) -> None:
     """Held against SciPy's active-set solver on the dense matrix with the ridge as more rows."""
@@ -209,18 +209,17 @@ def test_ambient_light_is_taken_off(known: lm.LightTransport) -> None:
 
 def test_colour_is_compensated_jointly() -> None:
     """Overlapping filters: each primary reaches all channels of the camera."""
-    truth = lm.truth("l_objects")
+    truth, size = binned(lm.truth("l_objects"), 2), (32, 32)
     filters = np.array([[0.9, 0.2, 0.05], [0.15, 0.8, 0.2], [0.05, 0.25, 0.9]], np.float32)
     matrices = [
         lm.LightTransport.from_matrix(
-            csr_array(kron(truth.matrix, filters[:, [primary]])), (64, 64, 3), (64, 64)
+            csr_array(kron(truth.matrix, filters[:, [primary]])), (*size, 3), size
         )
         for primary in range(3)
     ]
-    ramp = _ramp((64, 64))
-    wanted = np.stack([ramp, ramp[:, ::-1], np.full((64, 64), 0.5)], axis=-1)
+    wanted = np.stack([_ramp(), _ramp()[:, ::-1], np.full(size, 0.5)], axis=-1)
     joint = lm.compensate(matrices, wanted, brightness=0.5)
-    assert joint.pattern.shape == (64, 64, 3)
+    assert joint.pattern.shape == (*size, 3)
     np.testing.assert_allclose(
         lm.relight(matrices, joint.pattern), joint.predicted, rtol=1e-3, atol=1e-5
     )
@@ -228,18 +227,18 @@ def test_colour_is_compensated_jointly() -> None:
     alone = np.stack(
         [
             lm.compensate(
-                matrices[c], wanted, brightness=0.5, mask=np.tile(np.arange(3) == c, (64, 64, 1))
+                matrices[c], wanted, brightness=0.5, mask=np.tile(np.arange(3) == c, (*size, 1))
             ).pattern
             for c in range(3)
         ],
         axis=-1,
     )
     missed = (lm.relight(matrices, alone) - joint.target) / joint.scale
-    assert joint.psnr > -10 * np.log10(np.mean(missed**2)) + 4
+    assert joint.psnr > -10 * np.log10(np.mean(missed**2)) + 2
     # Grey is the colour of the scene under white light.
-    plain = lm.compensate(matrices, np.full((64, 64), 0.5), brightness=0.5)
+    plain = lm.compensate(matrices, np.full(size, 0.5), brightness=0.5)
     ratios = np.median(plain.target, axis=(0, 1)) / np.median(
-        lm.relight(matrices, np.ones((64, 64))), axis=(0, 1)
+        lm.relight(matrices, np.ones(size)), axis=(0, 1)
     )
     np.testing.assert_allclose(ratios, ratios[0], rtol=0.05)
 

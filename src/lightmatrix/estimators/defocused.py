@@ -169,7 +169,7 @@ def _estimate(
     footprint, no_gap = footprint_sizes(rows.coefficients), np.full(capture.rows, np.nan)
     names = "estimated_error", "prediction_error", "footprint", "gap"
     new = dict(zip(names, (own_error, missed, footprint, no_gap), strict=True))
-    of_single_rows = {"objective", "certified_everywhere", "searched_everywhere"}
+    of_single_rows = {"objective", "searched_everywhere"}
     old = {key: each for key, each in first.diagnostics.items() if key not in of_single_rows}
     return replace(
         first, sparse=rows.coefficients, background=rows.background,

@@ -9,7 +9,7 @@ from typing import Any
 from lightmatrix.capture.capture import Capture, open_capture
 from lightmatrix.errors import InputError
 from lightmatrix.estimators.coherent.estimator import CoherentEstimator
-from lightmatrix.estimators.coherent.row_solver import coherent_row_bytes
+from lightmatrix.estimators.coherent.row_solver import coherent_row_bytes, in_parts
 from lightmatrix.estimators.coherent.schedule import GROWTH, spacings
 from lightmatrix.estimators.settings import EstimateSettings
 from lightmatrix.estimators.work import TILE_BYTES
@@ -130,6 +130,9 @@ def estimate_resources(
 
     def memory(tile_bytes: int) -> int:
         solving = held + share * min(capture.rows * row_bytes, tile_bytes)
+        if coherent and in_parts(capture):
+            # The atoms of rows that are solved, and those of two squares that are searched.
+            solving = held + tile_bytes + (800 << 20)
         # Python and its libraries take 170 MiB.
         return int((170 << 20) + max(solving, checking))
 
@@ -165,13 +168,16 @@ def _held_bytes(capture: Capture, coherent: bool, active_set: bool, sample_bytes
     # pixels and spots under it included, and of grey values besides; of each row (entries before
     # and after a round), and of each camera sample (its level, value and clip state).
     # `python -m benchmarks.resource_estimate` measures that no estimate takes more.
-    pixel, value, grey, row, sample = 100, 19, 28, 400, 9
+    pixel, value, grey, row, sample = 100, 19.0, 28, 400, 9
     values = patterns.pixels * capture.count
     if coherent:
         pixel, value, grey, row, sample = 2700, 35, 26, 1500, 6
         if _seed_spacing(capture) > GROWTH.near_seeds:
             # Spots are kept in half precision where light grows from few seeds.
             pixel, value, grey, row, sample = 1700, 13, 12, 100, 12
+        if in_parts(capture):
+            # No atoms are kept, and patterns are as they were given.
+            pixel, value, grey, row, sample = 40, 0.125, 8, 400, 12
         # 64 more patterns were never shown.
         values = patterns.pixels * (capture.count + 64)
         # Stripes tell places less apart, so that rows have more entries.
@@ -186,7 +192,7 @@ def _held_bytes(capture: Capture, coherent: bool, active_set: bool, sample_bytes
         # The regression of what the rig did takes up to 320,000 samples and their margins, and
         # changes 64 MiB of patterns at a time.
         size += 300 * min(rows * capture.count, 640_000) + 20 * min(values, 1 << 24)
-    return size
+    return int(size)
 
 
 def _seconds(capture: Capture, coherent: bool) -> float:

@@ -38,9 +38,8 @@ from lightmatrix.files.images import JPEG
 from lightmatrix.patterns.colour import ColourPatterns
 from lightmatrix.patterns.projector_curve import ProjectorResponse
 from lightmatrix.resources.threads import one_blas_thread
-from lightmatrix.rig_model.camera_curve import CameraCurve, bent_light
+from lightmatrix.rig_model.curves import CameraCurve, ProjectorCurve, bent_light
 from lightmatrix.rig_model.prediction import Prediction
-from lightmatrix.rig_model.projector_curve import ProjectorCurve
 from lightmatrix.transport.matrix import LightTransport, prediction_error
 
 Array = NDArray[np.float64]

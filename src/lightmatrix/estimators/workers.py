@@ -102,7 +102,7 @@ class DaskPool:
         self, work: Work, step: str, spans: list[Span], finished: Checkpoint | TilesInMemory,
         report: Callable[[int], None],
     ) -> None:  # fmt: skip
-        """Let workers solve tiles of a step whose earlier steps are finished; see `WorkerPool`.
+        """Let workers solve tiles of a step whose earlier steps are finished, and keep each.
 
         A ClusterError says that all workers are gone, or that a tile has killed several of them.
         """

@@ -7,18 +7,19 @@ of a spot under a pattern is the blurred pattern at its place.
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import convolve1d
+from scipy.ndimage import convolve1d, find_objects, label
 from scipy.sparse import csr_array, vstack
 
 from lightmatrix import _core
 from lightmatrix.errors import InputError
-from lightmatrix.patterns.pattern_set import PatternSet
+from lightmatrix.patterns.pattern_set import ImagePatterns, PatternSet
 from lightmatrix.resources.threads import computed_once
 
 # Rows whose spots become pixels at a time, which bounds memory: the widest spot has 500 pixels.
@@ -42,13 +43,16 @@ class AtomPatterns(PatternSet):
     gains: tuple[float, ...] = ()
     # The compiled solver keeps columns in half the memory, to within 1e-5.
     narrow: bool = False
+    # Whether contrast is what differs from even light. Else it has what spots lose at the border,
+    # which is three times their contrast where these are wide.
+    even: bool = False
 
     def __post_init__(self) -> None:
         sizes = self.sizes
         if not sizes or sizes[0] != 0 or not all(a < b for a, b in pairwise(sizes)):
             raise InputError(f"spots of sizes {sizes}", hint="let sizes ascend from 0")
         if not self.gains:
-            others = (self._contrast(plane) for plane in range(1, len(sizes)))
+            others = (self.contrast(plane) for plane in range(1, len(sizes)))
             lengths = np.array([self.single_contrast, *others])
             shares = lengths.min() / lengths if lengths.min() > 0 else np.ones(len(sizes))
             object.__setattr__(self, "gains", tuple(float(share) for share in shares))
@@ -86,7 +90,7 @@ class AtomPatterns(PatternSet):
     @computed_once
     def single_contrast(self) -> float:
         """Standard deviation of the values of the single pixels' patterns."""
-        return self._contrast(0)
+        return self.contrast(0)
 
     @computed_once
     def neighbour_contrast(self) -> float:
@@ -120,6 +124,15 @@ class AtomPatterns(PatternSet):
 
     def columns(self, index: NDArray[np.integer]) -> NDArray[np.float32]:
         return np.concatenate([chunk[:, index] for _, chunk in self.chunks()])
+
+    def part(self, pixels: NDArray[np.int64], every: int = 1) -> AtomPatterns:
+        """The atoms, of every so-manieth size, over the pixels at some places, (h, w); see `Sheet`.
+
+        Columns are those of the whole where all pixels under a spot are there.
+        """
+        values = self.single.at(np.maximum(pixels, 0)) * (pixels >= 0)
+        sizes, gains = self.sizes[::every], self.gains[::every]
+        return AtomPatterns(ImagePatterns(values), sizes, gains, self.narrow)
 
     def rows(self, start: int, stop: int) -> NDArray[np.float32]:
         single = self.single.rows(start, stop)
@@ -204,12 +217,96 @@ class AtomPatterns(PatternSet):
                 images = convolve1d(images, whole, axis=axis, mode="constant")
         return images.reshape(x.shape)
 
-    def _contrast(self, plane: int) -> float:
+    def contrast(self, plane: int) -> float:
         """Standard deviation of the values of the columns of a size, without gain."""
         kernel = self.kernels[plane]
-        parts = [_core.blurred_moments(c, self.shape, kernel) for _, c in self.single.chunks()]
+        chunks: Iterable[NDArray[Any]] = (chunk for _, chunk in self.single.chunks())
+        if self.even:
+            chunks = (chunk - chunk.mean(axis=1, keepdims=True) for chunk in chunks)
+        parts = [_core.blurred_moments(c, self.shape, kernel) for c in chunks]
         total, squares = np.sum(parts, axis=0) / (self.count * self.single.pixels)
         return float(np.sqrt(max(squares - total**2, 0.0)))
+
+
+# Rows and columns of projector pixels.
+Box = tuple[slice, ...]
+# The side in projector pixels of the cells that boxes consist of. Chosen by hand.
+_CELL = 16
+
+
+def boxes_around(pixels: NDArray[np.integer], shape: tuple[int, int]) -> list[Box]:
+    """Boxes that hold some pixels of a projector; pixels in cells side by side share one."""
+    lit = np.zeros([-(-n // _CELL) for n in shape], bool)
+    lit.ravel()[_cells(pixels, shape)] = True
+    found = find_objects(label(lit, np.ones((3, 3)))[0])
+    return [tuple(slice(s.start * _CELL, s.stop * _CELL) for s in box) for box in found]
+
+
+def _cells(pixels: NDArray[np.integer], shape: tuple[int, int]) -> NDArray[np.int64]:
+    row, col = np.divmod(pixels, shape[1])
+    return row // _CELL * -(-shape[1] // _CELL) + col // _CELL
+
+
+@dataclass(frozen=True, eq=False)
+class Sheet:
+    """Boxes of projector pixels side by side, each within a margin of further pixels.
+
+    Where there are too many pixels to keep all atoms, those on a sheet are made, solved and lifted.
+    """
+
+    # Rows and columns of the projector.
+    shape: tuple[int, int]
+    # The projector pixel at each place, (h, w); -1 beyond the projector.
+    pixels: NDArray[np.int64]
+    # The place of a pixel (row, col) of a cell is row w + col + shift; far below 0 without a box.
+    shifts: NDArray[np.int64]
+
+    @classmethod
+    def of(cls, boxes: Sequence[Box], shape: tuple[int, int], margin: int) -> Sheet:
+        """The sheet of some boxes."""
+        boxes = sorted(boxes, key=lambda box: box[0].start - box[0].stop)
+        sizes = [[side.stop - side.start + 2 * margin for side in box] for box in boxes]
+        # About as wide as high. Boxes stand on shelves, the highest on the first.
+        width = max(int(sum(high * wide for high, wide in sizes) ** 0.5), *(w for _, w in sizes))
+        top, left, bottom, corners = 0, 0, 0, []
+        for high, wide in sizes:
+            if left + wide > width:
+                top, left = bottom, 0
+            corners.append((top, left))
+            left, bottom = left + wide, max(bottom, top + high)
+        pixels = np.full((bottom, width), -1)
+        shifts = np.full([-(-n // _CELL) for n in shape], -(1 << 60))
+        for (top, left), (high, wide), (rows, cols) in zip(corners, sizes, boxes, strict=True):
+            row = np.arange(high)[:, None] + rows.start - margin
+            col = np.arange(wide) + cols.start - margin
+            inside = (row >= 0) & (row < shape[0]) & (col >= 0) & (col < shape[1])
+            place = np.s_[top : top + high, left : left + wide]
+            pixels[place] = np.where(inside, row * shape[1] + col, -1)
+            cells = tuple(slice(s.start // _CELL, s.stop // _CELL) for s in (rows, cols))
+            shifts[cells] = (top + margin - rows.start) * width + left + margin - cols.start
+        return cls(shape, pixels, shifts.ravel())
+
+    def laid(self, rows: csr_array) -> csr_array:
+        """Rows of the projector's atoms, (m, S N), as those of the sheet's, without all others."""
+        whole = self.shape[0] * self.shape[1]
+        plane, pixel = np.divmod(rows.indices, whole)
+        row, col = np.divmod(pixel, self.shape[1])
+        place = row * self.pixels.shape[1] + col + self.shifts[_cells(pixel, self.shape)]
+        index = np.maximum(place, 0) + plane * np.int64(self.pixels.size)
+        parts = np.where(place >= 0, rows.data, 0), index, rows.indptr.copy()
+        laid = csr_array(parts, (rows.shape[0], rows.shape[1] // whole * self.pixels.size))
+        laid.eliminate_zeros()
+        laid.sort_indices()
+        return laid
+
+    def lifted(self, rows: csr_array, planes: int, every: int = 1) -> csr_array:
+        """Rows of the sheet's atoms, of every so-manieth size, as those of the projector's."""
+        whole = self.shape[0] * self.shape[1]
+        plane, place = np.divmod(rows.indices, self.pixels.size)
+        index = plane * np.int64(every * whole) + self.pixels.ravel()[place]
+        lifted = csr_array((rows.data, index, rows.indptr), (rows.shape[0], planes * whole))
+        lifted.sort_indices()
+        return lifted
 
 
 def _kernel(size: float) -> NDArray[np.float32]:

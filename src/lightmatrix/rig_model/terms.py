@@ -4,21 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from lightmatrix.rig_model.ambient import Ambient
 from lightmatrix.rig_model.black import Black
-from lightmatrix.rig_model.camera_curve import CameraCurve
 from lightmatrix.rig_model.crosstalk import Crosstalk
-from lightmatrix.rig_model.dynamic_contrast import DynamicContrast
-from lightmatrix.rig_model.gain import Gain
-from lightmatrix.rig_model.previous import Previous
-from lightmatrix.rig_model.projector_curve import ProjectorCurve
-from lightmatrix.rig_model.rows import Rows
+from lightmatrix.rig_model.curves import CameraCurve, ProjectorCurve
+from lightmatrix.rig_model.late import Previous, Torn
+from lightmatrix.rig_model.light import Ambient, DynamicContrast, Gain, Rows
+from lightmatrix.rig_model.motion import Shift, Zoom
 from lightmatrix.rig_model.sharpening import CameraBlur, CameraSharpening, Sharpening
-from lightmatrix.rig_model.shift import Shift
 from lightmatrix.rig_model.term import Term
 from lightmatrix.rig_model.tone_mapping import ToneMapping
-from lightmatrix.rig_model.torn import Torn
-from lightmatrix.rig_model.zoom import Zoom
 
 TERMS: dict[str, type[Term]] = {
     each.name: each

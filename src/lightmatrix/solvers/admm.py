@@ -299,7 +299,7 @@ class ADMM(_Splitting):
         return primal, dual
 
     def row_bytes(self, patterns: int, pixels: int) -> int:
-        """Bytes of one row: 13 float32 vectors of pixels, for two states, a step and the gap."""
+        """Bytes of one row: 13 float32 vectors of pixels, for two states and a step."""
         return 4 * (13 * pixels + 6 * patterns)
 
 
@@ -448,5 +448,5 @@ class SaturationADMM(_Splitting):
         return primal, dual
 
     def row_bytes(self, patterns: int, pixels: int) -> int:
-        """Bytes of one row: 13 float32 vectors of pixels, for two states, a step and the gap."""
+        """Bytes of one row: 13 float32 vectors of pixels, for two states and a step."""
         return 4 * (13 * pixels + 14 * patterns)

@@ -67,10 +67,6 @@ class DataTerm(ABC):
         """Which samples the data term uses."""
         return np.ones(observed.values.shape, bool)
 
-    def two_sided(self, observed: Observed) -> NDArray[np.bool_]:
-        """Which samples' dual variables may have either sign."""
-        return np.ones(observed.values.shape, bool)
-
 
 def quadratic_update(v: NDArray[Any], observed: Observed, coupling: float) -> NDArray[Any]:
     """The u-update of (y - u)^2 / 2, from w (y - u) = coupling (u - v)."""
@@ -110,9 +106,6 @@ class OneSided(Linear):
         satisfied = observed.clipped & (v > observed.values)
         return np.where(satisfied, v, quadratic_update(v, observed, coupling))
 
-    def two_sided(self, observed: Observed) -> NDArray[np.bool_]:
-        return ~observed.clipped
-
 
 class Rejection(Linear):
     """f(u) = (y - u)^2 / 2, and 0 for clipped samples (Laska et al. 2009)."""
@@ -127,9 +120,6 @@ class Rejection(Linear):
         return np.where(observed.clipped, v, quadratic_update(v, observed, coupling))
 
     def used(self, observed: Observed) -> NDArray[np.bool_]:
-        return ~observed.clipped
-
-    def two_sided(self, observed: Observed) -> NDArray[np.bool_]:
         return ~observed.clipped
 
 

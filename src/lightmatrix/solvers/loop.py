@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
 from lightmatrix.solvers.fidelity import Fidelity
-from lightmatrix.solvers.problem import Problem, Result, Status, no_rows, relative_gap, solved_rows
+from lightmatrix.solvers.problem import Problem, Result, Status, no_rows, objective, solved_rows
 from lightmatrix.transport.sparse_rows import SparseRows
 
 Progress = Callable[[int, int], None]
@@ -156,10 +156,9 @@ class _Finished:
         coefficients, background = self.solver.solution(problem, state)
         x = csr_array(np.where(np.isfinite(coefficients), coefficients, 0))
         background = np.where(np.isfinite(background), background, 0)
-        objective, gap = relative_gap(problem, x, background, self.solver.fidelity)
         part = solved_rows(
             x, background, iterations=np.full(len(rows), iteration, np.int32), converged=converged,
-            gap=gap, objective=objective,
+            objective=objective(problem, x, background, self.solver.fidelity),
         )  # fmt: skip
         self.order.append(rows)
         self.parts.append(part)

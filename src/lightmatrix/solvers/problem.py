@@ -1,6 +1,6 @@
 """The input and the output of all solvers, `Problem` and `Result`, for many rows at once.
 
-Objectives and duality gaps are computed in float64 from their definitions.
+Objectives are computed in float64 from their definitions.
 """
 
 from __future__ import annotations
@@ -179,7 +179,7 @@ class Result:
 
     @property
     def gap(self) -> Floats:
-        """Relative duality gap (P - D) / max(P, 1e-6 ||y||^2 / 2), (M,); NaN if not convex."""
+        """Relative duality gap of the active set, (M,); NaN of other solvers."""
         return self.rows.diagnostics["gap"]
 
     @property
@@ -190,9 +190,13 @@ class Result:
 
 def solved_rows(
     coefficients: csr_array, background: NDArray[Any], *, iterations: NDArray[np.int32],
-    converged: NDArray[np.bool_], gap: Floats, objective: Floats,
+    converged: NDArray[np.bool_], objective: Floats, gap: Floats | None = None,
 ) -> SparseRows:  # fmt: skip
-    """The rows of a `Result`; the background is (m,) or (m, 1 + C), diagnostics are (m,)."""
+    """The rows of a `Result`; the background is (m,) or (m, 1 + C), diagnostics are (m,).
+
+    Without a gap it is NaN.
+    """
+    gap = np.full(len(iterations), np.nan) if gap is None else gap
     diagnostics = {
         "iterations": iterations, "converged": converged, "gap": gap, "objective": objective,
     }  # fmt: skip
@@ -205,8 +209,7 @@ def no_rows(problem: Problem) -> SparseRows:
     dtype = problem.samples.values.dtype
     return solved_rows(
         csr_array((0, problem.patterns.pixels), dtype=dtype), np.zeros((0, 1), dtype),
-        iterations=np.zeros(0, np.int32), converged=np.zeros(0, bool), gap=np.zeros(0),
-        objective=np.zeros(0),
+        iterations=np.zeros(0, np.int32), converged=np.zeros(0, bool), objective=np.zeros(0),
     )  # fmt: skip
 
 
@@ -234,30 +237,6 @@ def objective(
     return _norm(problem, coefficients) + _data_term(observed, u, term)
 
 
-def relative_gap(
-    problem: Problem, coefficients: csr_array, background: NDArray[Any], fidelity: Fidelity | str
-) -> tuple[Floats, Floats]:
-    """Objective P and relative duality gap (P - D) / max(P, 1e-6 ||y||^2 / 2), each (M,) float64.
-
-    The dual of min lambda ||x||_1 + sum w f(A x + b m) is: maximise sum y theta - theta^2 / (2 w),
-    since the conjugate of a convex f is t^2 / 2 where it is finite, subject to A' theta <= lambda
-    (in absolute value if x may be negative), theta >= 0 where one-sided, and m' theta <= 0 (= 0 if
-    b may be negative). The dual point is the weighted residual, shifted along m and scaled to be
-    feasible. A fidelity that is not convex has the gap NaN.
-    """
-    term, observed = Fidelity(fidelity).term, problem.observed.astype(np.float64)
-    u = predictions(problem, coefficients, background)
-    primal = _norm(problem, coefficients) + _data_term(observed, u, term)
-    if not term.convex:
-        return primal, np.full(problem.rows, np.nan)
-    dual = _dual_value(problem, observed, u, term)
-    # The gap is relative to the objective, but at least to this share of ||y||^2 / 2, so that rows
-    # without light can converge. The compiled solver uses the same share.
-    floor = 1e-6 * (observed.values**2).sum(axis=1) / 2
-    scale = np.maximum(np.maximum(primal, floor), np.finfo(np.float64).tiny)
-    return primal, (primal - dual) / scale
-
-
 def _chunks(problem: Problem) -> Iterator[slice]:
     """Slices of the rows whose dense coefficients take up to `CHUNK_BYTES`."""
     size = max(1, CHUNK_BYTES // (8 * problem.patterns.pixels))
@@ -272,43 +251,3 @@ def _norm(problem: Problem, coefficients: csr_array) -> Floats:
 
 def _data_term(observed: Observed, u: Floats, term: DataTerm) -> Floats:
     return np.asarray((observed.weights * term.value(u, observed)).sum(axis=1))
-
-
-def _dual_value(problem: Problem, observed: Observed, u: Floats, term: DataTerm) -> Floats:
-    theta = observed.weights * term.residual(u, observed)
-    if problem.background:
-        theta = _orthogonal_to_column(
-            problem, theta, (observed.weights > 0) & term.two_sided(observed)
-        )
-    highest = np.empty(problem.rows)
-    for chunk in _chunks(problem):
-        correlations = problem.patterns.adjoint(theta[chunk])
-        part = correlations if problem.nonnegative else np.abs(correlations)
-        highest[chunk] = part.max(axis=1)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        limit = np.where(highest > 0, problem.regularization / highest, np.inf)
-    linear = (observed.values * theta).sum(axis=1)
-    over = np.divide(
-        theta**2, observed.weights, out=np.zeros_like(theta), where=observed.weights > 0
-    )
-    quadratic = over.sum(axis=1)
-    # D(s theta) is a parabola in s. Take its top, or the largest feasible scaling below it.
-    with np.errstate(divide="ignore", invalid="ignore"):
-        top = np.where(quadratic > 0, linear / quadratic, 0)
-    # Limit of the factor that scales the dual point. Near the optimum the best factor is 1; a much
-    # larger one would only magnify the rounding errors in m' theta = 0.
-    scaling = np.clip(top, 0, np.minimum(limit, 2))
-    return np.asarray(scaling * linear - scaling**2 * quadratic / 2)
-
-
-def _orthogonal_to_column(problem: Problem, theta: Floats, two_sided: NDArray[np.bool_]) -> Floats:
-    """Shift theta on the two-sided samples until m' theta <= 0, or = 0 if b may be negative."""
-    column = problem.column
-    excess = theta @ column
-    if problem.nonnegative:
-        excess = np.maximum(excess, 0)
-    energy = two_sided @ column**2
-    step = np.divide(excess, energy, out=np.zeros_like(excess), where=energy > 0)
-    shifted = theta - step[:, None] * column * two_sided
-    # Without two-sided samples only theta = 0 is feasible.
-    return np.where((energy <= 0)[:, None] & (excess > 0)[:, None], 0, shifted)

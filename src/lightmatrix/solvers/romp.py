@@ -18,7 +18,7 @@ from lightmatrix.solvers.problem import (
     Result,
     Status,
     no_rows,
-    relative_gap,
+    objective,
     solved_rows,
 )
 from lightmatrix.transport.sparse_rows import SparseRows
@@ -87,9 +87,8 @@ class ROMP:
         solved = SparseRows.joined(parts)
         coefficients = csr_array(solved.coefficients, dtype=dtype)
         background = solved.background.astype(dtype)
-        objective, _ = relative_gap(problem, coefficients, background[:, 0], self.fidelity)
-        diagnostics = {**solved.diagnostics, "gap": np.full(problem.rows, np.nan)}
-        solved = solved_rows(coefficients, background, **diagnostics, objective=objective)
+        reached = objective(problem, coefficients, background[:, 0], self.fidelity)
+        solved = solved_rows(coefficients, background, **solved.diagnostics, objective=reached)
         converged = solved.diagnostics["converged"].all()
         return Result(solved, Status.CONVERGED if converged else Status.ITERATION_LIMIT)
 

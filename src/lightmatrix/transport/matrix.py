@@ -33,7 +33,6 @@ _STATISTICS: dict[str, tuple[str, Callable[[NDArray[Any]], Any]]] = {
     "iterations_median": ("iterations", np.median), "converged_rows": ("converged", np.mean),
     "gap_median": ("gap", np.nanmedian), "gap_max": ("gap", np.nanmax),
     "rows_searched_everywhere": ("searched_everywhere", np.mean),
-    "rows_certified_everywhere": ("certified_everywhere", np.nanmean),
 }  # fmt: skip
 
 

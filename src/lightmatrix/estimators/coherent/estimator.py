@@ -9,8 +9,9 @@ from lightmatrix.defaults import PASSES
 from lightmatrix.errors import InputError
 from lightmatrix.estimators.base import Estimator, Plan, capture_provenance, solver_provenance
 from lightmatrix.estimators.coherent.rounds import Rounds
-from lightmatrix.estimators.coherent.row_solver import RowSolver
+from lightmatrix.estimators.coherent.row_solver import RowSolver, coherent_row_bytes
 from lightmatrix.estimators.coherent.schedule import schedule, spacings
+from lightmatrix.estimators.work import TILE_BYTES
 from lightmatrix.ranges import check_at_least_one
 from lightmatrix.solvers.active_set import ActiveSet
 from lightmatrix.solvers.fidelity import Fidelity
@@ -21,7 +22,7 @@ from lightmatrix.solvers.fidelity import Fidelity
 WINDOWS = ((2, 1), (2, 1), (2, 1), (2, 1), (1, 1), (1, 1), (1, 1), (1, 1))
 # Standard deviations of the spots in projector pixels; 0 is a single pixel. Each is about 1.4 times
 # the one before, so that a mixture of two of them comes close to any size between.
-SIZES = (0.0, 0.7, 1.0, 1.4, 2.0, 2.8, 4.0)
+SIZES = (0.0, 0.7, 1.0, 1.4, 2.0, 2.8, 4.0, 5.6, 8.0, 11.3)
 
 
 @dataclass(frozen=True)
@@ -51,15 +52,15 @@ class CoherentEstimator(Estimator):
     trust : float
         e, > 0: how little light among the neighbours makes a pixel likely. The penalty of the
         likeliest pixel is about 2 lambda e. Rows of fewer than 32 known samples, and cameras
-        coarser than the projector, rely more on neighbours: e is less in proportion. Faint light
-        in rows that are mostly background needs up to seven times e.
+        coarser than the projector, rely more on neighbours: e is less in proportion.
     windows : tuple of (int, int)
         Half widths of the windows of each round, in camera and projector pixels.
     candidates : int
         Likeliest atoms kept of each row.
     sizes : tuple of float
         Standard deviations of the spots in projector pixels, ascending; the first is 0, a single
-        pixel. Those wider than a sixteenth of the projector are left out.
+        pixel. Those wider than 4, or a sixteenth of the projector, are left out but where the
+        photographs have little contrast; there those up to an eighth of it are used.
     background_grid : (int, int)
         Rows and columns of the coarse cells; (1, 1) keeps one coefficient a row.
     fidelity : Fidelity
@@ -115,31 +116,30 @@ class CoherentEstimator(Estimator):
         rounds = schedule(capture.camera_shape, capture.patterns.pixels, self.windows)
         solver = self.row_solver(capture, narrow=rounds[0].spacing > 1)
         work = Rounds(solver, rounds, self.tile_rows, self.judged)
-        return Plan(work, self._provenance(capture, solver.penalty), solver.backgrounds.grid)
+        return Plan(work, self._provenance(capture, solver), solver.backgrounds.grid)
 
     def row_solver(self, capture: Capture, *, narrow: bool = False) -> RowSolver:
         """What solves rows of a capture with these parameters."""
         own = self._solver, self.regularization, self.trust, self.candidates, self.sizes
-        return RowSolver(capture, *own, self.background_grid, narrow)
+        most = self.tile_rows or TILE_BYTES // coherent_row_bytes(capture.count, self.candidates)
+        return RowSolver(capture, *own, self.background_grid, narrow, max(1, most // 4))
 
-    def _provenance(self, capture: Capture, regularization: float) -> dict[str, object]:
+    def _provenance(self, capture: Capture, solver: RowSolver) -> dict[str, object]:
         made_by = solver_provenance(self._solver)
         made_by["solver_parameters"] |= {
             "trust": self.trust, "windows": [list(pair) for pair in self.windows],
-            "candidates": self.candidates, "sizes": list(self.sizes),
+            "candidates": self.candidates, "sizes": list(solver.atoms.sizes),
         }  # fmt: skip
-        certificate = (
-            "the weighted problem of each row on its likeliest pixels, with expected samples"
-        )
         steps = spacings(capture.camera_shape, capture.patterns.pixels, self.windows)
         if len(steps) > 1:
             made_by["solver_parameters"] |= {"spacings": list(steps)}
-            certificate += "; that of some rows, evenly spread, against all pixels too"
         return {
             "estimator": "coherent",
             **made_by,
-            "regularization": regularization,
-            "certificate": certificate,
+            "regularization": solver.penalty,
+            "certificate": (
+                "the weighted problem of each row on its likeliest pixels, with expected samples"
+            ),
             # What tiles hold depends on it.
             **({} if self.judged else {"judged": False}),
             **capture_provenance(capture),

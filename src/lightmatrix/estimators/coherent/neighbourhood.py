@@ -280,10 +280,6 @@ class LikelyAtomConstants:
     # well; later rounds doubt single pixels by the light that they hold.
     within_at_first: float = 0.04
     within: float = 0.5
-    # A single pixel, or a spot, makes the next wider spot in its place likely by this factor:
-    # several narrow spots are often one wider spot, which is cheaper.
-    wider_pixel: float = 0.25
-    wider_spot: float = 2.0
     # Single pixels count fully where they hold at least this share of the light around. Where they
     # hold less, they count by `pixels_power` of the proportion, at least `pixels_least`. After the
     # first round they hold a twentieth of the light where footprints are wide, from which they must
@@ -293,10 +289,6 @@ class LikelyAtomConstants:
     pixels_least: float = 0.001
     # Side in camera pixels of the square that counts as around.
     pixels_around: int = 9
-    # Neighbours must hold 1 + spread q^2 times as much of an atom, where the background holds the
-    # share q of a row's light. Rows of mostly global light then err by 6 % less, others hardly
-    # change.
-    spread: float = 6.0
 
 
 PSEUDO_SAMPLES = PseudoSampleConstants()
@@ -329,6 +321,19 @@ class Neighbourhood:
         _, cols, channels = self.camera
         reach = (REACH * cols + REACH) * channels
         return max(0, start - reach), min(self.rows.count, stop + reach)
+
+    def part(self, rows: NDArray[np.int64], reach: int) -> tuple[Neighbourhood, NDArray[np.int64]]:
+        """The camera pixels within a reach of some rows, and the rows' numbers among them."""
+        row, col, channel = np.unravel_index(rows, self.camera)
+        top, left = max(0, int(row.min()) - reach), max(0, int(col.min()) - reach)
+        index = np.arange(self.rows.count).reshape(self.camera)
+        index = index[top : row.max() + reach + 1, left : col.max() + reach + 1]
+        own = np.ravel_multi_index((row - top, col - left, channel), index.shape)
+        known = [self.jacobian[index.ravel()]]
+        near = replace(
+            self, rows=self.rows.rows(index.ravel()), camera=index.shape, known_jacobians=known
+        )
+        return near, own
 
     def pseudo_samples(
         self, unseen: PatternSet, samples: Samples, clipped: NDArray[np.bool_], level: float,
@@ -475,11 +480,11 @@ class Neighbourhood:
                 matrix = csr_array((found.data, found.indices, found.indptr), shape=shape)
                 several = several + self._of(number, matrix)
             return Candidates(several.indptr.astype(np.int64), several.indices, several.data)
-        wider = np.full(self.atoms.planes, constants.wider_spot, np.float32)
-        wider[0] = constants.wider_pixel
         indptr, atoms, penalties = _core.likely_pixels(
             self.rows.coefficients, self.camera, self.projector, self.jacobian, self.atoms.spots,
-            constants.within_at_first if first else constants.within, wider,
+            # A spot makes no wider one in its place likely: errors are the same.
+            constants.within_at_first if first else constants.within,
+            np.zeros(self.atoms.planes, np.float32),
             np.ones(self.rows.count, np.float32) if first else self.singles, reach, most,
             trust * self._independence(known, rows), (0, self.rows.count), rows,
         )  # fmt: skip
@@ -491,18 +496,9 @@ class Neighbourhood:
         """How far rows can do without neighbours, (m,); 1 with `enough` known samples.
 
         It is less with fewer samples for each pixel that a row may see: about as many pixels as
-        footprints move by from one camera pixel to the next. It is more where most light is in the
-        background, where faint light of single pixels probably belongs too.
+        footprints move by from one camera pixel to the next.
         """
         step = self.jacobian[rows].astype(np.float64) / self.spacing
         size = np.maximum(np.hypot(step[:, 0], step[:, 2]), np.hypot(step[:, 1], step[:, 3]))
         enough = PSEUDO_SAMPLES.enough
-        independence = np.clip(known, 1, enough) / enough / np.maximum(size, 1)
-        return independence * (1 + LIKELY_ATOMS.spread * self._background_share[rows] ** 2)
-
-    @computed_once
-    def _background_share(self) -> NDArray[np.float64]:
-        """Share of each row's light that its background holds, (M,)."""
-        background = self.rows.background.sum(axis=1, dtype=np.float64)
-        whole = background + np.asarray(self.rows.coefficients.sum(axis=1), np.float64).ravel()
-        return np.divide(background, whole, out=np.zeros_like(whole), where=whole > 0)
+        return np.asarray(np.clip(known, 1, enough) / enough / np.maximum(size, 1))

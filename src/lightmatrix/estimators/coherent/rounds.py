@@ -24,19 +24,16 @@ from lightmatrix.estimators.coherent.neighbourhood import REACH, CameraGrid, Nei
 from lightmatrix.estimators.coherent.row_errors import (
     MOST_ROWS,
     HeldOut,
-    certified_everywhere,
     held_out_energy,
     noise_of,
     predicted_samples,
     residual_diagnostics,
-    sampled_rows,
     smooth_misfit,
     squared_misfit,
     squared_residual,
-    under_atoms,
     without,
 )
-from lightmatrix.estimators.coherent.row_solver import RowSolver, coherent_row_bytes
+from lightmatrix.estimators.coherent.row_solver import RowSolver, coherent_row_bytes, in_parts
 from lightmatrix.estimators.coherent.schedule import GROWTH, Round
 from lightmatrix.estimators.work import TILE_BYTES, ReadStep, SolveTile, Work, cut_rows
 from lightmatrix.resources.threads import computed_once, core_threads
@@ -73,9 +70,8 @@ def unchanged(rows: SparseRows) -> SparseRows:
     return replace(rows, diagnostics={**rows.diagnostics, CHANGE: np.zeros(rows.count, np.float32)})
 
 
-# Diagnostics where light grows: whether a row has searched all projector pixels; and whether no
-# atom beside its candidates would enter it, NaN for rows that were not checked.
-SEARCHED, CERTIFIED = "searched_everywhere", "certified_everywhere"
+# The diagnostic where light grows: whether a row has searched all projector pixels.
+SEARCHED = "searched_everywhere"
 # The step that measures the misfit under the frames held out, and the diagnostic that holds it;
 # and the diagnostic that holds the misfit of some rows under the other frames.
 HELD_OUT, RESIDUAL = "held-out", "residual"
@@ -110,6 +106,8 @@ class Rounds(Work):
     def tiles(self, step: str, parts: int = 1) -> Iterator[Span]:
         row_bytes = coherent_row_bytes(self.capture.count, self.solver.candidates)
         most = max(1, (self.tile_rows or TILE_BYTES // row_bytes) // self.together)
+        # Rows are solved in parts, but unexplained ones of a tile search all parts together.
+        most *= 8 if in_parts(self.capture) else 1
         return cut_rows(self._grid(self._number(step)).count, most, parts)
 
     def prepare(self, step: str, read: ReadStep) -> SolveTile:
@@ -123,7 +121,7 @@ class Rounds(Work):
         if step != ROWS:
             return partial(self._solve, number, neighbours)
         if not self.judged:
-            return partial(self._finish, neighbours)
+            return partial(self._judge, neighbours, None, None)
         before = read(HELD_OUT).diagnostics
         misfit = before[HELD_OUT]
         with np.errstate(divide="ignore", invalid="ignore"):
@@ -224,18 +222,14 @@ class Rounds(Work):
             samples = self.capture.samples(start, stop).rows(rows - start)
             predicted = np.empty((len(rows), len(held)), np.float32)
             for frames, places in self._held_out.together(self.capture.count):
-                kept, some = without(samples, frames), held[places]
-                solved, weighted = solver.near(kept, rows, self.rounds[-1], neighbours, progress)
-                light = solved.background[:, None] * weighted.background[:, some]
-                if solved.cells.shape[1]:
-                    light += solved.cells @ solver.backgrounds.shown_means[:, some]
-                light += under_atoms(solver.atoms, solved.coefficients)[:, some]
-                predicted[:, places] = light
+                kept = without(samples, frames)
+                solved, background = solver.near(kept, rows, self.rounds[-1], neighbours, progress)
+                shown = predicted_samples(solver, background, solved, np.arange(len(rows)))
+                predicted[:, places] = (shown.atoms + shown.background)[:, held[places]]
             misfits[rows - start] = squared_misfit(samples, predicted, held)
             missed[rows - start], seen[rows - start] = held_out_energy(samples, predicted, held)
             chosen = np.flatnonzero(np.isin(rows, self._every(self._looked_at, start, stop)))
-            shown = predicted_samples(solver, weighted, solved, chosen)
-            residuals[rows[chosen] - start] = squared_residual(kept.rows(chosen), shown)
+            residuals[rows[chosen] - start] = squared_residual(kept, shown)[chosen]
         nothing = csr_array((stop - start, solver.atoms.pixels), dtype=np.float32)
         return SparseRows(nothing, np.zeros((stop - start, 1), np.float32), known)
 
@@ -268,14 +262,6 @@ class Rounds(Work):
     def _held_out(self) -> HeldOut:
         return HeldOut.choose(self.capture.patterns)
 
-    def _finish(
-        self, neighbours: Neighbourhood, start: int, stop: int, progress: Progress
-    ) -> SparseRows:
-        """The rows start..stop of the result, in pixels, with their backgrounds on the cells."""
-        rows, samples = np.arange(start, stop), self.capture.samples(start, stop)
-        solved, _ = self.solver.near(samples, rows, self.rounds[-1], neighbours, progress)
-        return self._in_pixels(neighbours, samples, solved, start)
-
     def _in_pixels(
         self, neighbours: Neighbourhood, samples: Samples, solved: Result, start: int
     ) -> SparseRows:
@@ -290,14 +276,16 @@ class Rounds(Work):
         return replace(atoms, coefficients=pixels, background=background.astype(np.float32))
 
     def _judge(
-        self, neighbours: Neighbourhood, misfit: NDArray[np.float32], missed: NDArray[np.float32],
-        start: int, stop: int, progress: Progress,
+        self, neighbours: Neighbourhood, misfit: NDArray[np.float32] | None,
+        missed: NDArray[np.float32] | None, start: int, stop: int, progress: Progress,
     ) -> SparseRows:  # fmt: skip
-        """The rows start..stop of the result, which also say how far to trust them."""
+        """The rows start..stop of the result, in pixels, and with misfits how far to trust them."""
         solver, rows = self.solver, np.arange(start, stop)
         samples = self.capture.samples(start, stop)
-        solved, weighted = solver.near(samples, rows, self.rounds[-1], neighbours, progress)
+        solved, background = solver.near(samples, rows, self.rounds[-1], neighbours, progress)
         pixels = self._in_pixels(neighbours, samples, solved, start)
+        if misfit is None or missed is None:
+            return pixels
         length = solver.backgrounds.lengths(pixels)
         with np.errstate(divide="ignore", invalid="ignore"):
             error = np.sqrt(misfit[start:stop]) / (solver.atoms.neighbour_contrast * length)
@@ -308,14 +296,10 @@ class Rounds(Work):
         }
         looked_at = self._every(self._looked_at, start, stop) - start
         diagnostics |= residual_diagnostics(
-            solver, weighted, solved, pixels.coefficients, looked_at
+            solver, samples, background, solved, pixels.coefficients, looked_at
         )
         if self._grows:
-            checked = sampled_rows(start, stop, neighbours.rows.count) - start
-            holds = np.full(stop - start, np.nan)
-            holds[checked] = certified_everywhere(solver, weighted, solved, checked)
-            searched = neighbours.rows.diagnostics[SEARCHED][start:stop]
-            diagnostics |= {SEARCHED: searched, CERTIFIED: holds}
+            diagnostics[SEARCHED] = neighbours.rows.diagnostics[SEARCHED][start:stop]
         further = {name: values.astype(np.float32) for name, values in diagnostics.items()}
         pixels = replace(pixels, diagnostics=dict(pixels.diagnostics) | further)
         patterns, means = self.capture.patterns, solver.backgrounds.shown_means

@@ -13,31 +13,23 @@ faults leave traces in the residuals of some rows. A constant light, as of an el
 of the room or of a projector whose black is not dark, is taken for a background, but does not get
 brighter with the patterns. And where samples are no linear function of light, residuals bend with
 the prediction.
-
-**All atoms.** Some rows, solved on likely atoms only, are checked against all atoms.
 """
 
 from __future__ import annotations
 
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from itertools import chain
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
-from lightmatrix import _core
 from lightmatrix.capture.samples import Samples
 from lightmatrix.defaults import FEWEST_BLACK_AND_WHITE
 from lightmatrix.estimators.coherent.neighbourhood import mean_around, strongest_entries
-from lightmatrix.estimators.coherent.row_solver import RowSolver, WeightedRows
-from lightmatrix.patterns.atoms import AtomPatterns
+from lightmatrix.estimators.coherent.row_solver import RowSolver
 from lightmatrix.patterns.pattern_set import PatternSet
 from lightmatrix.patterns.stripes import is_separable
-from lightmatrix.resources.threads import core_threads
-from lightmatrix.solvers.fidelity import Fidelity
 from lightmatrix.solvers.problem import Result
 
 # No frame is held out of fewer.
@@ -290,9 +282,9 @@ class Predicted:
 
 
 def predicted_samples(
-    solver: RowSolver, weighted: WeightedRows, solved: Result, index: NDArray[np.int64]
+    solver: RowSolver, background: NDArray[np.float32], solved: Result, index: NDArray[np.int64]
 ) -> Predicted:
-    """The predicted samples of some of the solved rows under the patterns shown."""
+    """The predicted samples of some of the solved rows, with their background's, as shown."""
     patterns, brightness = solver.capture.patterns, solver.backgrounds.brightness
     if not len(index):
         nothing = np.zeros((0, patterns.count), np.float32)
@@ -300,9 +292,7 @@ def predicted_samples(
     pixels = solver.atoms.expand(csr_array(solved.coefficients[index], dtype=np.float32))
     used, place = np.unique(pixels.indices, return_inverse=True)
     own = csr_array((pixels.data, place, pixels.indptr), shape=(len(index), len(used)))
-    light: NDArray[Any] = (
-        solved.background[index][:, None] * weighted.background[index, : patterns.count]
-    )
+    light: NDArray[Any] = solved.background[index][:, None] * background[index, : patterns.count]
     if solved.cells.shape[1]:
         light = light + solved.cells[index] @ solver.backgrounds.shown_means
     of_atoms = np.asarray(own @ patterns.columns(used).T, np.float32).reshape(light.shape)
@@ -310,16 +300,15 @@ def predicted_samples(
 
 
 def residual_diagnostics(
-    solver: RowSolver, weighted: WeightedRows, solved: Result, pixels: csr_array,
-    chosen: NDArray[np.int64],
+    solver: RowSolver, samples: Samples, background: NDArray[np.float32], solved: Result,
+    pixels: csr_array, chosen: NDArray[np.int64],
 ) -> dict[str, NDArray[Any]]:  # fmt: skip
     """The diagnostics of solved rows that their samples and residuals give.
 
     `pixels` are the rows as pixels. `only_bounded` and `glint` are of all rows, `constant_light`
     and `bend` are of the `chosen` ones, and NaN of others.
     """
-    samples = weighted.problem.samples
-    shown, few = predicted_samples(solver, weighted, solved, chosen), samples.rows(chosen)
+    shown, few = predicted_samples(solver, background, solved, chosen), samples.rows(chosen)
     constant, bent = (np.full(len(samples.values), np.nan) for _ in range(2))
     constant[chosen], bent[chosen] = constant_light(few, shown), bend(few, shown)
     bounded = only_bounded(samples, pixels, solver.capture.patterns)
@@ -419,73 +408,3 @@ def _without(values: NDArray[np.float64], other: NDArray[np.float64]) -> NDArray
     """Rows less the part along other rows."""
     length = np.maximum((other**2).sum(axis=1, keepdims=True), 1e-30)
     return np.asarray(values - other * (values * other).sum(axis=1, keepdims=True) / length)
-
-
-# A correlation may exceed its bound by this share, which is ten times the relative gap of the rows.
-SLACK = 0.01
-# Rows whose correlations with all atoms a thread holds in memory together.
-_ROWS_TOGETHER = 3
-
-
-def sampled_rows(start: int, stop: int, count: int) -> NDArray[np.int64]:
-    """The rows among start..stop of `count` that are checked."""
-    # Rows of an estimate, evenly spread, that are checked against all atoms. Chosen by hand: few
-    # enough to cost little next to the estimate.
-    step = max(1, count // 256)
-    index = np.arange(start, stop)
-    return index[index % step == step // 2]
-
-
-def certified_everywhere(
-    solver: RowSolver, weighted: WeightedRows, solved: Result, rows: NDArray[np.int64]
-) -> NDArray[np.bool_]:
-    """Whether no other atom, at the penalty 2 lambda, would enter each of the n `rows`, (n,).
-
-    This is the optimality condition of a row's weighted problem: the correlation of an atom with
-    the row's residual does not exceed its penalty.
-    """
-    limit = 2 * weighted.problem.regularization * (1 + SLACK)
-    shown, unseen = _residuals(solver, weighted, solved, rows)
-    parts = [(solver.atoms.prepared, shown)]
-    if unseen is not None:
-        parts.append((solver.unseen.prepared, unseen))
-
-    def none_exceeds(first: int) -> list[bool]:
-        some = [(prepared, e[first : first + _ROWS_TOGETHER]) for prepared, e in parts]
-        return [
-            not (sum(prepared.columns(near) @ e[i] for prepared, e in some) > limit).any()
-            # Scores of 16 bits bound the correlations; few may exceed the limit.
-            for i, near in enumerate(_core.may_exceed(some, limit))
-        ]
-
-    with ThreadPoolExecutor(solver.solver.threads or core_threads()) as pool:
-        holds = chain.from_iterable(pool.map(none_exceeds, range(0, len(rows), _ROWS_TOGETHER)))
-        return np.fromiter(holds, np.bool_, len(rows))
-
-
-def _residuals(
-    solver: RowSolver, weighted: WeightedRows, solved: Result, rows: NDArray[np.int64]
-) -> tuple[NDArray[np.float64], NDArray[np.float64] | None]:
-    """Weighted residuals of some rows, under the patterns shown and under the unseen ones."""
-    problem, pseudo = weighted.problem, weighted.pseudo_samples
-    count = problem.patterns.count
-    coefficients = csr_array(solved.coefficients[rows])
-    light: NDArray[Any] = solved.background[rows][:, None] * weighted.background[rows]
-    light = light + solved.cells[rows] @ weighted.cells.means
-    samples = problem.observed.at(rows).astype(np.float64)
-    predicted = under_atoms(solver.atoms, coefficients) + light[:, :count]
-    term = Fidelity(solver.solver.fidelity).term
-    shown = samples.weights * term.residual(predicted, samples)
-    if pseudo is None:
-        return shown, None
-    unseen = under_atoms(solver.unseen, coefficients) + light[:, count:]
-    both = np.concatenate([predicted, unseen], axis=1)
-    further = pseudo.weights[rows] * (pseudo.values[rows] - both)
-    return shown + further[:, :count], np.ascontiguousarray(further[:, count:])
-
-
-def under_atoms(atoms: AtomPatterns, rows: csr_array) -> NDArray[np.float64]:
-    """The samples of rows of atoms under the patterns, (n, K)."""
-    used, place = np.unique(rows.indices, return_inverse=True)
-    own = csr_array((rows.data, place, rows.indptr), shape=(rows.shape[0], len(used)))
-    return np.asarray(own @ atoms.prepared.columns(used).astype(np.float64))

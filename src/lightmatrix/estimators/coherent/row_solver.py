@@ -8,9 +8,10 @@ cells of projector pixels for light that differs from the halo.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from itertools import pairwise
+from itertools import pairwise, product
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,23 +23,23 @@ from lightmatrix.capture.capture import Capture
 from lightmatrix.capture.samples import Samples
 from lightmatrix.estimators.coherent.neighbourhood import (
     PSEUDO_SAMPLES,
+    REACH,
     Neighbourhood,
     unseen_patterns,
 )
 from lightmatrix.estimators.coherent.schedule import Round
-from lightmatrix.patterns.atoms import AtomPatterns
+from lightmatrix.patterns.atoms import AtomPatterns, Sheet, boxes_around
 from lightmatrix.patterns.pattern_set import PatternSet
 from lightmatrix.resources.threads import computed_once
 from lightmatrix.solvers.active_set import (
     ActiveSet,
     Candidates,
     Cells,
-    PseudoSamples,
     solve_weighted,
 )
 from lightmatrix.solvers.fidelity import Fidelity
 from lightmatrix.solvers.loop import Progress
-from lightmatrix.solvers.problem import Problem, Result
+from lightmatrix.solvers.problem import Problem, Result, Status
 from lightmatrix.transport.operator import cell_means
 from lightmatrix.transport.sparse_rows import SparseRows
 
@@ -68,9 +69,9 @@ class Backgrounds:
         even = (self._sizes / self._sizes.sum()).astype(np.float32)
         return np.where(total > 0, shares / np.where(total > 0, total, 1), even)
 
-    def under_patterns(self, shares: NDArray[np.float32]) -> NDArray[np.float32]:
-        """The halos under the patterns, shown and unseen, (m, K + E) in [0, 1]."""
-        under = _core.rows_times(shares, self._means)
+    def under_patterns(self, rows: csr_array) -> NDArray[np.float32]:
+        """The halos of rows (m, N) under the patterns, shown and unseen, (m, K + E) in [0, 1]."""
+        under = _core.rows_times(self.spread(rows), self._means)
         return np.clip(under, 0, 1, out=under)
 
     def cells(self, cost: float, *, unseen: bool) -> Cells:
@@ -172,15 +173,16 @@ DEFAULT_REGULARIZATION = 0.1
 FIRST_REGULARIZATION = 0.32
 
 
-@dataclass(frozen=True)
-class WeightedRows:
-    """The weighted problem of some rows; the fields are parameters of `solve_weighted`."""
+# The atoms of a projector of more pixels take more than 2.5 GB, so that they are not kept: those
+# that some rows may see are made, on a sheet, when these rows are solved.
+KEPT_PIXELS = 1 << 20
+# The side of the squares of such a projector that are searched one after the other.
+_SQUARE = 512
 
-    problem: Problem
-    candidates: Candidates
-    cells: Cells
-    pseudo_samples: PseudoSamples | None
-    background: NDArray[np.float32]
+
+def in_parts(capture: Capture) -> bool:
+    """Whether not all atoms of a capture are kept."""
+    return capture.patterns.pixels > KEPT_PIXELS and not capture.projectors
 
 
 @dataclass(frozen=True)
@@ -195,16 +197,36 @@ class RowSolver:
     sizes: tuple[float, ...]
     background_grid: tuple[int, int]
     narrow: bool = False
+    # Rows that are solved together where the projector is solved in parts.
+    together: int = 4096
 
     @computed_once
     def atoms(self) -> AtomPatterns:
         """Pixels and spots under the patterns shown."""
-        patterns = self.capture.patterns
+        patterns, wide = self.capture.patterns, self._widest
         # The standard deviation of a spot is at most this share of the projector's shorter side.
         # Chosen by hand.
-        widest = min(patterns.shape) / 16
+        widest = min(wide or 4.0, min(patterns.shape) / (8 if wide else 16))
         sizes = tuple(size for size in self.sizes if size <= widest)
-        return AtomPatterns(patterns, sizes, narrow=self.narrow)
+        return AtomPatterns(patterns, sizes, narrow=self.narrow, even=wide > 0)
+
+    @computed_once
+    def _widest(self) -> float:
+        """The widest spots that low contrast asks for; 0 if spots of 2.8 pixels explain it."""
+        frames = np.linspace(0, self.capture.count - 1, min(8, self.capture.count)).astype(int)
+        some = self.capture.select(frames)
+        tiles = [tile.values[~tile.clipped.any(axis=1)] for _, tile in some.tiles()]
+        means, changes = (
+            np.concatenate([of(tile, axis=1) for tile in tiles]) for of in (np.mean, np.std)
+        )
+        bright = means > max(means.mean(), 0) if len(means) else means > 0
+        if not bright.any():
+            return 0.0
+        # Contrast falls with the size. Noise adds to it, so spots may be a fifth wider than it
+        # says; much wider ones than there are double the error of glossy scenes.
+        spot = AtomPatterns(some.patterns, (0.0, 2.8), (1.0, 1.0), even=True).contrast(1)
+        contrast = np.median(changes[bright] / means[bright]) * some.patterns.means.mean()
+        return float(1.2 * 2.8 * spot / max(contrast, 1e-9)) if contrast < spot else 0.0
 
     @computed_once
     def unseen(self) -> AtomPatterns:
@@ -232,7 +254,8 @@ class RowSolver:
     def backgrounds(self) -> Backgrounds:
         """The cells of the background, at most one a pixel."""
         shape, several = self.capture.projector_shape, max(1, len(self.capture.projectors))
-        down, right = self.background_grid
+        # Wide spots cannot be told from cells and halos.
+        down, right = (1, 1) if self._widest else self.background_grid
         grid = min(several * down, shape[0]), min(right, shape[1])
         return Backgrounds(grid, self.capture.patterns, self.unseen.single)
 
@@ -240,12 +263,33 @@ class RowSolver:
         self, samples: Samples, progress: Progress | None = None, *, brief: bool = False
     ) -> Result:
         """Solve each row by itself on all atoms; in two passes if it may be `brief`."""
-        problem = self.first_problem(samples)
-        most = min(2, self.solver.max_passes) if brief else self.solver.max_passes
+        problem, parts = self.first_problem(samples), in_parts(self.capture)
+        most = min(2, self.solver.max_passes) if brief or parts else self.solver.max_passes
         # A gap of 1 % suffices to show where light may be. Until it is reached there would be 3.5
         # passes; but where every row has neighbours that have searched, two give the same errors.
         tolerance = max(1e-2, self.solver.tolerance)
-        return replace(self.solver, tolerance=tolerance, max_passes=most).solve(problem, progress)
+        solver = replace(self.solver, tolerance=tolerance, max_passes=most)
+        if not parts:
+            return solver.solve(problem, progress)
+        best, (rows, cols), reach = None, self.atoms.shape, len(self.atoms.kernels[-1]) - 1
+        problem = replace(problem, background_column=self.capture.patterns.means)
+        for top, left in product(range(0, rows, _SQUARE), range(0, cols, _SQUARE)):
+            sides = zip((top, left), (rows, cols), strict=True)
+            square = tuple(slice(max(0, n - reach), min(n + _SQUARE + reach, m)) for n, m in sides)
+            sheet = Sheet.of([square], (rows, cols), 0)
+            # Every second size suffices to find light, and takes half of the time.
+            problem = replace(problem, patterns=self.atoms.part(sheet.pixels, every=2))
+            found = solver.solve(problem, progress).rows
+            lifted = sheet.lifted(found.coefficients, self.atoms.planes, every=2)
+            found = replace(found, coefficients=lifted)
+            if best is not None:
+                # A row keeps the square that explains its samples best.
+                left_over, before = (each.diagnostics["objective"] for each in (found, best))
+                better = np.flatnonzero(left_over < before)
+                found = best.replaced(better, found.rows(better))
+            best = found
+        assert best is not None
+        return Result(best, Status.CONVERGED)
 
     def unexplained(self, samples: Samples, solved: Result, share: float) -> NDArray[np.int64]:
         """Rows whose samples the solution does not explain, but other atoms might.
@@ -267,59 +311,121 @@ class RowSolver:
         wrong = solved.rows.diagnostics["objective"] > share * left / 2 + penalty
         return np.flatnonzero(bright & wrong)
 
-    def weighted_rows(
+    def near(
         self, samples: Samples, rows: NDArray[np.int64], this_round: Round,
-        neighbours: Neighbourhood,
-    ) -> WeightedRows:  # fmt: skip
-        """The problem of some rows, ascending, with what their neighbours say of them."""
+        neighbours: Neighbourhood, progress: Progress | None = None,
+    ) -> tuple[Result, NDArray[np.float32]]:  # fmt: skip
+        """Solve rows, ascending, on their likeliest atoms; returns samples of their halos too."""
+        if not in_parts(self.capture):
+            return self._near(samples, rows, this_round, neighbours, progress)
+        groups, parts, halos, done = [], [], [], 0
+        for some in self._groups(rows, this_round, neighbours):
+            # Where no neighbour holds light, the core looks this many camera pixels further.
+            part, own = neighbours.part(rows[some], 16)
+            solved, halo = self._near(samples.rows(some), own, this_round, part)
+            done += len(some)
+            if progress is not None:
+                progress(done, len(rows))
+            groups.append(some)
+            parts.append(solved.rows)
+            halos.append(halo)
+        order = np.argsort(np.concatenate(groups))
+        joined = SparseRows.joined(parts).rows(order)
+        return Result(joined, Status.CONVERGED), np.concatenate(halos)[order]
+
+    def _near(
+        self, samples: Samples, rows: NDArray[np.int64], this_round: Round,
+        neighbours: Neighbourhood, progress: Progress | None = None,
+    ) -> tuple[Result, NDArray[np.float32]]:  # fmt: skip
+        """The same of rows that are solved together."""
         assert this_round.window is not None
-        problem = self._problem(samples, self.penalty)
-        first, last = int(rows[0]), int(rows[-1]) + 1
-        if this_round.has_pseudo_samples:
-            first, last = neighbours.around(first, last)
-        halos = self.halos(neighbours, first, last)
-        pseudo_samples = None
-        if this_round.has_pseudo_samples:
-            light = neighbours.rows.background[first:last]
-            pseudo_samples = neighbours.pseudo_samples(
-                self.unseen, samples,
-                samples.clipped & Fidelity(self.solver.fidelity).term.clip_aware,
-                self.capture.reference_level, rows, light * halos,
-            )  # fmt: skip
-        unseen = pseudo_samples is not None
-        cells = Cells.none(self.capture.patterns, self.unseen if unseen else None)
-        # Cells join in the last round, when it is clear where most of the light is.
-        if this_round.last:
-            cost = self.level / problem.regularization
-            cells = self.backgrounds.cells(cost, unseen=unseen)
-        background = halos[rows - first, : cells.means.shape[1]]
+        problem, atoms, unseen = self._problem(samples, self.penalty), self.atoms, self.unseen
         known = samples.counted & ~samples.clipped
         candidates = neighbours.likely_atoms(
             this_round.window, self.candidates, self.trust, known.sum(axis=1), rows,
             first=this_round.age == 1,
         )  # fmt: skip
-        return WeightedRows(
-            problem, candidates, cells, pseudo_samples, np.ascontiguousarray(background)
-        )
-
-    def near(
-        self, samples: Samples, rows: NDArray[np.int64], this_round: Round,
-        neighbours: Neighbourhood, progress: Progress | None = None,
-    ) -> tuple[Result, WeightedRows]:  # fmt: skip
-        """Solve rows, ascending, on their likeliest atoms; returns their problem too."""
-        weighted = self.weighted_rows(samples, rows, this_round, neighbours)
+        start, near, sheet = neighbours.rows.rows(rows), neighbours, None
+        if in_parts(self.capture):
+            near, rows = neighbours.part(rows, REACH)
+            seen = [candidates.indices]
+            if this_round.has_pseudo_samples:
+                seen.append(near.rows.coefficients.indices)
+            boxes = boxes_around(np.concatenate(seen) % atoms.single.pixels, atoms.shape)
+            sheet = Sheet.of(boxes, atoms.shape, self._margin(near, this_round))
+            shown = atoms.part(sheet.pixels)
+            problem = replace(problem, patterns=shown)
+            if this_round.has_pseudo_samples:
+                unseen = unseen.part(sheet.pixels)
+            parts = candidates.data, candidates.indices, candidates.indptr
+            laid = sheet.laid(csr_array(parts, (len(rows), atoms.pixels)))
+            candidates = Candidates(laid.indptr.astype(np.int64), laid.indices, laid.data)
+            start = replace(start, coefficients=sheet.laid(start.coefficients))
+        first, last = int(rows[0]), int(rows[-1]) + 1
+        if this_round.has_pseudo_samples:
+            first, last = near.around(first, last)
+        halos = self.halos(near, first, last)
+        pseudo_samples = None
+        if this_round.has_pseudo_samples:
+            light = near.rows.background[first:last]
+            if sheet is not None:
+                laid = sheet.laid(near.rows.coefficients)
+                moved = replace(near.rows, coefficients=laid)
+                near = replace(near, rows=moved, atoms=shown)
+            pseudo_samples = near.pseudo_samples(
+                unseen, samples, samples.clipped & Fidelity(self.solver.fidelity).term.clip_aware,
+                self.capture.reference_level, rows, light * halos,
+            )  # fmt: skip
+        cells = Cells.none(self.capture.patterns, unseen if pseudo_samples is not None else None)
+        # Cells join in the last round, when it is clear where most of the light is.
+        if this_round.last:
+            cost = self.level / problem.regularization
+            cells = self.backgrounds.cells(cost, unseen=pseudo_samples is not None)
+        halos = np.ascontiguousarray(halos[rows - first, : cells.means.shape[1]])
         solved = solve_weighted(
-            weighted.problem, weighted.candidates, weighted.cells, self.solver,
-            pseudo_samples=weighted.pseudo_samples, background=weighted.background,
-            start=neighbours.rows.rows(rows), progress=progress,
+            problem, candidates, cells, self.solver, pseudo_samples=pseudo_samples,
+            background=halos, start=start, progress=progress,
         )  # fmt: skip
-        return solved, weighted
+        if sheet is not None:
+            lifted = sheet.lifted(solved.coefficients, atoms.planes)
+            solved = replace(solved, rows=replace(solved.rows, coefficients=lifted))
+        return solved, halos
+
+    def _margin(self, neighbours: Neighbourhood, this_round: Round) -> int:
+        """Pixels around the light of neighbours that a sheet holds, for spots and for movements."""
+        steps = np.abs(neighbours.jacobian).reshape(-1, 2, 2).sum(axis=2)
+        moved = 1 + int(np.ceil(REACH * steps.max())) if this_round.has_pseudo_samples else 0
+        return len(self.atoms.kernels[-1]) - 1 + moved
+
+    def _groups(
+        self, rows: NDArray[np.int64], this_round: Round, neighbours: Neighbourhood
+    ) -> Iterator[NDArray[np.int64]]:
+        """Cut rows into parts of the camera that see small parts of the projector each."""
+        count = self.capture.count + PSEUDO_SAMPLES.unseen * this_round.has_pseudo_samples
+        # Bytes of the atoms at a pixel, and of those that are being made.
+        each = count * (self.atoms.planes * (2 if self.narrow else 4) + 8)
+        most = self.together * coherent_row_bytes(self.capture.count) / each
+        waiting = [(np.arange(len(rows)), np.inf)]
+        while waiting:
+            some, before = waiting.pop()
+            row, col, _ = np.unravel_index(rows[some], neighbours.camera)
+            near, _ = neighbours.part(rows[some], REACH)
+            wider = 2 * self._margin(near, this_round)
+            boxes = boxes_around(near.centres.indices, self.atoms.shape)
+            sizes = ([s.stop - s.start + wider for s in box] for box in boxes)
+            size = sum(high * wide for high, wide in sizes)
+            place = row if np.ptp(row) > np.ptp(col) else col
+            # Halves that see much the same light are not cut further.
+            fits = size <= most or 0.7 * before < size < np.inf
+            if (len(some) <= self.together and fits) or not np.ptp(place):
+                yield some
+            else:
+                first = 2 * place <= place.min() + place.max()
+                waiting += [(some[~first], size), (some[first], size)]
 
     def halos(self, neighbours: Neighbourhood, start: int, stop: int) -> NDArray[np.float32]:
         """The halos of the rows start..stop under the patterns shown and unseen, (n, K + E)."""
-        backgrounds = self.backgrounds
-        centres = csr_array(neighbours.centres[start:stop])
-        return backgrounds.under_patterns(backgrounds.spread(centres))
+        return self.backgrounds.under_patterns(csr_array(neighbours.centres[start:stop]))
 
     def first_problem(self, samples: Samples) -> Problem:
         """The problem of rows of which nothing is known."""

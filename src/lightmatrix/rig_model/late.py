@@ -1,4 +1,4 @@
-"""Camera rows that show the pattern of another frame: pictures that are torn by a late refresh."""
+"""Light of another picture: a slow panel, the lag of a camera, a late refresh."""
 
 from __future__ import annotations
 
@@ -7,8 +7,30 @@ import numpy as np
 from lightmatrix.capture.capture import Capture
 from lightmatrix.check.prediction import best_pixels, column_scale
 from lightmatrix.rig_model.prediction import Prediction, samples_of_rows
-from lightmatrix.rig_model.previous import Previous
 from lightmatrix.rig_model.term import Array, Draft, Term
+
+
+class Previous(Term):
+    """Each photograph holds a share a of the pattern before its own."""
+
+    name = "previous"
+    advice = "wait longer after each change of pattern (`lightmatrix rig settle` measures how long)"
+    between = (0, 1)
+
+    def regressors(self, seen: Prediction) -> Array:
+        return seen.under(lambda images, before: before - images)[None]
+
+    def take_out(self, values: Array, draft: Draft) -> None:
+        share = float(values[0])
+        draft.patterns.append(lambda images, before: (1 - share) * images + share * before)
+
+    def added(self, values: Array, step: Array) -> Array:
+        # T has taken on the light of the pattern itself, 1 - a of what it should be.
+        return values + step / (1 + step)
+
+    def sentence(self, values: Array) -> str:
+        return f"each photograph shows {100 * values[0]:.1f} % of the picture before it"
+
 
 # The picture is looked at in up to this many bands of rows, of each 32 of its camera pixels.
 _BANDS, _PIXELS = 64, 32
