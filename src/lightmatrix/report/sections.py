@@ -184,7 +184,8 @@ def relighting(facts: Facts) -> Section:
     elements: list[Element] = [_relit(facts, name, patterns[name]) for name in ("disc", "stripes")]
     lead = "The scene under patterns that were never projected, without clipping: c = T p."
     if facts.truth is not None:
-        error = relighting_error(facts.transport, facts.truth, np.stack(list(patterns.values())))
+        shown = np.stack(list(patterns.values()))
+        error = relighting_error([facts.transport], [facts.truth], shown)
         lead += f" Mean error of the images: {percent(error)}."
         assert facts.row_errors is not None
         caption = "Error of each camera pixel's rows of T, relative to their size."
