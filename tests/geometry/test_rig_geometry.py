@@ -12,9 +12,11 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy.io import savemat
 from scipy.spatial.transform import Rotation
 
 import lightmatrix as lm
+from lightmatrix.geometry.rig_geometry import load_rig
 
 LENS = np.array([-0.21, 0.08, 0.002, -0.003, 0.01])
 
@@ -202,6 +204,52 @@ def as_xml(values: dict[str, Any]) -> str:
     return text + "</opencv_storage>\n"
 
 
+def as_ros(known: lm.RigGeometry, device: str, *, echoed: bool = False) -> str:
+    """The camera_info of a device: as its calibrator saves it, or as a topic shows it."""
+    rows, cols = getattr(known, f"{device}_shape")
+    # The axes of both rectified images lie along the baseline.
+    across = known.rotation.T @ known.translation / -known.baseline
+    down = np.cross([0, 0, 1], across) / np.linalg.norm(across[:2])
+    both = np.stack([across, down, np.cross(across, down)])
+    turn = both if device == "camera" else both @ known.rotation.T
+    shared = np.diag([700.0, 700, 1]) @ np.eye(3, 4)
+    if device == "projector":
+        shared[0, 3] = -700 * known.baseline
+    matrix, lens = getattr(known, f"{device}_intrinsics"), getattr(known, f"{device}_distortion")
+    if echoed:
+        parts = {"d": lens, "k": matrix, "r": turn, "p": shared}
+        text = f"header:\n  stamp:\n    sec: 3\nheight: {rows}\nwidth: {cols}\n"
+        for name, value in parts.items():
+            text += f"{name}:\n" + "".join(f"- {number}\n" for number in value.ravel().tolist())
+        return text + "roi:\n  x_offset: 0\n  height: 0\n"
+    parts = {"camera_matrix": matrix, "distortion_coefficients": lens[None]}
+    parts |= {"rectification_matrix": turn, "projection_matrix": shared}
+    head = {"image_width": cols, "image_height": rows, "camera_name": device}
+    return as_yaml({**head, **parts}, tag="")
+
+
+def as_matlab(known: lm.RigGeometry, *, old: bool) -> dict[str, Any]:
+    """What toStruct makes of stereoParameters."""
+    found: dict[str, Any] = {}
+    for number, device in ((1, "camera"), (2, "projector")):
+        k1, k2, p1, p2, k3 = getattr(known, f"{device}_distortion").tolist()
+        matrix = getattr(known, f"{device}_intrinsics").copy()
+        # MATLAB counts pixels from 1.
+        matrix[:2, 2] += 1
+        found[f"CameraParameters{number}"] = {
+            "RadialDistortion": [k1, k2, k3],
+            "TangentialDistortion": [p1, p2],
+            "ImageSize": getattr(known, f"{device}_shape"),
+            "WorldUnits": "millimeters",
+            "WorldPoints": np.zeros((300, 2)).tolist(),
+            **({"IntrinsicMatrix": matrix.T.tolist()} if old else {"K": matrix.tolist()}),
+        }
+    turn, shift = known.rotation, known.translation.tolist()
+    if old:
+        return {**found, "RotationOfCamera2": turn.T.tolist(), "TranslationOfCamera2": shift}
+    return {**found, "PoseCamera2": {"R": turn.tolist(), "Translation": shift}}
+
+
 def write_calibration(folder: Path, program: str, known: lm.RigGeometry) -> Path:
     """A file, or a folder of two, as a program writes it."""
     k1, k2 = known.camera_intrinsics, known.projector_intrinsics
@@ -223,7 +271,15 @@ def write_calibration(folder: Path, program: str, known: lm.RigGeometry) -> Path
         "kamino.xml": lambda: as_xml({**kamino, "translation": shift, **more}),
         "stereo/intrinsics.yml": lambda: as_yaml({"M1": k1, "D1": d1, "M2": k2, "D2": d2}),
         "stereo/extrinsics.yml": lambda: as_yaml({"R": turn, "T": shift, "R1": np.eye(3)}),
+        "ros/camera.yaml": lambda: as_ros(known, "camera"),
+        "ros/projector.yaml": lambda: as_ros(known, "projector"),
+        "ros2/right.yaml": lambda: as_ros(known, "projector", echoed=True),
+        "ros2/left.yaml": lambda: as_ros(known, "camera", echoed=True),
+        "matlab.json": lambda: json.dumps(as_matlab(known, old=False) | {"note": [1, "a"]}),
+        "old.json": lambda: json.dumps({"stereoParams": as_matlab(known, old=True)}),
     }
+    if program.endswith(".mat"):
+        savemat(folder / program, {"s": as_matlab(known, old=program.startswith("old"))})
     for name, text in files.items():
         if name.split("/")[0] == program:
             (folder / name).parent.mkdir(exist_ok=True)
@@ -235,15 +291,17 @@ def write_calibration(folder: Path, program: str, known: lm.RigGeometry) -> Path
     ("program", "sizes"),
     [
         ("scan3d.yml", 0), ("slstudio.xml", 0), ("slmaster.yml", 1), ("kamino.xml", 1),
-        ("stereo", 0),
+        ("stereo", 0), ("ros", 2), ("ros2", 2), ("matlab.json", 2), ("old.json", 2),
+        ("stereo.mat", 2), ("old.mat", 2),
     ],
 )  # fmt: skip
 def test_files_of_other_programs_are_read(tmp_path: Path, program: str, sizes: int) -> None:
     """`sizes` devices of a file state the size of their images."""
     known = rig(3)
     file = write_calibration(tmp_path, program, known)
-    with pytest.raises(lm.InputError, match=f"size of the {('camera', 'projector')[sizes]}"):
-        lm.RigGeometry.load(file)
+    if sizes < 2:
+        with pytest.raises(lm.InputError, match=f"size of the {('camera', 'projector')[sizes]}"):
+            lm.RigGeometry.load(file)
     # The images tell their sizes, before they were binned.
     sides = known.camera_shape
     matches = lm.Correspondence(
@@ -258,18 +316,164 @@ def test_files_of_other_programs_are_read(tmp_path: Path, program: str, sizes: i
         for device in ("camera", "projector"):
             one, other = (getattr(each, f"{device}_{name}") for each in (read, known))
             np.testing.assert_allclose(one, other, rtol=1e-9, atol=1e-6)
+    assert read.units == ("mm" if "mat" in program or "old" in program else None)
     assert read.rms == ({"stereo": 0.25} if program == "kamino.xml" else {})
 
 
-def test_one_file_of_two_and_saves_of_matlab_are_explained(tmp_path: Path) -> None:
+# Excerpts of what the programs themselves wrote, from public repositories: the example of SLStudio,
+# scan3d-capture under Windows, and a stereo pair of ROS's calibrator.
+REAL = {
+    "slstudio.xml": """<?xml version="1.0"?>
+<opencv_storage>
+<Kc type_id="opencv-matrix"><rows>3</rows><cols>3</cols><dt>f</dt><data>
+    2.19512036e+03 0. 8.43500000e+02 0. 2.19512036e+03 6.75500000e+02 0. 0. 1.</data></Kc>
+<kc type_id="opencv-matrix"><rows>5</rows><cols>1</cols><dt>f</dt><data>
+    -5.80352657e-02 0. 0. 0. 0.</data></kc>
+<Kp type_id="opencv-matrix"><rows>3</rows><cols>3</cols><dt>f</dt><data>
+    2.60152563e+03 0. 8.66541504e+02 0. 2.60152563e+03 1.10911121e+03 0. 0. 1.</data></Kp>
+<kp type_id="opencv-matrix"><rows>5</rows><cols>1</cols><dt>f</dt><data>
+    -3.14900056e-02 0. 0. 0. 0.</data></kp>
+<Rp type_id="opencv-matrix"><rows>3</rows><cols>3</cols><dt>f</dt><data>
+    9.64402318e-01 -1.20346159e-01 2.35467508e-01 1.53437316e-01 9.79882836e-01
+    -1.27619177e-01 -2.15372086e-01 1.59205735e-01 9.63466883e-01</data></Rp>
+<Tp type_id="opencv-matrix"><rows>3</rows><cols>1</cols><dt>f</dt><data>
+    -1.45282562e+02 -3.64983406e+01 6.79231644e+01</data></Tp>
+<stereo_error>4.2199749739974501e-01</stereo_error>
+<frameWidth>1688</frameWidth><frameHeight>1352</frameHeight>
+<screenResX>1824</screenResX><screenResY>1140</screenResY>
+</opencv_storage>
+""",
+    "scan3d.yml": """%YAML:1.0
+cam_K: !!opencv-matrix
+   rows: 3
+   cols: 3
+   dt: d
+   data: [ 3.6838333907732294e+003, 0., 1.2500944196559094e+003, 0.,
+       3.6974474889257835e+003, 1.0122781917607587e+003, 0., 0., 1. ]
+cam_kc: !!opencv-matrix
+   rows: 1
+   cols: 5
+   dt: d
+   data: [ -5.1558942293476151e-001, 7.9382621058611061e-002,
+       1.9059474312756614e-004, 3.5905157827651230e-003, 0. ]
+proj_K: !!opencv-matrix
+   rows: 3
+   cols: 3
+   dt: d
+   data: [ 2.8013622132143819e+003, 0., 5.3714564964254430e+002, 0.,
+       2.7957271561105604e+003, 8.1512682665321393e+002, 0., 0., 1. ]
+R: !!opencv-matrix
+   rows: 3
+   cols: 3
+   dt: d
+   data: [ 9.8097166816623960e-001, 1.9129352460664582e-002,
+       -1.9320624764634459e-001, 3.8199208382748290e-003,
+       9.9303996753376567e-001, 1.1771589138823595e-001,
+       1.9411335466663360e-001, -1.1621398691626285e-001,
+       9.7407100089525933e-001 ]
+T: !!opencv-matrix
+   rows: 3
+   cols: 1
+   dt: d
+   data: [ 1.7194845987298550e+001, -1.2098438607071827e+001,
+       -6.8266691762771616e+000 ]
+stereo_error: 4.7143570184252465e-001
+""",
+    "ros/left.yaml": """image_width: 1312
+image_height: 541
+camera_name: narrow_stereo/left
+camera_matrix:
+  rows: 3
+  cols: 3
+  data: [853.415831, 0.0, 641.228450, 0.0, 852.608357, 167.569232, 0.0, 0.0, 1.000000]
+distortion_model: plumb_bob
+distortion_coefficients:
+  rows: 1
+  cols: 5
+  data: [-0.251963, 0.096396, -0.002254, -0.001636, 0.000000]
+rectification_matrix:
+  rows: 3
+  cols: 3
+  data: [0.999479, -0.000960, 0.032258, 0.000688, 0.999964, 0.008463, -0.032265,
+    -0.008436, 0.999444]
+projection_matrix:
+  rows: 3
+  cols: 4
+  data: [834.752703, 0.0, 612.806038, 0.0, 0.0, 834.752703, 158.305822, 0.0, 0.0, 0.0, 1.0, 0.0]
+""",
+    "ros/right.yaml": """image_width: 1312
+image_height: 541
+camera_name: narrow_stereo/right
+camera_matrix:
+  rows: 3
+  cols: 3
+  data: [851.257609, 0.0, 637.135422, 0.0, 851.168364, 154.698218, 0.0, 0.0, 1.000000]
+distortion_model: plumb_bob
+distortion_coefficients:
+  rows: 1
+  cols: 5
+  data: [-0.239563, 0.084455, -0.002111, -0.000161, 0.000000]
+rectification_matrix:
+  rows: 3
+  cols: 3
+  data: [0.999997, -0.001336, 0.002140, 0.001354, 0.999963, -0.008449, -0.002129,
+    0.008452, 0.999962]
+projection_matrix:
+  rows: 3
+  cols: 4
+  data: [834.752703, 0.0, 612.806038, -190.372340, 0.0, 834.752703, 158.305822, 0.0,
+    0.0, 0.0, 1.0, 0.0]
+""",
+}
+
+
+@pytest.mark.parametrize(
+    ("name", "sizes", "focal", "principal", "distortion", "baseline"),
+    [
+        # SLStudio states the sizes of both images; scan3d-capture none, so they are those of T.
+        ("slstudio.xml", ((1352, 1688), (1140, 1824)), 2601.5256, 1109.1112, -0.0314900, 164.477),
+        ("scan3d.yml", ((1536, 2048), (1080, 1920)), 2801.3622, 815.12683, 0, 22.10517),
+        # The translation is the shift of the second projection matrix over its focal length.
+        (
+            "ros",
+            ((541, 1312), (541, 1312)),
+            851.257609,
+            154.698218,
+            -0.239563,
+            190.37234 / 834.7527,
+        ),
+    ],
+)
+def test_real_files_of_other_programs_are_read(
+    tmp_path: Path, name: str, sizes: tuple[tuple[int, int], tuple[int, int]], focal: float,
+    principal: float, distortion: float, baseline: float,
+) -> None:  # fmt: skip
+    (tmp_path / "ros").mkdir()
+    for file, text in REAL.items():
+        (tmp_path / file).write_text(text)
+    read = load_rig(tmp_path / name, usual=((1536, 2048), (1080, 1920)))
+    assert (read.camera_shape, read.projector_shape) == sizes
+    known = read.projector_intrinsics
+    np.testing.assert_allclose([known[0, 0], known[1, 2]], (focal, principal), rtol=1e-5)
+    assert read.projector_distortion[0] == pytest.approx(distortion)
+    assert read.baseline == pytest.approx(baseline, rel=1e-4)
+    # The projector stands to the right in all but scan3d-capture's.
+    assert (read.translation[0] < 0) == (name != "scan3d.yml")
+
+
+def test_one_file_of_two_and_other_saves_of_matlab_are_explained(tmp_path: Path) -> None:
     write_calibration(tmp_path, "stereo", rig())
-    (tmp_path / "stereo.mat").write_bytes(b"MATLAB 5.0 MAT-file\x00\xff")
-    (tmp_path / "stereo.json").write_text('{"CameraParameters1": {}}')
+    write_calibration(tmp_path, "ros", rig())
+    (tmp_path / "new.mat").write_bytes(b"MATLAB 7.3 MAT-file")
+    (tmp_path / "cut.mat").write_bytes(b"MATLAB 5.0 MAT-file")
+    (tmp_path / "half.json").write_text('{"CameraParameters1": {}}')
     for name, words in {
         "stereo/intrinsics.yml": "names no rotation .R. and no translation .T.",
+        "ros/camera.yaml": "the camera_info of one device",
         ".": "holds 1 files",
-        "stereo.mat": "cannot be read as text",
-        "stereo.json": "holds no geometry of a rig",
+        "new.mat": "version 7.3",
+        "cut.mat": "cannot be read",
+        "half.json": "stereoParameters lack 'IntrinsicMatrix'",
     }.items():
         with pytest.raises(lm.InputError, match=words):
             lm.RigGeometry.load(tmp_path / name)

@@ -272,12 +272,14 @@ def test_images_that_are_no_map_are_refused(tmp_path: Path) -> None:
             lm.triangulate(tmp_path / name, rig())
 
 
-@pytest.mark.parametrize("view", ["depth", "normals"])
+@pytest.mark.parametrize("view", ["depth", "normals", "layers"])
 def test_views_of_a_shape(view: str, tmp_path: Path) -> None:
     known = small("metal", 2)
     matrix, geometry = known.transport(), known.geometry
-    shape = lm.triangulate(matrix, geometry)
-    expected = getattr(shape, view)
+    if view == "layers":
+        expected = lm.layers(matrix, geometry).depth
+    else:
+        expected = getattr(lm.triangulate(matrix, geometry), view)
     assert np.isnan(expected).any()
     for name in ("x.npy", "x.tiff"):
         lm.show(matrix, view, geometry=geometry, output=tmp_path / name)
@@ -333,6 +335,14 @@ def test_rows_that_state_a_large_error_are_less_probable() -> None:
     fell = of[1].probability.ravel() - of[0].probability.ravel()
     assert fell[70] > 0
     assert (np.delete(fell, 70) == 0).all()
+    # Where a row always clips with its strongest pixel, nothing tells how much brighter it is than
+    # its neighbours: the place is unknown by half the width of the spot, unless more is tolerated.
+    clipping = replace(plain, diagnostics={"only_bounded": np.ones_like(stated)})
+    for tolerance, certain in ((0.01, False), (0.2, True)):
+        found = lm.triangulate(clipping, known.geometry, tolerance=tolerance).probability
+        usual = lm.triangulate(plain, known.geometry, tolerance=tolerance).probability
+        assert ((found > 0.99).mean() > 0.1) == certain
+        assert (usual > 0.99).mean() > 0.1
 
 
 def test_files_take_their_places_together(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -174,20 +174,12 @@ def read_source(
     mosaic: bool = False,
 ) -> Source:
     """The source that the options of a command describe."""
-    options: dict[str, Any] = {
-        "black": black,
-        "black_exposure": black_exposure,
-        "white": white,
-        "mask": mask,
-        "black_level": black_level,
-        "clip": clip,
-        "full_scale": full_scale,
-        "response": response,
-        "projector_response": projector_response,
-        "exposure": exposure,
-        "mosaic": mosaic or None,
+    stated: dict[str, Any] = {
+        name: value
+        for name, value in locals().items()
+        if not (value is None or value is False)
+        and name not in ("capture", "photographs", "patterns", "images", "crop")
     }
-    stated = {name: value for name, value in options.items() if value is not None}
     region = None if crop is None else rectangle(crop)
     if photographs is not None:
         if patterns is not None or images is not None:

@@ -14,11 +14,12 @@ from xml.etree import ElementTree
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.io import loadmat
 
 from lightmatrix.errors import InputError, OutputError
 from lightmatrix.files.extras import load_opencv
 from lightmatrix.files.kinds import GEOMETRY_FORMAT, OUR_MARK
-from lightmatrix.files.reading import check_version, parse_json, read_text
+from lightmatrix.files.reading import check_version, parse_json, read_bytes, read_text
 
 Values = dict[str, Any]
 Array = NDArray[np.float64]
@@ -61,7 +62,7 @@ def read_rig(path: Path) -> Values:
             raise InputError(
                 f"{path}: holds {len(files)} files of a calibration",
                 hint="give one file, or a folder with two: intrinsics.yml and extrinsics.yml of "
-                "OpenCV",
+                "OpenCV, or camera.yaml and projector.yaml of ROS",
             )
     contents = {file: _content(file) for file in files}
     for read in READERS.values():
@@ -70,15 +71,22 @@ def read_rig(path: Path) -> Values:
     raise InputError(
         f"{path}: holds no geometry of a rig",
         hint="give a file of `lightmatrix calibrate`, or of another program with camera and "
-        "projector matrices, R and T; from MATLAB, as JSON with cam_K, proj_K, R and T, and "
-        "pixels that count from 0",
+        "projector matrices, R and T; in MATLAB: s = toStruct(stereoParams); save stereo.mat s",
     )
 
 
 def _content(file: Path) -> Values:
     """What a file holds by name: arrays, or as JSON and mat files nest it."""
+    start = read_bytes(file)[:8]
+    if start in (b"MATLAB 7", b"\x89HDF\r\n\x1a\n"):
+        raise InputError(f"{file}: is of MATLAB's version 7.3", hint="save it with the option -v7")
     try:
+        if start == b"MATLAB 5":
+            return dict(loadmat(file, simplify_cells=True))
         text = read_text(file).strip()
+        model = re.search(r"distortion_model\W+(\w+)", text)
+        if model and model[1] not in ("plumb_bob", "rational_polynomial"):
+            raise InputError(f"{file}: a lens of the model {model[1]}", hint="use plumb_bob")
         if text.startswith("{"):
             return dict(parse_json(text, str(file)))
         if text.startswith("<"):
@@ -129,6 +137,11 @@ def _plain(content: Values) -> dict[str, Array]:
         if (array := _array(value)) is not None:
             key = re.sub("[_-]", "", name.lower())
             plain[f"{key}lens" if re.fullmatch("k[cp]", name) else key] = array
+    # It states a size as two numbers.
+    sizes = {"camerasize": "framewidth frameheight", "projectorsize": "screenresx screenresy"}
+    for size, sides in sizes.items():
+        if set(sides.split()) <= plain.keys():
+            plain[size] = np.concatenate([plain[side].ravel() for side in sides.split()])
     return plain
 
 
@@ -144,6 +157,70 @@ def _ours(contents: Contents) -> Values | None:
         raise InputError(f"{file}: is not a {GEOMETRY_FORMAT} file", hint=hint)
     check_version(file, content.get("version"), VERSION)
     return content
+
+
+def _matlab(contents: Contents) -> Values | None:
+    (file, content), *_ = contents.items()
+    if (found := _group(content, "CameraParameters1")) is None:
+        return None
+    values: Values = {}
+    try:
+        for number, device in ((1, "camera"), (2, "projector")):
+            part = found[f"CameraParameters{number}"]
+            # Older versions store K and R transposed, for points as rows. Pixels count from 1.
+            matrix = part["K"] if "K" in part else np.transpose(part["IntrinsicMatrix"])
+            values[f"{device}_intrinsics"] = np.array(matrix) - [[0, 0, 1], [0, 0, 1], [0, 0, 0]]
+            k1, k2, *k3 = np.ravel(part["RadialDistortion"])
+            values[f"{device}_distortion"] = [k1, k2, *np.ravel(part["TangentialDistortion"]), *k3]
+            values[f"{device}_shape"] = tuple(int(n) for n in np.ravel(part["ImageSize"]))
+        units = str(part.get("WorldUnits") or "")
+        short = {"millimeters": "mm", "centimeters": "cm", "meters": "m"}
+        values["units"] = short.get(units, units) or None
+        if pose := found.get("PoseCamera2"):
+            return values | {"rotation": pose["R"], "translation": pose["Translation"]}
+        turn = np.transpose(found["RotationOfCamera2"])
+        return values | {"rotation": turn, "translation": found["TranslationOfCamera2"]}
+    except (KeyError, TypeError, ValueError) as error:
+        hint = "save them with jsonencode(stereoParams), or toStruct(stereoParams) as .mat"
+        raise InputError(f"{file}: its stereoParameters lack {error}", hint=hint) from error
+
+
+def _group(content: Any, name: str) -> Values | None:
+    """The group that holds a name, in a group of groups."""
+    if not isinstance(content, dict) or name in content:
+        return content if isinstance(content, dict) else None
+    return next((each for value in content.values() if (each := _group(value, name))), None)
+
+
+def _ros(contents: Contents) -> Values | None:
+    """A pair of camera_info: R and P lead from each device's frame to the one that both share."""
+    names = ["cameramatrix k", "distortioncoefficients d", "rectificationmatrix r"]
+    names += ["projectionmatrix p", "imagewidth width", "imageheight height"]
+    devices = []
+    for file, content in contents.items():
+        plain = _plain(content)
+        parts = [plain[each] for name in names for each in name.split() if each in plain]
+        if len(parts) != len(names) or parts[3].size != 12:
+            return None
+        shared = parts[3].reshape(3, 4)
+        if np.linalg.matrix_rank(shared[:, :3]) < 3:
+            raise InputError(
+                f"{file}: is not calibrated: its P has no inverse", hint="calibrate it"
+            )
+        shift = np.linalg.solve(shared[:, :3], shared[:, 3])
+        # The second device of a pair stands beside the origin.
+        order = "proj" in file.name.lower(), float(np.abs(shift).max())
+        devices.append((order, parts, shift))
+    if len(devices) != 2:
+        hint = "put those of camera and projector into a folder, and give the folder"
+        raise InputError(f"{next(iter(contents))}: is the camera_info of one device", hint=hint)
+    (_, one, origin), (_, other, beside) = sorted(devices, key=lambda each: each[0])
+    values: Values = {"rotation": other[2].T @ one[2]}
+    values["translation"] = other[2].T @ (beside - origin)
+    for device, parts in (("camera", one), ("projector", other)):
+        values |= {f"{device}_intrinsics": parts[0], f"{device}_distortion": parts[1]}
+        values[f"{device}_shape"] = int(parts[5].item()), int(parts[4].item())
+    return values
 
 
 def _named(contents: Contents) -> Values | None:
@@ -178,6 +255,8 @@ def _named(contents: Contents) -> Values | None:
 
 READERS: dict[str, Callable[[Contents], Values | None]] = {
     "lightmatrix": _ours,
+    "MATLAB": _matlab,
+    "ROS": _ros,
     "OpenCV and others": _named,
 }
 

@@ -482,8 +482,8 @@ class RigGeometry:
         ----------
         path : str or Path
             A JSON file of `save`; an XML, YAML or JSON file of OpenCV, SLStudio, SLMaster and
-            others, with matrices by the usual names; or a folder with two files, as of OpenCV's
-            stereo sample.
+            others, with matrices by the usual names; MATLAB's stereoParameters as JSON or .mat; or
+            a folder with two files, as of OpenCV's stereo sample, or the camera_info of ROS.
         camera_shape, projector_shape : (rows, cols), optional
             Image sizes, for files that do not state them, or state others.
 

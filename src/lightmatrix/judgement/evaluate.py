@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lightmatrix.errors import InputError
 from lightmatrix.files.colours import COLOURS, colour_paths
@@ -225,7 +224,9 @@ def evaluate_colour(
     red, green, blue = each = [errors_by_rows(*pair, exposure) for pair in pairs]
     energies = np.array([float(row_energies(matrix).sum()) for _, matrix in pairs])
     missed = np.array([errors.relative_error for errors in each]) ** 2 * energies
-    relighting = joint_relighting_error(*zip(*pairs, strict=True))
+    patterns = np.stack(list(unseen_patterns(pairs[0][1].projector_shape).values()))
+    matrices, expected = zip(*pairs, strict=True)
+    relighting = relighting_error(matrices, expected, patterns)
     relative = float(np.sqrt(missed.sum() / energies.sum()))
     return ColourErrors(red, green, blue, relative, relighting)
 
@@ -255,27 +256,6 @@ def _matrices(
     return matrix, known
 
 
-def joint_relighting_error(
-    estimates: Sequence[LightTransport], truths: Sequence[LightTransport]
-) -> float:
-    """Relative L2 error of linear, unclipped images by matrices whose light adds up.
-
-    It is averaged over unseen patterns. For one matrix it is `relighting_error` under them.
-    """
-    patterns = np.stack(list(unseen_patterns(truths[0].projector_shape).values()))
-    # Each primary shows a different pattern, so that the images have all colours.
-    of_primaries = [np.roll(patterns, k, axis=0) for k in range(len(truths))]
-
-    def images(matrices: Sequence[LightTransport]) -> NDArray[np.float64]:
-        pairs = zip(matrices, of_primaries, strict=True)
-        light = sum(matrix.relight(shown).astype(np.float64) for matrix, shown in pairs)
-        return np.reshape(light, (len(patterns), -1))
-
-    predicted, expected = images(estimates), images(truths)
-    off = np.linalg.norm(predicted - expected, axis=1) / np.linalg.norm(expected, axis=1)
-    return float(off.mean())
-
-
 def errors_by_rows(estimate: LightTransport, truth: LightTransport, exposure: float) -> Errors:
     """The metrics over all rows, over rows without a clipped single response, and diffuse rows."""
     check_number("an exposure", exposure, above=True, hint="use a number above 0, such as 1")
@@ -283,7 +263,7 @@ def errors_by_rows(estimate: LightTransport, truth: LightTransport, exposure: fl
     result = {
         "exposure": float(exposure),
         "relative_error": relative_error(estimate, truth),
-        "relighting_error": relighting_error(estimate, truth, patterns),
+        "relighting_error": relighting_error([estimate], [truth], patterns),
         "response_rmse": response_rmse(estimate, truth, clip_level=1 / exposure),
     }
     groups = {
@@ -297,7 +277,7 @@ def errors_by_rows(estimate: LightTransport, truth: LightTransport, exposure: fl
         if len(rows):
             errors = (
                 relative_error(estimate, truth, rows),
-                relighting_error(estimate, truth, patterns, rows),
+                relighting_error([estimate], [truth], patterns, rows),
             )
         result[f"relative_error_{name}"], result[f"relighting_error_{name}"] = errors
     return Errors(**result)

@@ -221,9 +221,8 @@ class Shape:
         epipolar lines, on which exact places would lie.
     probability : (rows, cols) float32
         How probably the point lies within the tolerated error, 1 % of the distance by default, of a
-        surface; 0 where no light lies on the line. A logistic regression on known scenes: on the
-        distance from the line, the share of the light, the stated error, the width of the spot, and
-        how the depth continues in the neighbours.
+        surface; 0 where no light lies on the line. It comes from the distance from the line, the
+        width of the spot, the row's stated error, and how the depth continues in the neighbours.
     test : (rows, cols) uint8
         Which test a pixel failed first, see `ShapeTest`; 0 where the point was kept.
     place : (rows, cols, 2) float32
@@ -258,6 +257,16 @@ class Shape:
         """The normals in the camera's frame: to the right, down, forwards; (rows, cols, 3)."""
         turn = decomposed(self.geometry.camera_matrix)[1]
         return np.asarray(self.normals @ turn.T, np.float32)
+
+    @property
+    def depth_map(self) -> Map:
+        """The depth as a picture."""
+        return depth_map(self.depth, self.geometry.units)
+
+    @property
+    def probability_map(self) -> Map:
+        """The probability as a picture."""
+        return Map("How probably the depth is right", "", self.probability.astype(float), 0, 1)
 
     def summary(self) -> dict[str, Any]:
         """Number of points, their median depth and uncertainty, and pixels by `ShapeTest`."""
@@ -309,10 +318,9 @@ class Shape:
         """A Matplotlib figure: maps of depth, normals, probability and failed tests."""
         with figure(14.5, 3.4) as drawing:
             depths, directions, certain, tests = drawing.subplots(1, 4)
-            draw_into(drawing, depths, depth_map(self.depth, self.geometry.units))
+            draw_into(drawing, depths, self.depth_map)
             panel(directions, normal_colours(self.camera_normals), _NORMALS)
-            title = "How probably the depth is right"
-            draw_into(drawing, certain, Map(title, "", self.probability, 0, 1))
+            draw_into(drawing, certain, self.probability_map)
             count = len(ShapeTest)
             # Colours of kept pixels and of the tests that others failed.
             colours = ListedColormap(("#f2f2f2", "#404040", *COLOURS[:3]))
