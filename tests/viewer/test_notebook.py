@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 import subprocess
 import sys
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -79,7 +80,9 @@ def test_brush_row_column_and_layers(page_bytes: int, browser: Browser) -> None:
         assert_relit()
         # The kernel learns what was painted, and the page what is assigned.
         painted = running.pattern(page, transport)
-        page.wait_for_timeout(500)
+        end = time.monotonic() + running.PATIENCE_MS / 1000
+        while (widget.pattern != painted).any() and time.monotonic() < end:
+            page.wait_for_timeout(20)
         np.testing.assert_array_equal(widget.pattern, painted)
         np.testing.assert_allclose(widget.photograph, transport.relight(painted))
         widget.pattern = np.eye(16, 18)

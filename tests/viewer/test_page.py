@@ -231,8 +231,7 @@ def test_layers(name: str, page: Page, transport: lm.LightTransport) -> None:
     }[name]
     np.testing.assert_allclose(values, expected.ravel(), rtol=1e-6)
     # The address shows the same layer again.
-    page.wait_for_timeout(400)
-    assert f"{side}={name}" in page.url
+    wait_for(page, f"location.hash.includes('{side}={name}')")
     page.reload()
     page.locator(".stage").first.wait_for()
     wait_for(page, f"{VIEWER}?.panes.{side}.select.value === '{name}'")
@@ -280,7 +279,8 @@ def test_zoom_and_pan_are_joined_and_kept_in_the_address(page: Page) -> None:
     settle(page)
     assert spot(page, "camera", 6, 5) != (x, y)
     view = page.evaluate(f"{VIEWER}.view")
-    page.wait_for_timeout(400)
+    kept = "Math.abs(new URLSearchParams(location.hash.slice(1)).get"
+    wait_for(page, " && ".join(f"{kept}('{key}') - {view[key]}) < 0.01" for key in "xy"))
     page.reload()
     page.locator(".stage").first.wait_for()
     again = page.evaluate(f"{VIEWER}.view")
