@@ -141,7 +141,7 @@ def run(
     unseen = np.stack(list(unseen_patterns(size).values()))
     return {
         "relative_error": round(relative_error(estimate, expected), 4),
-        "relighting_error": round(relighting_error(estimate, expected, unseen), 4),
+        "relighting_error": round(relighting_error([estimate], [expected], unseen), 4),
         "clipped_share": round(share, 4),
         "seconds": round(seconds, 1),
     }

@@ -119,7 +119,7 @@ def _mirrored(
         Part(Mesh(part.mesh.vertices @ flip.T + shift, part.mesh.faces), part.material)
         for part in (built.parts[0], *built.parts[2:])
     ]
-    depth = trace_surface(replace(built, parts=tuple(images)), rig).depth.ravel()
+    depth = trace_surface(replace(built, parts=tuple(images)), rig)[0].ravel()
     rays = rig.camera_rays(camera_pixels(rig.camera_shape)[:, ::-1])
     seen = (rig.camera_centre + depth[:, None] * rays) @ flip.T + shift
     place = rig.project_projector(seen)[:, ::-1]
@@ -136,7 +136,7 @@ def _within(built: Scene, rig: RigGeometry, side: int) -> Array:
     rows, cols = rig.camera_shape
     matrix = binned_matrix(rig.camera_matrix, (1 / side, 1 / side))
     finer = replace(rig, camera_matrix=matrix, camera_shape=(rows * side, cols * side))
-    blocks = trace_surface(built, finer).depth.reshape(rows, side, cols, side).swapaxes(1, 2)
+    blocks = trace_surface(built, finer)[0].reshape(rows, side, cols, side).swapaxes(1, 2)
     return blocks.reshape(rows * cols, -1)
 
 

@@ -146,7 +146,7 @@ class MeasuredScene:
             return float(np.sqrt(wrong[rows].sum() / energy)) if energy else float("nan")
 
         def relit(patterns: NDArray[Any], rows: NDArray[np.bool_]) -> float:
-            return relighting_error(estimate, self.known, patterns, np.flatnonzero(rows))
+            return relighting_error([estimate], [self.known], patterns, np.flatnonzero(rows))
 
         every = np.ones(len(wrong), bool)
         return {

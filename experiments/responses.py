@@ -20,7 +20,7 @@ from lightmatrix.capture.found_response import (
 )
 from lightmatrix.errors import InputError
 from lightmatrix.estimators.estimate import estimate
-from lightmatrix.estimators.unknown_response import find_projector_response, find_response
+from lightmatrix.estimators.unknown_response import find_response
 from lightmatrix.judgement.metrics import relative_error
 from lightmatrix.patterns.bits import BernoulliPatterns
 from lightmatrix.patterns.pattern_set import ImagePatterns, PatternSet
@@ -142,10 +142,8 @@ def measure(case: Case) -> Measured:
     response = camera_of(case.response)
     capture, patterns = photographed(truth, case.patterns, exposure, response, case.projector)
     try:
-        if case.projector:
-            found = find_projector_response(capture, camera=True)
-        else:
-            found = find_response(capture)
+        unknown = with_response(capture, Response.parse("auto"))
+        found = find_response(unknown, projector=bool(case.projector))
     except InputError:
         # The photographs do not determine a curve, which `estimate` would refuse alike.
         found = FoundResponse(Response(), np.nan, np.nan, np.nan, 0)

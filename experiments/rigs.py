@@ -25,9 +25,8 @@ from lightmatrix.errors import InputError
 from lightmatrix.estimators.colour import estimate_colour
 from lightmatrix.estimators.estimate import estimate
 from lightmatrix.files.colours import COLOURS as PRIMARIES
-from lightmatrix.judgement.evaluate import joint_relighting_error
 from lightmatrix.judgement.judgement import OwnError
-from lightmatrix.judgement.metrics import squared_errors
+from lightmatrix.judgement.metrics import relighting_error, squared_errors, unseen_patterns
 from lightmatrix.patterns.bits import BernoulliPatterns
 from lightmatrix.patterns.colour import ColourPatterns, colour_bernoulli
 from lightmatrix.pictures.style import COLOURS, figure, fix_ticks, save
@@ -231,12 +230,13 @@ def measure(case: Case) -> Measured:
     pairs = zip(matrices, known, strict=True)
     # The light of the primaries adds up, so a row has the squared errors of all matrices.
     wrong, total = np.sum([squared_errors(*pair) for pair in pairs], axis=0)
+    patterns = np.stack(list(unseen_patterns(known[0].projector_shape).values()))
     # The matrices of a colour projector state the errors of one geometry.
     first = matrices[0]
     row = {
         **asdict(case),
         "relative_error": float(np.sqrt(wrong.sum() / total.sum())),
-        "relighting_error": joint_relighting_error(matrices, known),
+        "relighting_error": relighting_error(matrices, known, patterns),
         "estimated_error": OwnError(first).estimated,
         "footprint": float(np.median(first.diagnostics["footprint"])),
         "seconds": seconds,

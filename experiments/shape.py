@@ -169,7 +169,7 @@ def depths_within(truth: Truth, side: int) -> NDArray[np.float64]:
         camera_matrix=binned_matrix(geometry.camera_matrix, (1 / side, 1 / side)),
         camera_shape=(rows * side, cols * side),
     )
-    fine = trace_surface(scenes.scene(str(truth.metadata["scene"])), finer).depth
+    fine = trace_surface(scenes.scene(str(truth.metadata["scene"])), finer)[0]
     return fine.reshape(rows, side, cols, side).swapaxes(1, 2).reshape(rows, cols, side * side)
 
 

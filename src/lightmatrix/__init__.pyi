@@ -61,7 +61,6 @@ from .estimators.colour import estimate_colour as estimate_colour
 from .estimators.resource_estimate import estimate_resources as estimate_resources
 from .estimators.settings import EstimateSettings as EstimateSettings
 from .estimators.tracking import Tracker as Tracker
-from .estimators.unknown_response import find_projector_response as find_projector_response
 from .estimators.unknown_response import find_response as find_response
 from .solvers import (
     ADMM as ADMM,

@@ -119,7 +119,7 @@ def demo(
                     "method": name,
                     "rmse": response_rmse(one, known, clip_level=1 / exposure, step=2, offset=1),
                     "relative_error": relative_error(one, known),
-                    "relighting_error": relighting_error(one, known, shown),
+                    "relighting_error": relighting_error([one], [known], shown),
                 }
                 for name, one in estimates.items()
             ],

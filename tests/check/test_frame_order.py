@@ -15,8 +15,7 @@ import lightmatrix as lm
 from benchmarks.synthetic_captures import draw
 from lightmatrix.capture.capture import Capture
 from lightmatrix.capture.sensor import Sensor
-from lightmatrix.check.all_checks import check_capture
-from lightmatrix.check.frame_order import check_counts, missing_places
+from lightmatrix.check.all_checks import check_capture, check_counts, missing_places
 from lightmatrix.check.refusals import refuse_unordered, refuse_unusable
 from lightmatrix.check.survey import Survey
 from lightmatrix.errors import InputError
@@ -112,8 +111,8 @@ def test_a_missing_frame_shifts_those_after_it(first: int) -> None:
 @pytest.mark.parametrize(
     ("order", "words"),
     [
-        (np.roll(np.arange(48), -1), "each image shows the pattern after its own"),
-        (np.roll(np.arange(48), 1), "each image shows the pattern before its own"),
+        (np.roll(np.arange(48), -1), "each photograph shows the pattern after its own"),
+        (np.roll(np.arange(48), 1), "each photograph shows the pattern before its own"),
         (np.insert(np.delete(np.arange(48), 30), 30, 29), "frame 30 shows the pattern of frame 29"),
     ],
 )
@@ -132,9 +131,9 @@ def lost(count: int, place: int) -> NDArray[np.int64]:
     [
         (True, np.arange(48), None),
         (True, lost(48, 22), "from frame 2[123] to .* after its own"),
-        (True, np.append(0, np.arange(47)), "each image shows the pattern before its own"),
+        (True, np.append(0, np.arange(47)), "each photograph shows the pattern before its own"),
         (False, lost(48, 22), "from frame 2[123] to .* after its own"),
-        (False, np.append(np.arange(1, 48), 47), "each image shows the pattern after its own"),
+        (False, np.append(np.arange(1, 48), 47), "each photograph shows the pattern after its own"),
     ],
 )
 def test_displaced_frames_of_several_exposures_are_noticed(
@@ -181,7 +180,7 @@ def test_nothing_is_named_from_too_little() -> None:
     assert missing_places(survey(5, count=12)) == ()
     few = survey(13)
     lit = np.flatnonzero(few.valid & few.inner)
-    for left, named in ((23, ()), (40, (13,))):
+    for left, named in ((23, ()), (80, (13,))):
         valid = np.zeros_like(few.valid)
         valid[lit[:: len(lit) // left][:left]] = True
         assert missing_places(replace(few, valid=valid)) == named

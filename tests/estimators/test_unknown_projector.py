@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import lightmatrix as lm
-from lightmatrix.capture.found_response import FoundResponse
+from lightmatrix.capture.found_response import FoundResponse, with_response
 from lightmatrix.cli import main
 from lightmatrix.patterns.folder import write_patterns
 from tests.helpers.surface import PROJECTOR, photographs
@@ -29,7 +29,7 @@ def capture(camera: float, projector: float) -> lm.Capture:
 
 @pytest.mark.parametrize("gamma", [0.8, 2.2])
 def test_the_gamma_of_the_projector_is_found_with_a_known_camera(gamma: float) -> None:
-    found = lm.find_projector_response(capture(1.0, gamma))
+    found = lm.find_response(capture(1.0, gamma), projector=True)
     assert found.projector is not None
     assert found.projector.gamma == pytest.approx(gamma, rel=0.01)
     assert found.response.name == "linear"
@@ -37,7 +37,8 @@ def test_the_gamma_of_the_projector_is_found_with_a_known_camera(gamma: float) -
 
 
 def test_both_gammas_are_found_at_once() -> None:
-    found = lm.find_projector_response(capture(2.2, 1.4), camera=True)
+    taken = with_response(capture(2.2, 1.4), lm.Response.parse("auto"))
+    found = lm.find_response(taken, projector=True)
     assert found.projector is not None
     assert found.gamma == pytest.approx(2.2, rel=0.02)
     assert found.projector.gamma == pytest.approx(1.4, rel=0.02)
@@ -70,7 +71,7 @@ def test_black_and_white_patterns_need_no_curve() -> None:
     frames = photographs(patterns)
     taken = lm.Capture.from_arrays(patterns, frames, lm.Decoder(clip=255, full_scale=255))
     with pytest.raises(lm.InputError, match="need no curve"):
-        lm.find_projector_response(taken)
+        lm.find_response(taken, projector=True)
 
 
 def test_pictures_and_binned_grey_values_are_refused() -> None:
@@ -79,9 +80,9 @@ def test_pictures_and_binned_grey_values_are_refused() -> None:
     ramps -= ramps.min(axis=2, keepdims=True)
     pictures = lm.ImagePatterns(ramps / ramps.max(axis=2, keepdims=True))
     with pytest.raises(lm.InputError, match="quotient"):
-        lm.find_projector_response(lm.Capture(pictures, taken.frames, taken.decoder))
+        lm.find_response(lm.Capture(pictures, taken.frames, taken.decoder), projector=True)
     with pytest.raises(lm.InputError, match="averaged"):
-        lm.find_projector_response(taken.bin(projector=2))
+        lm.find_response(taken.bin(projector=2), projector=True)
 
 
 def write_folder(folder: Path, taken: lm.Capture, **described: str) -> None:
@@ -139,7 +140,7 @@ def test_grey_values_are_packed_before_or_after_their_light_is_found(tmp_path: P
     opened = lm.Capture.open(tmp_path / "unknown")
     assert opened.projector_unknown
     assert opened.digest == lm.Capture.open(tmp_path / "c").digest
-    found = lm.find_projector_response(tmp_path / "c").applied_to(lm.Capture.open(tmp_path / "c"))
+    found = lm.find_response(tmp_path / "c").applied_to(lm.Capture.open(tmp_path / "c"))
     lm.pack(found, tmp_path / "known")
     opened = lm.Capture.open(tmp_path / "known")
     assert not opened.projector_unknown

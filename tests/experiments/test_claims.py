@@ -94,9 +94,7 @@ def test_gammas_of_camera_and_projector_are_found() -> None:
     as_linear = lm.estimate(capture, response="linear", check=False)
     assert relative_error(as_linear, truth.transport()) > 5 * straight
     case = replace(case, rig="both of gamma 2.2, found")
-    found = lm.find_projector_response(
-        rig_capture(case, rig_truth(case.scene, case.rig, SIDE)), camera=True
-    )
+    found = lm.find_response(rig_capture(case, rig_truth(case.scene, case.rig, SIDE)))
     assert found.projector is not None
     assert (found.gamma, found.projector.gamma) == pytest.approx((2.2, 2.2), rel=0.03)
 

@@ -196,7 +196,6 @@ def test_tags_change_no_levels(tmp_path: Path, chunks: dict[str, bytes]) -> None
     [
         ("sRGB", b"\0", "tagged sRGB"),
         ("iCCP", b"display\0\0", "tagged with a colour profile"),
-        ("cICP", bytes(4), "tagged with a video colour space"),
         ("gAMA", struct.pack(">I", 45455), "tagged with gamma 2.2"),
         ("gAMA", struct.pack(">I", 100000), None),
         ("tEXt", b"Comment\0sRGB", None),

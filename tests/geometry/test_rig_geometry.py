@@ -16,6 +16,7 @@ from scipy.io import savemat
 from scipy.spatial.transform import Rotation
 
 import lightmatrix as lm
+from lightmatrix.geometry.rig_geometry import load_rig
 
 LENS = np.array([-0.21, 0.08, 0.002, -0.003, 0.01])
 
@@ -319,6 +320,147 @@ def test_files_of_other_programs_are_read(tmp_path: Path, program: str, sizes: i
     assert read.rms == ({"stereo": 0.25} if program == "kamino.xml" else {})
 
 
+# Excerpts of what the programs themselves wrote, from public repositories: the example of SLStudio,
+# scan3d-capture under Windows, and a stereo pair of ROS's calibrator.
+REAL = {
+    "slstudio.xml": """<?xml version="1.0"?>
+<opencv_storage>
+<Kc type_id="opencv-matrix"><rows>3</rows><cols>3</cols><dt>f</dt><data>
+    2.19512036e+03 0. 8.43500000e+02 0. 2.19512036e+03 6.75500000e+02 0. 0. 1.</data></Kc>
+<kc type_id="opencv-matrix"><rows>5</rows><cols>1</cols><dt>f</dt><data>
+    -5.80352657e-02 0. 0. 0. 0.</data></kc>
+<Kp type_id="opencv-matrix"><rows>3</rows><cols>3</cols><dt>f</dt><data>
+    2.60152563e+03 0. 8.66541504e+02 0. 2.60152563e+03 1.10911121e+03 0. 0. 1.</data></Kp>
+<kp type_id="opencv-matrix"><rows>5</rows><cols>1</cols><dt>f</dt><data>
+    -3.14900056e-02 0. 0. 0. 0.</data></kp>
+<Rp type_id="opencv-matrix"><rows>3</rows><cols>3</cols><dt>f</dt><data>
+    9.64402318e-01 -1.20346159e-01 2.35467508e-01 1.53437316e-01 9.79882836e-01
+    -1.27619177e-01 -2.15372086e-01 1.59205735e-01 9.63466883e-01</data></Rp>
+<Tp type_id="opencv-matrix"><rows>3</rows><cols>1</cols><dt>f</dt><data>
+    -1.45282562e+02 -3.64983406e+01 6.79231644e+01</data></Tp>
+<stereo_error>4.2199749739974501e-01</stereo_error>
+<frameWidth>1688</frameWidth><frameHeight>1352</frameHeight>
+<screenResX>1824</screenResX><screenResY>1140</screenResY>
+</opencv_storage>
+""",
+    "scan3d.yml": """%YAML:1.0
+cam_K: !!opencv-matrix
+   rows: 3
+   cols: 3
+   dt: d
+   data: [ 3.6838333907732294e+003, 0., 1.2500944196559094e+003, 0.,
+       3.6974474889257835e+003, 1.0122781917607587e+003, 0., 0., 1. ]
+cam_kc: !!opencv-matrix
+   rows: 1
+   cols: 5
+   dt: d
+   data: [ -5.1558942293476151e-001, 7.9382621058611061e-002,
+       1.9059474312756614e-004, 3.5905157827651230e-003, 0. ]
+proj_K: !!opencv-matrix
+   rows: 3
+   cols: 3
+   dt: d
+   data: [ 2.8013622132143819e+003, 0., 5.3714564964254430e+002, 0.,
+       2.7957271561105604e+003, 8.1512682665321393e+002, 0., 0., 1. ]
+R: !!opencv-matrix
+   rows: 3
+   cols: 3
+   dt: d
+   data: [ 9.8097166816623960e-001, 1.9129352460664582e-002,
+       -1.9320624764634459e-001, 3.8199208382748290e-003,
+       9.9303996753376567e-001, 1.1771589138823595e-001,
+       1.9411335466663360e-001, -1.1621398691626285e-001,
+       9.7407100089525933e-001 ]
+T: !!opencv-matrix
+   rows: 3
+   cols: 1
+   dt: d
+   data: [ 1.7194845987298550e+001, -1.2098438607071827e+001,
+       -6.8266691762771616e+000 ]
+stereo_error: 4.7143570184252465e-001
+""",
+    "ros/left.yaml": """image_width: 1312
+image_height: 541
+camera_name: narrow_stereo/left
+camera_matrix:
+  rows: 3
+  cols: 3
+  data: [853.415831, 0.0, 641.228450, 0.0, 852.608357, 167.569232, 0.0, 0.0, 1.000000]
+distortion_model: plumb_bob
+distortion_coefficients:
+  rows: 1
+  cols: 5
+  data: [-0.251963, 0.096396, -0.002254, -0.001636, 0.000000]
+rectification_matrix:
+  rows: 3
+  cols: 3
+  data: [0.999479, -0.000960, 0.032258, 0.000688, 0.999964, 0.008463, -0.032265,
+    -0.008436, 0.999444]
+projection_matrix:
+  rows: 3
+  cols: 4
+  data: [834.752703, 0.0, 612.806038, 0.0, 0.0, 834.752703, 158.305822, 0.0, 0.0, 0.0, 1.0, 0.0]
+""",
+    "ros/right.yaml": """image_width: 1312
+image_height: 541
+camera_name: narrow_stereo/right
+camera_matrix:
+  rows: 3
+  cols: 3
+  data: [851.257609, 0.0, 637.135422, 0.0, 851.168364, 154.698218, 0.0, 0.0, 1.000000]
+distortion_model: plumb_bob
+distortion_coefficients:
+  rows: 1
+  cols: 5
+  data: [-0.239563, 0.084455, -0.002111, -0.000161, 0.000000]
+rectification_matrix:
+  rows: 3
+  cols: 3
+  data: [0.999997, -0.001336, 0.002140, 0.001354, 0.999963, -0.008449, -0.002129,
+    0.008452, 0.999962]
+projection_matrix:
+  rows: 3
+  cols: 4
+  data: [834.752703, 0.0, 612.806038, -190.372340, 0.0, 834.752703, 158.305822, 0.0,
+    0.0, 0.0, 1.0, 0.0]
+""",
+}
+
+
+@pytest.mark.parametrize(
+    ("name", "sizes", "focal", "principal", "distortion", "baseline"),
+    [
+        # SLStudio states the sizes of both images; scan3d-capture none, so they are those of T.
+        ("slstudio.xml", ((1352, 1688), (1140, 1824)), 2601.5256, 1109.1112, -0.0314900, 164.477),
+        ("scan3d.yml", ((1536, 2048), (1080, 1920)), 2801.3622, 815.12683, 0, 22.10517),
+        # The translation is the shift of the second projection matrix over its focal length.
+        (
+            "ros",
+            ((541, 1312), (541, 1312)),
+            851.257609,
+            154.698218,
+            -0.239563,
+            190.37234 / 834.7527,
+        ),
+    ],
+)
+def test_real_files_of_other_programs_are_read(
+    tmp_path: Path, name: str, sizes: tuple[tuple[int, int], tuple[int, int]], focal: float,
+    principal: float, distortion: float, baseline: float,
+) -> None:  # fmt: skip
+    (tmp_path / "ros").mkdir()
+    for file, text in REAL.items():
+        (tmp_path / file).write_text(text)
+    read = load_rig(tmp_path / name, usual=((1536, 2048), (1080, 1920)))
+    assert (read.camera_shape, read.projector_shape) == sizes
+    known = read.projector_intrinsics
+    np.testing.assert_allclose([known[0, 0], known[1, 2]], (focal, principal), rtol=1e-5)
+    assert read.projector_distortion[0] == pytest.approx(distortion)
+    assert read.baseline == pytest.approx(baseline, rel=1e-4)
+    # The projector stands to the right in all but scan3d-capture's.
+    assert (read.translation[0] < 0) == (name != "scan3d.yml")
+
+
 def test_one_file_of_two_and_other_saves_of_matlab_are_explained(tmp_path: Path) -> None:
     write_calibration(tmp_path, "stereo", rig())
     write_calibration(tmp_path, "ros", rig())
@@ -357,38 +499,6 @@ def test_opencv_reads_what_is_written(tmp_path: Path, ending: str) -> None:
     geometry.save(file, overwrite=True)
     with pytest.raises(lm.OutputError, match="cannot state a mirrored projector"):
         replace(geometry, projector_mirrored=True).save(file, overwrite=True)
-
-
-def test_a_colmap_model_has_the_same_projections(tmp_path: Path) -> None:
-    cv2: Any = pytest.importorskip("cv2")
-    geometry = rig(2)
-    geometry.save(tmp_path / "rig.colmap")
-    lines = {
-        name: (tmp_path / "rig.colmap" / f"{name}.txt").read_text().splitlines()[1:]
-        for name in ("cameras", "images", "points3D")
-    }
-    # The second line of an image holds its points.
-    assert (lines["points3D"], lines["images"][1::2]) == ([], ["", ""])
-    points = points_before(geometry, 2)
-    expected = geometry.project_camera(points), geometry.project_projector(points)
-    for camera, image, pixels in zip(lines["cameras"], lines["images"][::2], expected, strict=True):
-        number, model, width, _, *numbers = camera.split()
-        fx, fy, cx, cy, *lens = map(float, numbers)
-        _, *pose, owner, _ = image.split()
-        w, x, y, z, *shift = map(float, pose)
-        assert (model, owner) == ("FULL_OPENCV", number)
-        assert int(width) == (640 if number == "1" else 800)
-        turn = Rotation.from_quat([x, y, z, w]).as_rotvec()
-        matrix = np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]])
-        shown = cv2.projectPoints(points, turn, np.array(shift), matrix, np.array(lens))[0][:, 0]
-        # COLMAP counts pixels from the corner of the first one.
-        np.testing.assert_allclose(shown - 0.5, pixels, atol=1e-6)
-    skewed = lm.RigGeometry(
-        np.array([[900.0, 5, 300, 0], [0, 900, 200, 0], [0, 0, 1, 0]]),
-        geometry.projector_matrix, (480, 640), (600, 800),
-    )  # fmt: skip
-    with pytest.raises(lm.OutputError, match="cannot state skewed pixels"):
-        skewed.save(tmp_path / "other.colmap")
 
 
 def stored(**changes: object) -> str:

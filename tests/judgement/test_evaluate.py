@@ -56,7 +56,7 @@ def test_errors_follow_their_definitions(pair: tuple[LightTransport, LightTransp
     expected = np.mean(
         np.linalg.norm(flat @ (a - b).T, axis=1) / np.linalg.norm(flat @ b.T, axis=1)
     )
-    assert relighting_error(estimate, truth, patterns) == pytest.approx(expected, rel=1e-4)
+    assert relighting_error([estimate], [truth], patterns) == pytest.approx(expected, rel=1e-4)
     assert relative_error(truth, truth) == 0
 
 

@@ -89,7 +89,7 @@ def test_photographs_that_clip_do_not_test_linear_images(damage: str, level: str
     case = draw("wall", "random", damage, 16, 5)
     estimate = lm.estimate(case.capture, check=False)
     images = np.random.default_rng(0).integers(0, 2, (4, 16, 16)).astype(np.float32)
-    wrong = relighting_error(estimate, case.truth, images)
+    wrong = relighting_error([estimate], [case.truth], images)
     judged = verdicts(estimate).relighting
     assert judged.level == level
     assert judged.error is not None

@@ -20,7 +20,7 @@ from lightmatrix.pictures import maps
 from lightmatrix.simulation.truth import binned
 from lightmatrix.transport import store as stores
 from lightmatrix.viewer import lights, packed, session
-from lightmatrix.viewer.layers import LAYERS, LayerSource
+from lightmatrix.viewer.layers import LayerSource
 from lightmatrix.viewer.lights import CoarseLight
 from lightmatrix.viewer.scene import Scene
 from lightmatrix.viewer.session import Kind, MessageError
@@ -255,7 +255,7 @@ def test_layers_are_those_of_a_matrix_in_memory(scene: Scene, transport: lm.Ligh
     for name in ("pixel", "place", "confidence"):
         one, other = (getattr(s.correspondence, name) for s in (here, whole))
         np.testing.assert_allclose(one, other, rtol=1e-5)
-    assert LAYERS["clipping"].make(here) == LAYERS["clipping"].make(whole)
+    assert here.get("clipping") == whole.get("clipping")
     assert maps.has_diagnostic(here.facts, "estimated_error")
 
 
@@ -386,10 +386,26 @@ def test_depth_where_the_geometry_is_known(tmp_path: Path) -> None:
     expected = lm.triangulate(known, truth.geometry).depth
     np.testing.assert_array_equal(values, expected.ravel())
     assert header["low"] < np.nanmedian(values) < header["high"]
-    # A matrix on disk gives it by its correspondence.
-    _, values = unpack_floats(
-        Scene(known, page_bytes=0, geometry=truth.geometry).layers.get("depth")
-    )
+    # Both surfaces, in the colours of one scale, what mirrors show, and how certain the depth is.
+    found = lm.layers(known, truth.geometry)
+    assert np.isfinite(found.depth[..., 1]).any()
+    assert found.mirrored.any()
+    whole = Scene(known, geometry=truth.geometry).layers
+    scales = set()
+    for name, expected_map in {
+        "first": found.depth[..., 0],
+        "behind": found.depth[..., 1],
+        "mirrors": np.where(found.mirrored, found.light, 0).sum(axis=-1),
+        "probability": lm.triangulate(known, truth.geometry).probability,
+    }.items():
+        header, values = unpack_floats(whole.get(name))
+        np.testing.assert_array_equal(values, expected_map.ravel())
+        scales.add((header.get("low"), header.get("high")))
+    assert len(scales) == 3
+    # A matrix on disk gives depth by its correspondence, which knows one surface.
+    stored = Scene(known, page_bytes=0, geometry=truth.geometry).layers
+    assert "behind" not in stored.available
+    _, values = unpack_floats(stored.get("depth"))
     both = np.isfinite(values) & np.isfinite(expected.ravel())
     assert both.mean() > 0.3
     relative = values[both] / expected.ravel()[both] - 1

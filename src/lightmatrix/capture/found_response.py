@@ -96,7 +96,7 @@ class FoundResponse:
     estimates : int
         How many times T was estimated to find it.
     projector : ProjectorResponse, optional
-        The projector's response, if it was found too by `find_projector_response`.
+        The projector's response, if it was looked for.
     projector_uncertainty : float
         Uncertainty of its gamma.
     """

@@ -7,6 +7,7 @@ rig did in the course of the capture.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -16,15 +17,8 @@ from lightmatrix.capture.capture import Capture, Crop
 from lightmatrix.capture.folder import check_depth, read_capture, read_folders
 from lightmatrix.capture.frames import CaptureParts
 from lightmatrix.capture.settings import ReadSettings
-from lightmatrix.check.code_order import CodeLattice, check_code_order
-from lightmatrix.check.finding import Finding, order_findings
-from lightmatrix.check.frame_order import (
-    check_counts,
-    check_run,
-    misses_of_each,
-    shown_instead,
-    suspected_frames,
-)
+from lightmatrix.check.code_order import CodeLattice, check_code_order, missing_of_code
+from lightmatrix.check.finding import Finding
 from lightmatrix.check.inverse_pairs import check_pairs, find_pairs
 from lightmatrix.check.levels import (
     check_clip_level,
@@ -35,7 +29,7 @@ from lightmatrix.check.levels import (
 )
 from lightmatrix.check.motion import check_motion
 from lightmatrix.check.prediction import predict
-from lightmatrix.check.relation import check_relation, check_unseen
+from lightmatrix.check.relation import Relation, check_relation, check_unseen
 from lightmatrix.check.survey import Survey, high_variance_rows
 from lightmatrix.check.wrong_frames import LIKELY, SUSPECT, check_frames, wrong_frames
 from lightmatrix.errors import InputError
@@ -109,6 +103,52 @@ def _check_uncounted(parts: CaptureParts) -> list[Finding]:
     return [counts, *check_distinguishable(parts.patterns)]
 
 
+def check_counts(survey: Survey | None, patterns: int, images: Sequence[Path]) -> Finding:
+    """State that the numbers differ, and, with a survey of all, which photograph is missing."""
+    count = len(images)
+    message = f"{patterns} patterns, but {count} photographs"
+    frames = missing_places(survey) if survey is not None and count == patterns - 1 else ()
+    if frames:
+        which = " or ".join(map(str, frames))
+        message += f": that of pattern {which} (counted from 0) is missing"
+        if len(frames) == 1 and frames[0] < count:
+            message += f", before {images[frames[0]].name}"
+    digits = ["".join(c for c in path.stem if c.isdecimal() and c.isascii()) for path in images]
+    if digits and all(digits) and not frames:
+        numbers = {int(each) for each in digits}
+        absent = sorted(set(range(min(numbers), max(numbers) + 1)) - numbers)
+        # Names count in steps, and have no gaps, if they leave out more than a quarter.
+        if absent and 4 * len(absent) <= count:
+            message += f"; their names leave out number {', '.join(map(str, absent[:5]))}"
+    advice = (
+        "take it again, or leave the pattern out too"
+        if count < patterns
+        else "remove what is no photograph of a pattern: a test shot, a frame taken twice, the "
+        "black frame?"
+    )
+    return Finding("counts", frames, message, advice)
+
+
+def missing_places(survey: Survey) -> tuple[int, ...]:
+    """Which of K patterns may have no frame among K - 1 frames; empty if unknown."""
+    patterns, count = survey.patterns, survey.count
+    lattice = CodeLattice.of(survey)
+    if lattice is not None:
+        return missing_of_code(lattice)
+    # Frames after the missing one show the pattern after that of their number.
+    first = replace(survey, patterns=patterns.subset(np.arange(count)))
+    place = size = 0
+    while place == size < count:
+        relation = Relation.of(first, size)
+        if count < 16 or relation is None:
+            return ()
+        excess, place, step = relation.displaced(0)
+        size = relation.first + len(relation.frames)
+        if excess < 6 or step < 0:
+            return ()
+    return (place,)
+
+
 def _unread(parts: CaptureParts) -> list[Finding]:
     """A finding for each reason why some frames cannot be read or do not fit the first."""
     problems: dict[str, tuple[list[int], InputError]] = {}
@@ -167,25 +207,15 @@ def _check_surveyed(survey: Survey, capture: Capture) -> list[Finding]:
         return of_light() + displaced
 
     pairs = find_pairs(survey.patterns)
-    # The longest first; each of them keeps about one core busy.
-    run, findings, unrelated = side_by_side(
-        [
-            lambda: [] if lattice else check_run(survey, rows, names.__getitem__),
-            of_light,
-            lambda: check_relation(survey),
-        ]
+    # Each of them keeps about one core busy.
+    findings, unrelated = side_by_side(
+        [of_light, lambda: check_relation(survey, names.__getitem__)]
     )
-    if run:
-        return findings + run
     if len(pairs):
-        disorder = None if lattice is None else displaced
-        of_frames = _check_by_pairs(survey, rows, names, pairs, disorder, unrelated)
+        of_frames = unrelated or _check_by_pairs(survey, rows, names, pairs, displaced)
         displaced = []
     else:
-        # No prediction tells frames of stripes apart.
-        striped = lattice is not None
-        suspects = np.zeros(survey.count, bool) if striped else suspected_frames(survey, rows)
-        of_frames = _check_by_prediction(survey, rows, names, suspects, unrelated)
+        of_frames = _check_by_prediction(survey, rows, names, unrelated)
     # Motion, and a black frame, make neighbours see as distant places as a swap does.
     kinds = ("order", "motion")
     if displaced and not any(e.kind in kinds or "black" in e.message for e in of_frames):
@@ -257,18 +287,11 @@ def _check_by_pairs(
     rows: NDArray[np.int64],
     names: Sequence[str],
     pairs: NDArray[np.int64],
-    disorder: list[Finding] | None,
-    unrelated: list[Finding],
+    disorder: list[Finding],
 ) -> list[Finding]:
     """Checks of patterns that come with their inverses; `disorder` is that of stripes."""
-    if unrelated:
-        return unrelated
     findings = check_plain_frames(survey, rows, names)
     of_pairs = check_pairs(survey, rows, pairs, names)
-    odd = [k for each in of_pairs if each.kind == "frame" for k in each.frames]
-    if disorder is None and odd:
-        doubted = np.isin(np.arange(survey.count), odd)
-        disorder = order_findings(_shown_instead(survey, rows, doubted), names.__getitem__)
     # One black or spoilt frame, and motion, look like a swap. It is one if pairs add up once both
     # frames are exchanged.
     if disorder and of_pairs and not any("black" in each.message for each in of_pairs):
@@ -285,59 +308,37 @@ def _check_by_prediction(
     survey: Survey,
     rows: NDArray[np.int64],
     names: Sequence[str],
-    disordered: NDArray[np.bool_],
     unrelated: list[Finding],
 ) -> list[Finding]:
     """Checks of patterns that have nothing to do with each other."""
-    if any(each.kind == "order" for each in unrelated):
-        return unrelated
-    findings = check_plain_frames(survey, rows, names)
+    order = [each for each in unrelated if each.kind == "order"]
+    exchanged = sorted({k for each in order for k in each.frames})
+    if order and not 0 < len(exchanged) < _MOST_ODD * survey.count:
+        return order
+    findings = order + check_plain_frames(survey, rows, names)
     samples = survey.samples(rows)
     # Learned from all frames: few that show something else hardly mislead it.
     first = predict(survey.patterns, samples)
-    odd = np.zeros(survey.count, bool)
-    if first.predicted.sum() >= _FEWEST_ROWS:
-        odd = wrong_frames(first.rows(first.predicted), SUSPECT)
+    odd, usual = np.zeros(survey.count, bool), first.rows(first.predicted)
+    if len(usual.miss) >= _FEWEST_ROWS:
+        odd = wrong_frames(usual, SUSPECT)
         odd &= odd.mean() < _MOST_ODD
-    shown = _shown_instead(survey, rows, disordered | odd) if disordered.any() else {}
-    # A frame that only seemed to show another pattern stays: few others may not replace it.
-    odd[list(shown)] = True
+    odd[exchanged] = True
     moved = check_motion(survey, rows, odd, names)
     if moved:
         return findings + moved
     # Photographs of which half are shifted may seem unrelated to their patterns, too.
-    if unrelated:
+    if unrelated and not order:
         return unrelated
     # Judged by the frames that are not suspected.
     prediction = predict(survey.patterns, samples, doubted=odd) if odd.any() else first
     if prediction.predicted.sum() < _FEWEST_ROWS:
         return findings
     wrong = wrong_frames(prediction.rows(prediction.predicted))
-    # Else the patterns differ only where the camera does not look.
-    if wrong[list(shown)].any():
-        findings += order_findings(shown, names.__getitem__)
-        wrong[list(shown)] = False
     # Without a frame, its rows may be explained by other places; then it seems wrong only now.
-    both = wrong & wrong_frames(first.rows(first.predicted), LIKELY)
+    both = wrong & wrong_frames(usual, LIKELY) if len(usual.miss) else wrong
+    both[exchanged] = False
     # The light of a pixel that no other pattern shows follows from no other photograph.
     if not lights_one(survey.patterns):
         findings += check_frames(prediction.rows(prediction.predicted), both, names)
     return findings
-
-
-def _shown_instead(
-    survey: Survey, rows: NDArray[np.int64], doubted: NDArray[np.bool_]
-) -> dict[int, int]:
-    """Which of the doubted frames (K,) show the pattern of which other, by undoubted ones."""
-    samples = survey.samples(rows)
-    lowest = samples.clip_levels_of_all().min(axis=1, keepdims=True)
-    while True:
-        prediction = predict(survey.patterns, samples, doubted=doubted)
-        seen = prediction.predicted
-        miss = misses_of_each(prediction.rows(seen), lowest[seen])
-        # A frame whose pattern another one shows may be swapped with that, and misled it.
-        more = doubted.copy()
-        more[miss[doubted].argmin(axis=1)] = True
-        if (more == doubted).all() or more.mean() > _MOST_ODD:
-            return shown_instead(miss, doubted)
-        doubted = more

@@ -9,33 +9,23 @@ shows as coefficients that lie on combs.
 
 from __future__ import annotations
 
+import io
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from PIL.JpegImagePlugin import JpegImageFile
 from scipy.fft import dctn, idctn
 
 from lightmatrix.capture.clip_level import find_pile
 from lightmatrix.check.finding import Finding, join_names
 from lightmatrix.check.survey import BLOCK, Survey, bright_mean
+from lightmatrix.files.images import encode_image
 
 # A frequency needs as many coefficients for a comb.
 _FEWEST_COEFFICIENTS = 40
-# The steps for luminance at quality 50 (ITU T.81, Annex K), which libjpeg scales by the quality.
-_TABLE = np.array(
-    [
-        [16, 11, 10, 16, 24, 40, 51, 61],
-        [12, 12, 14, 19, 26, 58, 60, 55],
-        [14, 13, 16, 24, 40, 57, 69, 56],
-        [14, 17, 22, 29, 51, 87, 80, 62],
-        [18, 22, 37, 56, 68, 109, 103, 77],
-        [24, 35, 55, 64, 81, 104, 113, 92],
-        [49, 64, 78, 87, 103, 121, 120, 101],
-        [72, 92, 95, 98, 112, 100, 103, 99],
-    ]
-)
 
 
 def check_light_level(survey: Survey) -> list[Finding]:
@@ -181,8 +171,10 @@ def likely_quality(blocks: NDArray[np.floating]) -> int | None:
     # From quality 96 on steps are 1 and photographs as good as lossless.
     qualities, change = range(20, 96), []
     for quality in qualities:
-        scale = 5000 // quality if quality < 50 else 200 - 2 * quality
-        steps = np.clip((_TABLE * scale + 50) // 100, 1, 255).astype(np.float32)
+        # The steps for luminance that libjpeg writes into a file of this quality.
+        coded = encode_image(np.zeros((BLOCK, BLOCK), np.uint8), "jpeg", quality=quality)
+        table = JpegImageFile(io.BytesIO(coded)).quantization[0]
+        steps = np.reshape(table, (BLOCK, BLOCK)).astype(np.float32)
         again = idctn(steps * np.rint(coefficients / steps), axes=(1, 2), norm="ortho") + 128
         change.append(float(np.mean((np.rint(again).clip(0, 255) - blocks) ** 2)))
     # Photographs that were never compressed change less and less as the quality rises. At the

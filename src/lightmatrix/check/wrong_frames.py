@@ -77,7 +77,7 @@ def _misses(prediction: FramePrediction) -> tuple[NDArray[np.float64], ...]:
     )
     strength = np.sqrt((trusted * (prediction.expected / error) ** 2).sum(axis=0))
     variation = np.maximum(variation, max(float(floor), 1e-12))
-    of_rows = (trusted * (error / scale) ** 2).sum(axis=0) / total
+    of_rows = (trusted * np.minimum(error / scale, 4) ** 2).sum(axis=0) / total
     return miss / variation, gain, strength, of_rows / variation
 
 

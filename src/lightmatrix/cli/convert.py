@@ -29,7 +29,7 @@ def convert(
     """Make a capture folder from other layouts.
 
     FOLDER is a setup of CompenNet's data (with cam/raw/train); SLStudio's frames and patterns
-    (frameSeq_*, pat_*); or patterns/, numbered folders of photographs, and exposures.csv or .json.
+    (frameSeq_*, pat_*); or patterns/, numbered folders of photographs, and exposures.csv.
     """
     with progress("converting", "frames") as step:
         layout = lm.convert(

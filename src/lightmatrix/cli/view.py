@@ -21,7 +21,7 @@ from lightmatrix.errors import InputError
         help="Write the viewer and the matrix as one page that needs no server.",
     ),
     capture="The capture of the estimate, whose patterns the page then offers.",
-    geometry=Option(metavar="GEOMETRY.json", help="The geometry of the rig, for a layer of depth."),
+    geometry=Option(metavar="GEOMETRY.json", help="The geometry of the rig, for layers of depth."),
     port="Port on this machine; 0 for a free one.",
     browser=Option("--browser/--no-browser", help="Open the page in the browser."),
 )

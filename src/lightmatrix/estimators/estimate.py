@@ -34,7 +34,7 @@ from lightmatrix.estimators.plain import PlainEstimator
 from lightmatrix.estimators.resource_estimate import estimate_resources
 from lightmatrix.estimators.rig_findings import rig_findings
 from lightmatrix.estimators.settings import EstimateSettings
-from lightmatrix.estimators.unknown_response import find_projector_response, find_response
+from lightmatrix.estimators.unknown_response import find_response
 from lightmatrix.estimators.workers import dask_pool
 from lightmatrix.files.kinds import PROJECTOR_STORES, STORE
 from lightmatrix.files.writing import check_output
@@ -84,7 +84,7 @@ def estimate(
         the photographs, see `find_response`. None: the capture's.
     projector_response : ProjectorResponse or str, optional
         The light of the patterns' grey values; "auto" finds a gamma in the photographs, see
-        `find_projector_response`. None: the patterns are light, or black and white.
+        `find_response`. None: the patterns are light, or black and white.
     solver : {"active-set", "saturation-admm", "admm", "romp"}
         active-set certifies a duality gap of each row.
     fidelity : {"one-sided", "clipped", "rejection", "linear"}, optional
@@ -201,8 +201,7 @@ def estimate(
         camera_unknown = capture.decoder.response.name == AUTOMATIC
         if camera_unknown or capture.projector_unknown:
             with _bar("looking for the response", progress is True):
-                unknown = capture.projector_unknown
-                found = (find_projector_response if unknown else find_response)(capture, settings)
+                found = find_response(capture, settings)
             warn(f"response: {found}")
             capture = found.applied_to(capture)
             remarks = {FOUND_RESPONSE: found.provenance()}

@@ -72,91 +72,41 @@ class Curves:
 
 
 def find_response(
-    capture: Capture | str | Path, settings: EstimateSettings | None = None
+    capture: Capture | str | Path,
+    settings: EstimateSettings | None = None,
+    *,
+    projector: bool | None = None,
 ) -> FoundResponse:
-    """Find the camera's response in the photographs of a capture, as `estimate` can do by itself.
+    """Find the response of a camera or a projector in the photographs of a capture.
 
     Light adds up: under the right curve, what a camera pixel shows under all patterns is explained
     by the light of single projector pixels. T is estimated, the curve is corrected by what T leaves
-    unexplained, and so on while that changes it.
+    unexplained, and so on while that changes it. `estimate` does so where a response is "auto".
 
     Parameters
     ----------
     capture : Capture, str or Path
-        The capture, or its folder. The search begins at the response that it states.
+        The capture, or its folder. The search begins at the response that it states. Where a
+        projector's gamma is looked for, its patterns are the grey values that this was sent.
     settings : EstimateSettings, optional
         How T is estimated, in a window of at most 64 x 64 camera pixels. None: as by `estimate`.
+    projector : bool, optional
+        Whether the projector's gamma is looked for, and the camera's only if the capture's response
+        is "auto". None: if the capture leaves it open.
 
     Returns
     -------
     FoundResponse
-        A gamma; or a curve, if one explains the photographs clearly better.
+        The camera's gamma; or a curve, if one explains the photographs clearly better. With the
+        response of the projector as `projector`, if that was looked for.
 
     Raises
     ------
     InputError
         If the photographs do not determine a response: too few pixels vary without clipping, the
         patterns are not random enough, or the search does not settle. Grey pictures determine only
-        the quotient of the camera's and the projector's curves.
-
-    Examples
-    --------
-    >>> import lightmatrix as lm
-    >>> capture = lm.simulate("metal", lm.BernoulliPatterns((64, 64), 32), exposure=0.5)
-    >>> found = lm.find_response(capture)  # doctest: +SKIP
-    >>> round(found.gamma, 1)  # doctest: +SKIP
-    1.0
-    """
-    settings = settings or EstimateSettings()
-    whole = open_capture(capture)
-    _refuse_patterns(whole, projector=False)
-    compressed = any(whole.frames.name(k).lower().endswith(JPEG) for k in range(whole.count))
-    if compressed:
-        warn(
-            "JPEG rounds dark and bright samples by different steps, which looks like a curve: "
-            "only a gamma is looked for, and it may be off by some per cent"
-        )
-    stated = whole.decoder.response
-    search = _Search(window_of_levels(whole), settings, curves=not compressed)
-
-    def starts() -> Iterator[Curves]:
-        yield Curves(stated)
-        yield Curves(raised(stated, search.scanned(stated)))
-
-    found = search.best(starts())
-    if found is None:
-        raise _undetermined()
-    return search.found(found, stated)
-
-
-def find_projector_response(
-    capture: Capture | str | Path, settings: EstimateSettings | None = None, *, camera: bool = False
-) -> FoundResponse:
-    """Find the projector's gamma in photographs of random grey patterns.
-
-    T is estimated, the gamma is corrected by what T leaves unexplained, and so on while that
-    changes it.
-
-    Parameters
-    ----------
-    capture : Capture, str or Path
-        The capture, or its folder. Its patterns are the grey values that the projector was sent.
-    settings : EstimateSettings, optional
-        How T is estimated, in a window of at most 45 x 45 camera pixels. None: as by `estimate`.
-    camera : bool
-        Whether the camera's gamma is unknown too, and found together with the projector's. It is
-        found anyway if the capture's response is "auto".
-
-    Returns
-    -------
-    FoundResponse
-        The camera's response, with the projector's as `projector`.
-
-    Raises
-    ------
-    InputError
-        If the patterns are black and white, which need no curve, or pictures, which determine only
-        the quotient of both gammas; or if the photographs do not determine a gamma.
+        the quotient of the camera's and the projector's curves, and black and white patterns need
+        no curve of the projector.
 
     Examples
     --------
@@ -164,25 +114,46 @@ def find_projector_response(
     >>> import lightmatrix as lm
     >>> light = np.random.default_rng(0).random((32, 64, 64)) ** 2.2
     >>> capture = lm.simulate("metal", lm.ImagePatterns(light), exposure=0.5)
+    >>> round(lm.find_response(capture).gamma, 1)  # doctest: +SKIP
+    1.0
     >>> grey = lm.ImagePatterns(light ** (1 / 2.2))
     >>> capture = lm.Capture(grey, capture.frames, capture.decoder)
-    >>> found = lm.find_projector_response(capture)  # doctest: +SKIP
+    >>> found = lm.find_response(capture, projector=True)  # doctest: +SKIP
     >>> round(found.projector.gamma, 1)  # doctest: +SKIP
     2.2
     """
     settings = settings or EstimateSettings()
     whole = open_capture(capture)
-    _refuse_patterns(whole, projector=True)
-    stated = whole.decoder.response
-    camera = camera or stated.name == AUTOMATIC
-    read = with_response(whole, Response()) if stated.name == AUTOMATIC else whole
-    # Windows of 64 x 64 camera pixels gave the same gammas to 0.4 %, for 1.7 times the time.
-    part = window_of_levels(read, 45)
-    search = _Search(part, settings, camera=camera, curves=False)
-    found = search.best(Curves(read.decoder.response, gamma) for gamma in (1.0, 2.2))
-    # A gamma whose standard error is above 2.5 % is not determined.
-    if found is None or max(found.errors) > 0.025:
-        raise _undetermined("projector's gamma")
+    looked_for = whole.projector_unknown if projector is None else projector
+    _refuse_patterns(whole, projector=looked_for)
+    stated, compressed = whole.decoder.response, False
+    if not looked_for:
+        compressed = any(whole.frames.name(k).lower().endswith(JPEG) for k in range(whole.count))
+    if compressed:
+        warn(
+            "JPEG rounds dark and bright samples by different steps, which looks like a curve: "
+            "only a gamma is looked for, and it may be off by some per cent"
+        )
+    # Windows of 64 x 64 camera pixels gave the same gammas of projectors to 0.4 %, for 1.7 times
+    # the time.
+    search = _Search(
+        window_of_levels(whole, 45 if looked_for else 64), settings,
+        camera=not looked_for or stated.name == AUTOMATIC, curves=not (looked_for or compressed),
+    )  # fmt: skip
+
+    def starts() -> Iterator[Curves]:
+        yield Curves(stated, 1.0 if looked_for else None)
+        if looked_for:
+            yield Curves(stated, 2.2)
+        else:
+            yield Curves(raised(stated, search.scanned(stated)))
+
+    found = search.best(starts())
+    # A projector's gamma whose standard error is above 2.5 % is not determined.
+    if found is None or (looked_for and max(found.errors) > 0.025):
+        what = "projector's gamma" if looked_for else "camera's response"
+        hint = "measure it with `lightmatrix response`, or give one, such as gamma:2.2"
+        raise InputError(f"the photographs do not determine the {what}", hint=hint)
     return search.found(found, stated)
 
 
@@ -330,11 +301,6 @@ def _solved(seen: Prediction, changes: Array) -> tuple[Array, Array] | None:
     sizes = inverse @ sides.sum(axis=0)
     scatter = (sides - matrices @ sizes) @ inverse
     return sizes, np.sqrt((scatter**2).sum(axis=0))
-
-
-def _undetermined(what: str = "camera's response") -> InputError:
-    hint = "measure it with `lightmatrix response`, or give one, such as gamma:2.2"
-    return InputError(f"the photographs do not determine the {what}", hint=hint)
 
 
 def _refuse_patterns(capture: Capture, *, projector: bool) -> None:

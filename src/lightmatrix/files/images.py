@@ -296,17 +296,6 @@ def _read_png(file: Path) -> NDArray[Any]:
     return image[..., :-1] if colour < 4 and image.shape[2:] in ((2,), (4,)) else image
 
 
-def png_chunks(data: bytes) -> dict[bytes, bytes]:
-    """The chunks of a PNG file before its pixels, by name, without a look at their checksums."""
-    chunks: dict[bytes, bytes] = {}
-    at = len(_PNG)
-    while data.startswith(_PNG) and at + 8 <= len(data) and b"IDAT" not in chunks:
-        length, name = struct.unpack_from(">I4s", data, at)
-        chunks[name] = data[at + 8 : at + 8 + length]
-        at += 12 + length
-    return chunks
-
-
 def _by_pillow(signature: bytes, kind: str) -> Callable[[Path], NDArray[Any]]:
     """The reader of a format that Pillow decodes, if the file begins like that format."""
 

@@ -64,9 +64,9 @@ def read_bytes(path: str | Path, most: int = MOST_TEXT) -> bytes:
     return content
 
 
-def read_text(path: str | Path, most: int = MOST_TEXT) -> str:
+def read_text(path: str | Path) -> str:
     """The UTF-8 text of a regular file, which errors do not quote: the caller may not see it."""
-    content = read_bytes(path, most)
+    content = read_bytes(path)
     try:
         return content.decode("utf-8-sig")
     except UnicodeDecodeError as error:

@@ -8,7 +8,7 @@ may be compressed, are read at once.
 from __future__ import annotations
 
 import re
-import struct
+import warnings
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 import tifffile
 from numpy.typing import NDArray
+from PIL import Image
 
 from lightmatrix.errors import InputError
 from lightmatrix.files.images import (
@@ -28,7 +29,6 @@ from lightmatrix.files.images import (
     as_stored,
     check_page,
     is_grey,
-    png_chunks,
     read_image,
     read_page,
 )
@@ -101,9 +101,9 @@ def pages(path: str | Path) -> list[Page]:
             array = _single_array(file)
             count, reader = len(array), partial(np.take, array, axis=0)
         elif suffix == ".npy":
-            count, reader = len(_checked(file, map_npy(file))), partial(_npy_page, file)
+            count, reader = len(_checked(file, map_npy(file))), partial(_mapped_page, map_npy, file)
         elif (images := _contiguous(file)) is not None:
-            count, reader = len(_checked(file, images)), partial(_contiguous_page, file)
+            count, reader = len(_checked(file, images)), partial(_mapped_page, _contiguous, file)
         else:
             with tifffile.TiffFile(file) as tiff:
                 count, reader = len(tiff.pages), partial(_tiff_page, file)
@@ -115,8 +115,9 @@ def _tiff_page(file: Path, index: int) -> NDArray[Any]:
         return read_page(file, tiff.pages[index].aspage())
 
 
-def _npy_page(file: Path, index: int) -> NDArray[Any]:
-    return np.array(map_npy(file)[index])
+def _mapped_page(opened: Callable[[Path], Any], file: Path, index: int) -> NDArray[Any]:
+    # A copy: the file must not stay open, and the image must not change with it.
+    return np.array(opened(file)[index])
 
 
 def _contiguous(file: Path) -> NDArray[Any] | None:
@@ -129,13 +130,6 @@ def _contiguous(file: Path) -> NDArray[Any] | None:
         check_page(file, page)
     mapped: NDArray[Any] = tifffile.memmap(file, mode="r")
     return mapped.reshape(-1, *page.shape)
-
-
-def _contiguous_page(file: Path, index: int) -> NDArray[Any]:
-    images = _contiguous(file)
-    assert images is not None
-    # A copy: the file must not stay open, and the image must not change with it.
-    return np.array(images[index])
 
 
 def _single_array(file: Path) -> NDArray[Any]:
@@ -210,18 +204,17 @@ def nonlinear_tag(path: str | Path | Page) -> str | None:
     if file.suffix.lower() != ".png":
         return None
     try:
-        chunks = png_chunks(file.read_bytes())
-    except OSError:
+        with warnings.catch_warnings(action="ignore"), Image.open(file) as image:
+            tags = image.info
+    # Image libraries raise nearly anything on damaged files.
+    except Exception:
         return None
-    for name, words in ((b"sRGB", "tagged sRGB"), (b"iCCP", "tagged with a colour profile")):
-        if name in chunks:
-            return words
-    if b"cICP" in chunks:
-        return "tagged with a video colour space"
-    gamma = chunks.get(b"gAMA", b"")
-    if len(gamma) == 4 and (value := struct.unpack(">I", gamma)[0]) not in (0, 100000):
-        return f"tagged with gamma {100000 / value:.2g}"
-    return None
+    if "srgb" in tags:
+        return "tagged sRGB"
+    if "icc_profile" in tags:
+        return "tagged with a colour profile"
+    gamma = tags.get("gamma", 1)
+    return f"tagged with gamma {1 / gamma:.2g}" if gamma not in (0, 1) else None
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lightmatrix.errors import InputError
 from lightmatrix.files.colours import COLOURS, colour_paths
@@ -167,8 +166,6 @@ def evaluate_colour(
     estimates: Sequence[LightTransport | str | Path] | ColourTransport | str | Path,
     truths: Sequence[LightTransport | Truth | str | Path] | ColourTransport | Truth | str | Path,
     exposure: float = 1.0,
-    *,
-    progress: Callable[[int, int], None] | None = None,
 ) -> ColourErrors:
     """Compare the three matrices of a colour projector with the truth.
 
@@ -177,7 +174,7 @@ def evaluate_colour(
     estimates, truths : sequence of three, ColourTransport, str or Path
         The matrices of red, green and blue, each as `evaluate` takes it; or a folder of three
         stores. Truths may also be the simulated capture of patterns in colour, or its truth.
-    exposure, progress
+    exposure : float
         As in `evaluate`.
 
     Returns
@@ -221,11 +218,13 @@ def evaluate_colour(
         check_list(matrices, hint="give those of red, green and blue")
         if len(matrices) != 3:
             raise InputError(f"{len(matrices)} {word}", hint="give those of red, green and blue")
-    pairs = [_matrices(*pair, progress) for pair in zip(estimates, truths, strict=True)]
+    pairs = [_matrices(*pair) for pair in zip(estimates, truths, strict=True)]
     red, green, blue = each = [errors_by_rows(*pair, exposure) for pair in pairs]
     energies = np.array([float(row_energies(matrix).sum()) for _, matrix in pairs])
     missed = np.array([errors.relative_error for errors in each]) ** 2 * energies
-    relighting = joint_relighting_error(*zip(*pairs, strict=True))
+    patterns = np.stack(list(unseen_patterns(pairs[0][1].projector_shape).values()))
+    matrices, expected = zip(*pairs, strict=True)
+    relighting = relighting_error(matrices, expected, patterns)
     relative = float(np.sqrt(missed.sum() / energies.sum()))
     return ColourErrors(red, green, blue, relative, relighting)
 
@@ -233,7 +232,7 @@ def evaluate_colour(
 def _matrices(
     estimate: LightTransport | str | Path,
     truth: LightTransport | Truth | str | Path,
-    progress: Callable[[int, int], None] | None,
+    progress: Callable[[int, int], None] | None = None,
 ) -> tuple[LightTransport, LightTransport]:
     """The matrix of an estimate, and the truth of its rows."""
     matrix = estimate if isinstance(estimate, LightTransport) else store.open(estimate)
@@ -255,27 +254,6 @@ def _matrices(
     return matrix, known
 
 
-def joint_relighting_error(
-    estimates: Sequence[LightTransport], truths: Sequence[LightTransport]
-) -> float:
-    """Relative L2 error of linear, unclipped images by matrices whose light adds up.
-
-    It is averaged over unseen patterns. For one matrix it is `relighting_error` under them.
-    """
-    patterns = np.stack(list(unseen_patterns(truths[0].projector_shape).values()))
-    # Each primary shows a different pattern, so that the images have all colours.
-    of_primaries = [np.roll(patterns, k, axis=0) for k in range(len(truths))]
-
-    def images(matrices: Sequence[LightTransport]) -> NDArray[np.float64]:
-        pairs = zip(matrices, of_primaries, strict=True)
-        light = sum(matrix.relight(shown).astype(np.float64) for matrix, shown in pairs)
-        return np.reshape(light, (len(patterns), -1))
-
-    predicted, expected = images(estimates), images(truths)
-    off = np.linalg.norm(predicted - expected, axis=1) / np.linalg.norm(expected, axis=1)
-    return float(off.mean())
-
-
 def errors_by_rows(estimate: LightTransport, truth: LightTransport, exposure: float) -> Errors:
     """The metrics over all rows, over rows without a clipped single response, and diffuse rows."""
     check_number("an exposure", exposure, above=True, hint="use a number above 0, such as 1")
@@ -283,7 +261,7 @@ def errors_by_rows(estimate: LightTransport, truth: LightTransport, exposure: fl
     result = {
         "exposure": float(exposure),
         "relative_error": relative_error(estimate, truth),
-        "relighting_error": relighting_error(estimate, truth, patterns),
+        "relighting_error": relighting_error([estimate], [truth], patterns),
         "response_rmse": response_rmse(estimate, truth, clip_level=1 / exposure),
     }
     groups = {
@@ -297,7 +275,7 @@ def errors_by_rows(estimate: LightTransport, truth: LightTransport, exposure: fl
         if len(rows):
             errors = (
                 relative_error(estimate, truth, rows),
-                relighting_error(estimate, truth, patterns, rows),
+                relighting_error([estimate], [truth], patterns, rows),
             )
         result[f"relative_error_{name}"], result[f"relighting_error_{name}"] = errors
     return Errors(**result)

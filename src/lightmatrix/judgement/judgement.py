@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 from lightmatrix.judgement.metrics import row_energies, unclipped_rows
 from lightmatrix.ranges import check_type
 from lightmatrix.reprs import html_table, percent
+from lightmatrix.rig_model.model import RigModel
 from lightmatrix.transport.matrix import LightTransport, prediction_error
 from lightmatrix.transport.operator import HOW_TO_GIVE, TransportOperator
 
@@ -226,7 +227,8 @@ def verdict_by_rows(transport: LightTransport, why_untested: str = _UNTESTED) ->
     if not diagnostics:
         return Verdict("not tested", None, ("The matrix has no diagnostics.",))
     remarks, own = list[str](), OwnError(transport)
-    if "converged" in diagnostics:
+    # Without the blur of a camera, T is solved again by another iteration.
+    if "converged" in diagnostics and "camera-blur" not in RigModel.of(transport).values:
         finished = float(np.mean(diagnostics["converged"]))
         remarks.append(
             f"{percent(finished)} of the rows converged."

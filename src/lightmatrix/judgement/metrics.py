@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 import numpy as np
@@ -117,18 +117,28 @@ def response_rmse(
 
 
 def relighting_error(
-    estimate: LightTransport,
-    truth: LightTransport,
+    estimates: Sequence[LightTransport],
+    truths: Sequence[LightTransport],
     patterns: NDArray[Any],
     rows: NDArray[np.integer] | None = None,
 ) -> float:
-    """Relative L2 error of linear, unclipped images, averaged over patterns (K, rows, cols)."""
-    check_same_rig(estimate, truth)
+    """Relative L2 error of linear, unclipped images, averaged over patterns (K, rows, cols).
+
+    The light of several matrices adds up. Each shows another pattern, so that the images of a
+    colour projector have all colours.
+    """
     chosen = slice(None) if rows is None else rows
-    expected = truth.relight(patterns).reshape(len(patterns), -1)[:, chosen].astype(np.float64)
-    images = estimate.relight(patterns).reshape(len(patterns), -1)[:, chosen]
+
+    def images(matrices: Sequence[LightTransport]) -> NDArray[np.float64]:
+        each = (one.relight(np.roll(patterns, k, axis=0)) for k, one in enumerate(matrices))
+        light = (image.reshape(len(patterns), -1)[:, chosen].astype(np.float64) for image in each)
+        return np.sum(list(light), axis=0)
+
+    for pair in zip(estimates, truths, strict=True):
+        check_same_rig(*pair)
+    expected = images(truths)
     norm = np.linalg.norm(expected, axis=1)
-    errors = np.linalg.norm(images - expected, axis=1)
+    errors = np.linalg.norm(images(estimates) - expected, axis=1)
     return float(np.mean(np.divide(errors, norm, out=np.zeros_like(errors), where=norm > 0)))
 
 

@@ -70,8 +70,7 @@ class Bars:
     description: str
     heights: tuple[float, ...]
     most: str
-    # The frames of the first and last bar.
-    first: int
+    # The frame of the last bar; the first one is 0.
     last: int
     kind: ClassVar[str] = "bars"
 

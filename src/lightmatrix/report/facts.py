@@ -70,11 +70,6 @@ class Validation:
     # Rows and columns of the camera that were tested; None for all.
     region: tuple[slice, slice] | None
 
-    @property
-    def difference(self) -> NDArray[np.float32]:
-        """Predictions minus photographs, 0 where samples are not counted or both clip."""
-        return np.where(self.counted, self.predictions - self.photographs, 0)
-
 
 def validate(
     capture: Capture, estimator: Estimator | EstimateSettings, *, progress: Progress | None = None
@@ -167,13 +162,6 @@ class Facts:
     def white(self) -> NDArray[np.float32]:
         """The camera image under a white pattern, of the camera's shape."""
         return self.transport.relight(np.ones(self.transport.projector_shape, np.float32))
-
-    @cached_property
-    def dark_share(self) -> float:
-        """Share of the camera pixels that hardly see the projector."""
-        white = self.white if self.white.ndim == 2 else self.white.sum(axis=2)
-        # They see less than 2 % of what a bright pixel sees, as in `planning`.
-        return float(np.mean(white <= 0.02 * np.quantile(white, 0.99)))
 
     @cached_property
     def own(self) -> OwnError:

@@ -107,11 +107,6 @@ def recommendations(facts: Facts) -> tuple[str, ...]:
             f"{percent(unfinished)} of the rows reached the iteration limit. Raise the number of "
             "iterations."
         )
-    if facts.dark_share > 0.2:
-        sentences.append(
-            f"{percent(facts.dark_share)} of the camera pixels hardly see the projector. A mask "
-            "of them, or a camera that sees only the lit part, saves their time."
-        )
     if has_diagnostic(transport, "footprint"):
         size = float(np.nanmedian(diagnostics["footprint"]))
         # Footprints of a projector in focus are smaller.

@@ -40,7 +40,7 @@ from lightmatrix.report.elements import (
 from lightmatrix.report.facts import Facts, Validation
 from lightmatrix.reprs import labelled, percent, shown_value
 from lightmatrix.rig_model.model import RigModel
-from lightmatrix.shape.shape import depth_map, normal_colours
+from lightmatrix.shape.shape import normal_colours
 from lightmatrix.shape.triangulation import triangulate
 from lightmatrix.transport.matrix import LightTransport
 from lightmatrix.uses.compensation import compensator
@@ -49,13 +49,7 @@ from lightmatrix.uses.separation import separate
 
 def parameters(facts: Facts) -> Section:
     """The provenance of the estimate, enough to repeat it."""
-    # How a bundled scene was rendered is not how it was photographed.
-    rendering = ("renderer", "seconds", "samples", "keep", "max depth", "noise entries")
-    rows = tuple(
-        (name, value)
-        for name, value in _flat(facts.transport.provenance)
-        if name.removeprefix("capture description: ") not in (*rendering, "noise white")
-    )
+    rows = tuple(_flat(facts.transport.provenance))
     tables = (Table("The parameters in the store", ("parameter", "value"), rows, True),)
     return Section("parameters", "All parameters", "", tables if rows else ())
 
@@ -159,13 +153,7 @@ def _compensated(transport: LightTransport) -> tuple[Element, ...]:
 def _triangulated(transport: LightTransport, geometry: RigGeometry | None) -> tuple[Element, ...]:
     """Maps of depth and normals, if the geometry of the rig is known."""
     if geometry is None:
-        return (
-            Text(
-                "With the geometry of the rig, T gives the shape of the scene: "
-                "`lightmatrix calibrate` measures it, `lightmatrix triangulate` uses it, and "
-                "a report that is given this geometry shows depth and normals here."
-            ),
-        )
+        return ()
     shape = triangulate(transport, geometry)
     if not shape.kept.any():
         return (Text("No camera pixel sees light on its epipolar line, so there is no shape."),)
@@ -179,7 +167,7 @@ def _triangulated(transport: LightTransport, geometry: RigGeometry | None) -> tu
     )
     return Text(text), Gallery(
         (
-            image_of_map(depth_map(shape.depth, geometry.units), "Grey: no depth."),
+            image_of_map(shape.depth_map, "Grey: no depth."),
             colour_image(
                 normal_colours(shape.camera_normals),
                 "Map over the camera of the normals of the surface as colours",
@@ -195,12 +183,9 @@ def relighting(facts: Facts) -> Section:
     patterns = unseen_patterns(facts.transport.projector_shape)
     elements: list[Element] = [_relit(facts, name, patterns[name]) for name in ("disc", "stripes")]
     lead = "The scene under patterns that were never projected, without clipping: c = T p."
-    if facts.truth is None:
-        if isinstance(facts.validation, Validation):
-            expected = percent(facts.validation.error)
-            elements.append(Text(f"Expect errors as on unseen photographs: {expected}."))
-    else:
-        error = relighting_error(facts.transport, facts.truth, np.stack(list(patterns.values())))
+    if facts.truth is not None:
+        shown = np.stack(list(patterns.values()))
+        error = relighting_error([facts.transport], [facts.truth], shown)
         lead += f" Mean error of the images: {percent(error)}."
         assert facts.row_errors is not None
         caption = "Error of each camera pixel's rows of T, relative to their size."
@@ -271,20 +256,19 @@ def _unseen_photographs(facts: Facts) -> list[Element]:
             f"{rows.start} to {rows.stop - 1} and columns {cols.start} to {cols.stop - 1} were "
             "tested."
         )
-    numbers = [str(k) for k in validation.frames]
-    named = f"Photograph {numbers[0]} was"
-    if len(numbers) > 1:
-        named = f"Photographs {', '.join(numbers[:-1])} and {numbers[-1]} were"
+    numbers = ", ".join(map(str, validation.frames))
     words = (
         f"Prediction error on unseen photographs: {percent(validation.error)}; the mean of the "
         f"others, which ignores the pattern, misses them by {percent(validation.mean_error)}. "
-        f"{named} left out and predicted from the patterns by an estimate from the other "
-        f"{validation.others}, which is a little worse than the one that this report describes. "
+        f"Photographs left out ({numbers}) were predicted from their patterns by an estimate from "
+        f"the other {validation.others}, which is a little worse than the one described here. "
         f"Samples that clip in both images do not count.{where}"
     )
     number = int(validation.frames[0])
     pattern = facts.capture.patterns.images(number, number + 1)[0]
-    difference = validation.difference[0]
+    difference = validation.predictions[0] - validation.photographs[0]
+    # Samples that are not counted or clip in both images do not differ.
+    difference = np.where(validation.counted[0], difference, 0)
     mean = float(abs(difference).mean())
     comparison = (
         pattern_image(pattern, f"Pattern {number}", f"Pattern {number}"),
@@ -311,10 +295,6 @@ def _unseen_photographs(facts: Facts) -> list[Element]:
         ),
     )
     return [Text(words), Gallery(comparison)]
-
-
-# The page shows at most this many frames.
-MOST = 3
 
 
 def photographs(facts: Facts) -> Section:
@@ -347,15 +327,15 @@ def photographs(facts: Facts) -> Section:
         _bars("Clipped samples per frame", frames.clipped),
         _bars("Mean level per frame, relative to the clip level", frames.level),
     )
-    shown = np.unique(np.linspace(0, capture.count - 1, MOST).astype(int))
+    shown = np.unique(np.linspace(0, capture.count - 1, 3).astype(int))
     images += [_frame(facts, int(k)) for k in shown]
     elements = (Columns((table,), charts), *_rig(facts.transport), Gallery(tuple(images)))
     lead = (
         f"The capture has {capture.count} photographs, one per pattern. "
         f"{clipped} of the samples clipped."
     )
-    if capture.count > MOST:
-        lead += f" The page shows {MOST} of them, spread over the capture."
+    if capture.count > len(shown):
+        lead += f" The page shows {len(shown)} of them, spread over the capture."
     return Section("photographs", "Patterns and photographs", lead, elements)
 
 
@@ -405,7 +385,6 @@ def _bars(title: str, values: NDArray[np.float64]) -> Bars:
         f"{percent(float(np.median(values)))}.",
         tuple(float(value) / max(top, 1e-12) for value in largest),
         percent(top),
-        0,
         len(values) - 1,
     )
 
@@ -450,10 +429,9 @@ def transport_matrix(facts: Facts) -> Section:
 
 
 def first_pictures(facts: Facts) -> Gallery:
-    """The scene under white, from the projector, and relit: what T is, at a glance."""
+    """The scene under white and from the projector: what T is, at a glance."""
     transport = facts.transport
     rows, cols, *_ = transport.camera_shape
-    stripes = unseen_patterns(transport.projector_shape)["stripes"]
     return Gallery(
         (
             photograph(
@@ -467,12 +445,6 @@ def first_pictures(facts: Facts) -> Gallery:
                 "The scene seen from the projector, lit from the camera",
                 "Dual image",
                 "The scene as the projector would photograph it, lit from the camera.",
-            ),
-            photograph(
-                transport.relight(stripes),
-                "The scene under stripes, computed from T",
-                "Relit by stripes",
-                "A pattern that was never projected.",
             ),
         )
     )
@@ -497,8 +469,7 @@ def _example_pixels(facts: Facts) -> dict[str, tuple[int, int]]:
     matches = facts.correspondence
     white = facts.white if facts.white.ndim == 2 else facts.white.sum(axis=2)
     lit = matches.valid & (white > np.quantile(white, 0.5))
-    if not lit.any():
-        lit = matches.valid
+    lit = lit if lit.any() else matches.valid
     if not lit.any():
         return {}
     confidence = np.where(lit, matches.confidence, np.nan)

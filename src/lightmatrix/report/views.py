@@ -30,7 +30,8 @@ from lightmatrix.pictures.transport import (
     draw_spectrum,
     spectrum,
 )
-from lightmatrix.shape.shape import depth_map, normals_picture
+from lightmatrix.shape.layers import layers
+from lightmatrix.shape.shape import normals_picture
 from lightmatrix.shape.triangulation import triangulate
 from lightmatrix.transport import store
 from lightmatrix.transport.correspondence import correspondence
@@ -46,14 +47,14 @@ class _View:
 
     picture: Callable[..., Picture]
     numbers: Callable[..., Numbers]
-    # Whether it shows the shape in place of T, which takes the geometry of the rig.
-    of_shape: bool = False
+    # What it shows in place of T, found by the geometry of the rig.
+    find: Callable[..., Any] | None = None
 
 
-def _of_map(make: Callable[[Any], maps.Map], of_shape: bool = False) -> _View:
+def _of_map(make: Callable[[Any], maps.Map], find: Callable[..., Any] | None = None) -> _View:
     """The view of a map over the camera."""
     return _View(
-        lambda shown: draw_map(make(shown)), lambda shown: {"values": make(shown).values}, of_shape
+        lambda shown: draw_map(make(shown)), lambda shown: {"values": make(shown).values}, find
     )
 
 
@@ -73,12 +74,13 @@ VIEWS: dict[str, _View] = {
     "footprint": _of_map(maps.footprint_map),
     "estimated-error": _of_map(maps.estimated_error_map),
     "changes": _of_map(maps.changes_map),
-    "depth": _of_map(lambda shape: depth_map(shape.depth, shape.geometry.units), of_shape=True),
+    "depth": _of_map(lambda shape: shape.depth_map, triangulate),
     "normals": _View(
         lambda shape: normals_picture(shape.camera_normals),
         lambda shape: {"values": shape.normals},
-        of_shape=True,
+        triangulate,
     ),
+    "layers": _View(lambda found: found.show(), lambda found: {"values": found.depth}, layers),
 }
 # Views of one row or column, and how many numbers their index may have.
 _INDEXED = {"row": (2, 3), "column": (2,)}
@@ -104,12 +106,12 @@ def show(
         projector pixel that each camera pixel sees most; "spectrum", the 50 largest singular
         values; a diagnostic of an estimate: "clipping", "gap", "footprint", "estimated-error" or,
         of a `Tracker`, "changes"; or "depth" and "normals" of the surface, as `triangulate` finds
-        them.
+        them, and "layers", the depths of surfaces behind each other, as `layers` does.
     index : int
         For a row: row and column of the camera pixel and, for a colour camera, channel. For a
         column: row and column of the projector pixel. Other views have no index.
     geometry : RigGeometry, str or Path, optional
-        Where camera and projector stand, or its file. Depth and normals need it, no other view.
+        Where camera and projector stand, or its file; only for depth, normals and layers.
     output : str or Path, optional
         File to write: .png for the picture; .npz for its numbers (``values``, or ``pixel``,
         ``place`` and ``confidence`` of `Correspondence`); .tiff, .exr or .npy for its values as
@@ -125,8 +127,8 @@ def show(
     Raises
     ------
     InputError
-        On an unknown view, a wrong index, a diagnostic that the matrix does not have, or depth and
-        normals without a geometry of these images.
+        On an unknown view, a wrong index, a diagnostic that the matrix does not have, or depth,
+        normals and layers without a geometry of these images.
     OutputError
         If the file cannot be written.
 
@@ -149,12 +151,12 @@ def show(
             f"the view {view} with the index {', '.join(map(str, index)) or 'of no pixel'}",
             hint=f"it takes {needs}",
         )
-    of_shape = VIEWS[view].of_shape
-    if of_shape != (geometry is not None):
+    find = VIEWS[view].find
+    if (find is None) != (geometry is None):
         raise InputError(
-            f"the view {view} {'without' if of_shape else 'with'} a geometry",
-            hint="depth and normals need the geometry of the rig, a file of `calibrate`; no other "
-            "view takes one",
+            f"the view {view} {'with' if find is None else 'without'} a geometry",
+            hint="depth, normals and layers need the geometry of the rig, a file of `calibrate`; "
+            "no other view takes one",
         )
     if output is not None:
         suffix = Path(output).suffix.lower()
@@ -170,9 +172,7 @@ def show(
     if isinstance(transport, ColourTransport) and view != "dual":
         hint = "give the matrix of one primary, such as red.zarr in the folder"
         raise InputError(f"the view {view} of a colour projector", hint=hint)
-    shown: Any = transport
-    if geometry is not None and isinstance(transport, LightTransport):
-        shown = triangulate(transport, geometry)
+    shown = transport if find is None else find(transport, geometry)
     drawing = VIEWS[view].picture(shown, *index)
     if output is None:
         return drawing

@@ -15,6 +15,7 @@ from lightmatrix.files.kinds import CLOUD, IMAGE, PICTURE
 from lightmatrix.files.writing import atomic_files, check_output
 from lightmatrix.geometry.rig_geometry import RigGeometry
 from lightmatrix.paths import as_path
+from lightmatrix.pictures.maps import Map
 from lightmatrix.pictures.style import Picture, display, figure, panel, white_level
 from lightmatrix.pictures.transport import draw_into
 from lightmatrix.reprs import short_repr
@@ -75,15 +76,25 @@ class Layers:
             values = np.stack([*parts.values()], axis=-1)
             write_exr(part, values.reshape(*values.shape[:2], -1), names)
 
+    @property
+    def depth_maps(self) -> list[Map]:
+        """Depth of the first surface and of the one behind it, in the colours of one scale."""
+        scale = depth_map(self.depth, self.geometry.units)
+        titles = "Depth of the first surface", "Depth of the surface behind it"
+        return [replace(scale, title=t, values=self.depth[..., k]) for k, t in enumerate(titles)]
+
+    @property
+    def mirrored_light(self) -> NDArray[np.float32]:
+        """Light of mirrors and other surfaces under a white pattern, (rows, cols)."""
+        return np.where(self.mirrored, self.light, np.float32(0)).sum(axis=-1)
+
     def show(self) -> Picture:
         """A Matplotlib figure: the nearest surface, the one behind it, and what mirrors show."""
-        scale = depth_map(self.depth, self.geometry.units)
         with figure(11, 3.4) as drawing:
             *surfaces, mirrors = drawing.subplots(1, 3)
-            for number, title in enumerate(("Depth of the first surface", "Of the one behind it")):
-                shown = replace(scale, title=title, values=self.depth[..., number])
-                draw_into(drawing, surfaces[number], shown)
-            light = np.where(self.mirrored, self.light, 0).sum(axis=-1)
+            for axes, shown in zip(surfaces, self.depth_maps, strict=True):
+                draw_into(drawing, axes, shown)
+            light = self.mirrored_light
             panel(mirrors, display(light, white_level(light)), "Light by mirrors")
         return drawing
 
@@ -111,7 +122,7 @@ def layers(
     geometry, tolerance, least_probability, picture, overwrite
         As in `triangulate`.
     output : str or Path, optional
-        The file to write: a point cloud (.ply, .pcd) with the number of each layer, or an image
+        The file to write: a point cloud (.ply) with the number of each layer, or an image
         (.exr) with the channels Z, Y (light) and probability of layer1 to layer3.
 
     Returns

@@ -6,7 +6,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import uniform_filter
 from scipy.sparse import csr_array
 
 from lightmatrix.geometry.rig_geometry import RigGeometry
@@ -19,7 +18,6 @@ from lightmatrix.uses.separation import (
     blocks_of,
     camera_pixels,
     entries_of,
-    shifted,
     spot_deviation,
 )
 
@@ -150,10 +148,12 @@ class Seen:
     light: Array
     share: Array
     width: Array
-    # The row's stated error, or the uncertainty of a decoded place in projector pixels, (P,).
+    # The row's stated error, or the uncertainty of a decoded place in projector pixels, (P,), and
+    # whether the row clips whenever its strongest pixel is lit.
     error: Array
-    # Whether the projector's border may cut the spot off.
-    cut: NDArray[np.bool_]
+    bounded: NDArray[np.bool_]
+    # The standard deviation of a usual spot in projector pixels, at least 0.3.
+    usual: float
     # Signed distance from the epipolar line in projector pixels.
     away: Array
     # Points (P, n, 3), their depth, NaN behind camera or projector, and how far a projector pixel
@@ -203,6 +203,7 @@ def seen_by(source: LightTransport | Correspondence, geometry: RigGeometry) -> S
         place, share = place[:, None], source.confidence.reshape(-1, 1).astype(np.float64)
         light = share if source.light is None else source.light.reshape(-1, 1).astype(np.float64)
         width, error = np.ones_like(share), np.zeros(len(share))
+        bounded = np.zeros(len(share), bool)
         if source.uncertainty is not None:
             stated = source.uncertainty.reshape(-1, 2).astype(np.float64)
             error = np.nan_to_num(stated).max(axis=1)
@@ -218,10 +219,12 @@ def seen_by(source: LightTransport | Correspondence, geometry: RigGeometry) -> S
         place, light, width, total = found
         share = np.nan_to_num(light / np.maximum(total, 1e-30)[:, None])
         channels = int(np.prod(source.camera_shape[2:]))
-        stated = source.diagnostics.get("estimated_error", np.zeros(len(lines) * channels))
-        error = np.nan_to_num(np.asarray(stated, float).reshape(-1, channels).mean(axis=1))
-    with np.errstate(invalid="ignore"):
-        cut = ((place < margin) | (place > np.array(shape) - 1 - margin)).any(axis=-1)
+        stated, clips = (
+            np.nan_to_num(source.diagnostics.get(name, np.zeros(len(lines) * channels)))
+            for name in ("estimated_error", "only_bounded")
+        )
+        error = stated.reshape(-1, channels).mean(axis=1, dtype=np.float64)
+        bounded = clips.reshape(-1, channels).any(axis=1)
     away, depth, slope = np.full((3, *light.shape), np.nan)
     points = np.full((*light.shape, 3), np.nan)
     axis = geometry.projector_matrix[2]
@@ -238,69 +241,64 @@ def seen_by(source: LightTransport | Correspondence, geometry: RigGeometry) -> S
         slope[some, number] = np.abs(moved - deep) / 0.1
         before = (deep > 0) & (found_points @ axis[:3] + axis[3] > 0)
         depth[some, number] = np.where(before, deep, np.nan)
-    decoded, width = isinstance(source, Correspondence), width / max(usual, 0.3)
-    of_spots = (light, share, width, error, np.asarray(cut), away, points, depth, slope)
+    decoded, usual = isinstance(source, Correspondence), max(usual, 0.3)
+    of_spots = (light, share, width / usual, error, bounded, usual, away, points, depth, slope)
     return Seen(place, *of_spots, geometry.camera_shape, decoded)
 
 
 # How probably a spot is a surface.
 
-# What `features` tells of a spot, and the coefficients of the logistic regression on it, for T
-# (False) and for decoded places (True). The last two: how much steeper the score rises, and from
-# where on. `python -m benchmarks.shape_probability` fits them, and tests them on other scenes.
-FEATURES: tuple[str, ...] = ("one", "away", "share", "error", "width", "bend", "step")
-FEATURES += ("largest_step", "bend_nearby", "cut")
+# Coefficients of a logistic regression on `features`, for T (False) and for decoded places (True).
+# The last two: how much steeper the score rises, and from where on.
+# `python -m benchmarks.shape_probability` fits them, and tests each scene with those of the others.
 COEFFICIENTS = {
-    False: (1.16, -0.98, 0.42, -0.2, -0.46, -0.32, -0.76, 0.28, -0.3, -0.48, 2.04, 1.22),
-    True: (1.03, -0.58, 0.0, -0.1, 0.0, -0.19, -0.94, 0.02, 0.09, -0.25, 1.88, 1.33),
+    False: (2.05, -1.54, -0.72, -0.68, -0.95, 0.19, -0.37, 0.38, 0.18, 0.36, 0.73, 1.59),
+    True: (1.63, -0.49, 0.0, -0.19, -0.55, 0.59, -0.42, 0.27, 0.12, 0.0, 1.65, 1.36),
 }
 
 
 def features(seen: Seen, tolerance: float) -> dict[str, Array]:
-    """What is known of each spot, by name, (P, n) each: distances from its line, shares of light.
+    """What is known of each direct spot, by name, (S,) each, in the order of ``seen.direct``.
 
-    A surface continues in the 8 neighbours of its camera pixel: `step` and `largest_step` are how
-    far the depth is from the nearest one in them, `bend` how far from the middle of two opposite
-    ones, in logarithms of the tolerated error.
+    `away` is its distance from its line, `width` its own. A surface continues in the 8 neighbours
+    of its camera pixel: `step` is how far the depth is from those nearest to it, `bend` how far
+    from the middle of two opposite ones, in logarithms of the tolerated error. `room` is that error
+    in standard deviations of a usual spot, and `noise` the row's stated error relative to the share
+    of the spot, as logarithms too. Doubts do not simply add up, which the products take up.
     """
-    count, spots = seen.light.shape
-    light = np.where(seen.direct, seen.light, 0)
-    # Fainter spots than a twentieth of a pixel's are no neighbours.
-    strong = light > 0.05 * light.sum(axis=1, keepdims=True)
-    depth = seen.depth.T.reshape(spots, *seen.grid).astype(np.float32)
-    other = np.where(strong.T.reshape(depth.shape), depth, np.float32(np.nan))
-    rows, cols = seen.grid
-    steps, bends = [], []
-    for down, right in ((0, 1), (1, 0), (1, 1), (1, -1)):
-        # Relative steps to the nearest depth in two opposite neighbours: a tenth where they have
-        # none, or none as near, and NaN outside of the image.
-        pair = np.full((2, *depth.shape), np.nan, np.float32)
-        for step, sign in zip(pair, (1, -1), strict=True):
-            y, x = sign * down, sign * right
-            here = slice(None), shifted(rows, -y), shifted(cols, -x)
-            step[here] = 0.1
-            for surface in other[:, shifted(rows, y), shifted(cols, x)]:
-                with np.errstate(invalid="ignore"):
-                    away = surface / depth[here] - 1
-                    step[here] = np.where(np.abs(away) < np.abs(step[here]), away, step[here])
-        steps += [*np.abs(pair)]
-        bends.append(np.abs(pair.sum(axis=0)) / 2)
-    # No neighbour says nothing; corners of the image have no opposite ones.
-    bend, largest = (np.nan_to_num(np.fmax.reduce(e), nan=0.1) for e in (bends, steps))
-    first = np.nan_to_num([each[0] for each in bends])
-    known = np.maximum(np.isfinite([each[0] for each in bends]).sum(axis=0), 1)
-    nearby = np.broadcast_to(uniform_filter(first.sum(axis=0) / known, 3), bend.shape)
-    three = np.nan_to_num(np.partition(np.stack(steps), 2, axis=0)[:3], nan=0.1).mean(axis=0)
-
-    def relative(values: NDArray[np.float32]) -> Array:
-        flat = values.reshape(spots, -1).T / tolerance
-        return np.log(np.maximum(flat, 0.05)).astype(np.float64)
-
-    share = np.log(np.maximum(seen.share, 1e-3))
-    error = np.repeat(np.log(np.maximum(seen.error, 1e-3))[:, None], spots, axis=1)
-    own = (np.ones((count, spots)), np.abs(seen.away), share, error, seen.width)
-    around = [relative(values) for values in (bend, three, largest, nearby)]
-    return dict(zip(FEATURES, (*own, *around, seen.cut.astype(float)), strict=True))
+    # Spots fainter than the stated error of their row are no neighbours. The limits were chosen by
+    # hand: exact matrices state no error, and rows that see little light large ones.
+    strong = seen.direct & (seen.share > np.clip(seen.error, 0.01, 0.5)[:, None])
+    surfaces = np.where(strong, seen.depth, np.nan).astype(np.float32).T.copy()
+    depth = seen.depth[seen.direct].astype(np.float32)
+    pixel = np.nonzero(seen.direct)[0]
+    (rows, cols), (row, col) = seen.grid, np.divmod(pixel, seen.grid[1])
+    # Relative steps to the nearest depth in pairs of opposite neighbours: a tenth where they have
+    # none, or none as near, and NaN outside of the image.
+    steps = np.full((8, len(depth)), np.nan, np.float32)
+    around = ((0, 1), (0, -1), (1, 0), (-1, 0), (1, 1), (-1, -1), (1, -1), (-1, 1))
+    for step, (down, right) in zip(steps, around, strict=True):
+        inside = (row + down >= 0) & (row + down < rows) & (col + right >= 0) & (col + right < cols)
+        there = np.where(inside, pixel + down * cols + right, 0)
+        step[inside] = 0.1
+        for surface in surfaces:
+            away = surface[there] / depth - 1
+            np.copyto(step, away, where=np.abs(away) < np.abs(step))
+    # Corners of the image have no opposite neighbours.
+    bend = np.nan_to_num(np.fmax.reduce(np.abs(steps[::2] + steps[1::2])) / 2, nan=0.1)
+    nearest = np.nan_to_num(np.partition(np.abs(steps), 2, axis=0)[:3], nan=0.1).mean(axis=0)
+    step, bend = (
+        np.log(np.maximum(each / tolerance, 0.05)).astype(np.float64) for each in (nearest, bend)
+    )
+    away, width = np.abs(seen.away[seen.direct]), seen.width[seen.direct]
+    tolerated = tolerance * seen.depth[seen.direct] / seen.slope[seen.direct]
+    room = np.log(np.maximum(tolerated / seen.usual, 1e-3))
+    noise = np.log(seen.error[pixel] / np.maximum(seen.share[seen.direct], 1e-3) + 0.05)
+    return {
+        "one": np.ones_like(away), "away": away, "width": width, "bend": bend, "step": step,
+        "room": room, "noise": noise, "away noise": away * noise, "step noise": step * noise,
+        "width bend": width * bend,
+    }  # fmt: skip
 
 
 def check_thresholds(tolerance: float, least_probability: float) -> None:
@@ -313,7 +311,13 @@ def check_thresholds(tolerance: float, least_probability: float) -> None:
 def surface_probability(seen: Seen, tolerance: float) -> Array:
     """How probably each spot (P, n) lies within a share of the distance of a surface; 0 off it."""
     *weights, steeper, start = COEFFICIENTS[seen.decoded]
-    values = features(seen, tolerance).values()
-    score = np.sum([weight * each for weight, each in zip(weights, values, strict=True)], axis=0)
+    known = features(seen, tolerance).values()
+    score = np.sum([weight * each for weight, each in zip(weights, known, strict=True)], axis=0)
     score += steeper * np.maximum(score - start, 0)
-    return np.where(seen.direct, 1 / (1 + np.exp(-np.clip(score, -50, 50))), 0)
+    result = np.zeros(seen.light.shape)
+    result[seen.direct] = 1 / (1 + np.exp(-np.clip(score, -50, 50)))
+    # How bright the strongest pixel is beside its neighbours is unknown in rows that are bounded,
+    # and so is the place, by half the width of the spot. In `corner`, exposed four times too long,
+    # 69 % of such places were right where this exceeds the tolerated error.
+    unsure = 0.5 * seen.width * seen.usual * seen.slope > tolerance * seen.depth
+    return np.where(seen.bounded[:, None] & unsure, np.minimum(result, 0.69), result)

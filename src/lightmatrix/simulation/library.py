@@ -111,6 +111,8 @@ def truth(
             return Truth.load(Path(name) / TRUTH)
         hint = "give a T.npz file, a capture made by `lightmatrix simulate`, or a scene"
         raise InputError(f"{name} holds no {TRUTH}", hint=hint)
+    if as_path(name).is_file():
+        raise InputError(f"{name}: is no truth", hint="give a T.npz file, a capture, or a scene")
     name = str(name)
     if name == PROCEDURAL:
         return ProceduralScene(size, size, seed).truth()

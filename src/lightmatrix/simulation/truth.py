@@ -43,22 +43,6 @@ _PAIRS = 1 << 21
 _EDGE = 1e-9
 
 
-@dataclass(frozen=True, eq=False)
-class Surface:
-    """What camera pixels see.
-
-    Parameters
-    ----------
-    depth : (rows, cols) float64
-        Distance along the camera's axis at the centre of each pixel; NaN where it sees nothing.
-    normals : (rows, cols, 3) float64
-        Unit normals in the world's frame that face the camera; NaN where it sees nothing.
-    """
-
-    depth: NDArray[np.float64]
-    normals: NDArray[np.float64]
-
-
 def view_geometry(
     scene: Scene, camera_shape: tuple[int, ...], projector_shape: tuple[int, int]
 ) -> RigGeometry:
@@ -70,8 +54,14 @@ def view_geometry(
     )  # fmt: skip
 
 
-def trace_surface(scene: Scene, geometry: RigGeometry) -> Surface:
-    """Depth and normals of a scene as a camera without distortion sees it."""
+def trace_surface(
+    scene: Scene, geometry: RigGeometry
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Depth (rows, cols) and unit normals (rows, cols, 3) of a scene; NaN where nothing is seen.
+
+    As a camera without distortion sees it at the centres of its pixels. Depth is along its axis,
+    and normals face it, in the world's frame.
+    """
     mesh = merge([part.mesh for part in scene.parts])
     corners = mesh.vertices[mesh.faces]
     # Triangles behind the camera do not occur, since scenes lie in front of it.
@@ -82,7 +72,7 @@ def trace_surface(scene: Scene, geometry: RigGeometry) -> Surface:
     away = ((corners[:, 0] - geometry.camera_centre) * normals).sum(axis=1) > 0
     normals[away] *= -1
     seen = np.where((nearest >= 0)[:, None], normals[nearest], np.nan)
-    return Surface(depth.reshape(geometry.camera_shape), seen.reshape(*geometry.camera_shape, 3))
+    return depth.reshape(geometry.camera_shape), seen.reshape(*geometry.camera_shape, 3)
 
 
 def _nearest(mesh: Mesh, geometry: RigGeometry) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
@@ -202,27 +192,22 @@ class Truth:
         NaN where a pixel sees nothing; None if the scene or its geometry is not known, or the scene
         has changed since T was rendered.
         """
-        return None if self._surface is None else self._surface.depth
+        return None if self._surface is None else self._surface[0]
 
     @property
     def normals(self) -> NDArray[np.float64] | None:
         """Unit normals (rows, cols, 3) that face the camera, in the world's frame; as `depth`."""
-        return None if self._surface is None else self._surface.normals
+        return None if self._surface is None else self._surface[1]
 
     @cached_property
-    def _scene(self) -> Scene | None:
-        """The scene that was rendered, if it is one of ours and has not changed since."""
+    def _surface(self) -> tuple[NDArray[np.float64], NDArray[np.float64]] | None:
+        """Depth and normals of a scene of ours that has not changed since it was rendered."""
         name = self.metadata.get("scene")
-        if name not in names():
+        built = scene(str(name)) if name in names() else None
+        if self.geometry is None or built is None:
             return None
-        built = scene(str(name))
-        return built if built.version == self.metadata.get("scene_version") else None
-
-    @cached_property
-    def _surface(self) -> Surface | None:
-        if self._scene is None or self.geometry is None:
-            return None
-        return trace_surface(self._scene, self.geometry)
+        same = built.version == self.metadata.get("scene_version")
+        return trace_surface(built, self.geometry) if same else None
 
     def with_data(self, data: NDArray[Any]) -> csr_array:
         """A matrix with the same places of entries but other values, (nnz,)."""

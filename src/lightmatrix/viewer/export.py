@@ -101,7 +101,7 @@ def export_viewer(
         The capture that T was estimated from. The page then offers its patterns, a byte a pixel,
         which count towards the 32 MiB.
     geometry : RigGeometry, str or Path, optional
-        The geometry of the rig, from `calibrate`. The page then has a layer of depth.
+        The geometry of the rig, from `calibrate`. The page then has layers of depth.
     overwrite : bool
         Whether an existing page of the viewer may be replaced.
 

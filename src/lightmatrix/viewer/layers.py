@@ -19,7 +19,8 @@ from lightmatrix.errors import InputError
 from lightmatrix.geometry.rig_geometry import RigGeometry
 from lightmatrix.pictures import maps
 from lightmatrix.pictures.style import white_level
-from lightmatrix.shape.shape import depth_map
+from lightmatrix.shape.layers import Layers, layers
+from lightmatrix.shape.shape import Shape
 from lightmatrix.shape.triangulation import triangulate
 from lightmatrix.transport.correspondence import Correspondence, correspondence
 from lightmatrix.transport.matrix import LightTransport
@@ -103,7 +104,8 @@ class LayerSource:
             raise InputError(f"there is no layer {name!r}", hint="choose one of the list")
         with self._lock:
             if name not in self._made:
-                self._made[name] = LAYERS[name].make(self)
+                made = LAYERS[name].make(self)
+                self._made[name] = packed_map(made) if isinstance(made, maps.Map) else made
             return self._made[name]
 
     @cached_property
@@ -116,6 +118,25 @@ class LayerSource:
         """Direct and global light, of a matrix in memory; refused if T cannot be separated."""
         assert isinstance(self.matrix, LightTransport)
         return separate(self.matrix)
+
+    @cached_property
+    def shape(self) -> Shape:
+        """The surface, from T where it is in memory, else from its correspondence."""
+        matrix = self.matrix if isinstance(self.matrix, LightTransport) else self.correspondence
+        assert self.geometry is not None
+        return triangulate(matrix, self.geometry)
+
+    @cached_property
+    def surfaces(self) -> Layers:
+        """All that camera pixels see, one through the other, of a matrix in memory."""
+        assert isinstance(self.matrix, LightTransport)
+        assert self.geometry is not None
+        return layers(self.matrix, self.geometry)
+
+    @property
+    def layered(self) -> bool:
+        """Whether there are surfaces behind others: the geometry is known, and T is in memory."""
+        return self.geometry is not None and isinstance(self.matrix, LightTransport)
 
     @property
     def separable(self) -> bool:
@@ -131,9 +152,9 @@ class Layer:
     """What a layer shows, for which side, and whether a matrix has it."""
 
     title: str
-    side: str
-    make: Callable[[LayerSource], bytes]
+    make: Callable[[LayerSource], maps.Map | bytes]
     exists: Callable[[LayerSource], bool] = lambda source: True
+    side: str = "camera"
 
 
 def _colours(colour_map: Colormap) -> NDArray[np.uint8]:
@@ -171,50 +192,51 @@ def _light(part: Callable[[Separation], LightTransport]) -> Callable[[LayerSourc
     return make
 
 
-def _depth(source: LayerSource) -> bytes:
-    """The distance of the surface, from T where it is in memory, else from its correspondence."""
-    matrix = source.matrix if isinstance(source.matrix, LightTransport) else source.correspondence
-    assert source.geometry is not None
-    shape = triangulate(matrix, source.geometry)
-    return packed_map(depth_map(shape.depth, shape.geometry.units))
+def _mirrors(source: LayerSource) -> bytes:
+    light = source.surfaces.mirrored_light
+    return packed({"white": white_level(light)}, {"values": light})
 
 
-def _depth_order(source: LayerSource) -> bytes:
+def _parallax(source: LayerSource) -> maps.Map:
     values = source.separation.parallax.astype(np.float64)
     known = values[np.isfinite(values)]
     # Wrong matches may lie at either end.
     low, high = np.quantile(known, (0.01, 0.99)).tolist() if known.size else (0.0, 1.0)
     high = max(high, low + 1e-6 * max(1.0, abs(low)))
     label = "parallax along the epipolar line, projector pixels"
-    return packed_map(maps.Map("Parallax", label, values, low, high))
+    return maps.Map("Parallax", label, values, low, high)
 
 
-def _places(which: int) -> Callable[[LayerSource], bytes]:
-    return lambda source: packed_map(maps.correspondence_maps(source.correspondence)[which])
+def _places(name: str, which: int) -> Layer:
+    title = f"Correspondence: {name}"
+    return Layer(title, lambda s: maps.correspondence_maps(s.correspondence)[which])
 
 
 def _diagnostic(title: str, make: Callable[[LightTransport], maps.Map], name: str) -> Layer:
-    return Layer(
-        title,
-        "camera",
-        lambda source: packed_map(make(source.facts)),
-        lambda source: maps.has_diagnostic(source.facts, name),
-    )
+    return Layer(title, lambda s: make(s.facts), lambda s: maps.has_diagnostic(s.facts, name))
 
 
 LAYERS = {
-    "direct": Layer(
-        "Direct light of white", "camera", _light(lambda s: s.direct), lambda s: s.separable
+    "direct": Layer("Direct light of white", _light(lambda s: s.direct), lambda s: s.separable),
+    "global": Layer("Global light of white", _light(lambda s: s.global_), lambda s: s.separable),
+    "depth": Layer("Depth", lambda s: s.shape.depth_map, lambda s: s.geometry is not None),
+    "probability": Layer(
+        "Probability of the depth",
+        lambda s: s.shape.probability_map,
+        lambda s: s.geometry is not None,
     ),
-    "global": Layer(
-        "Global light of white", "camera", _light(lambda s: s.global_), lambda s: s.separable
+    "first": Layer(
+        "Depth of the first surface", lambda s: s.surfaces.depth_maps[0], lambda s: s.layered
     ),
-    "depth": Layer("Depth", "camera", _depth, lambda s: s.geometry is not None),
-    "parallax": Layer("Parallax", "camera", _depth_order, lambda s: s.separable),
-    "dual": Layer("Dual image", "projector", _dual),
-    "row": Layer("Correspondence: row", "camera", _places(0)),
-    "column": Layer("Correspondence: column", "camera", _places(1)),
-    "confidence": Layer("Correspondence: confidence", "camera", _places(2)),
+    "behind": Layer(
+        "Depth of the surface behind it", lambda s: s.surfaces.depth_maps[1], lambda s: s.layered
+    ),
+    "mirrors": Layer("Light by mirrors", _mirrors, lambda s: s.layered),
+    "parallax": Layer("Parallax", _parallax, lambda s: s.separable),
+    "dual": Layer("Dual image", _dual, side="projector"),
+    "row": _places("row", 0),
+    "column": _places("column", 1),
+    "confidence": _places("confidence", 2),
     "clipping": _diagnostic("Clipped samples", maps.clipping_map, "clipped_share"),
     "estimated-error": _diagnostic("Estimated error", maps.estimated_error_map, "estimated_error"),
     "footprint": _diagnostic("Footprint size", maps.footprint_map, "footprint"),

@@ -33,7 +33,7 @@ class Scene:
 
     A matrix of more than `page_bytes` stays here, and on disk if it is a store, which gets an index
     of its columns (`progress` is called meanwhile). The page offers the patterns of `capture`, and
-    a layer of depth if there is a `geometry`.
+    layers of depth if there is a `geometry`.
     """
 
     def __init__(

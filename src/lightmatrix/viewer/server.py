@@ -253,7 +253,7 @@ def serve_viewer(
     capture : Capture, str or Path, optional
         The capture that T was estimated from. The page then offers its patterns.
     geometry : RigGeometry, str or Path, optional
-        The geometry of the rig, from `calibrate`. The page then has a layer of depth.
+        The geometry of the rig, from `calibrate`. The page then has layers of depth.
 
     Raises
     ------
