@@ -83,7 +83,7 @@ def plane(capture: lm.Capture, measured: RigCalibration) -> None:
     """Print how far the points of pose 0 lie from one plane."""
     matches = lm.decode(capture)
     assert matches.light is not None
-    board = within(measured.poses[0].camera, measured.geometry.camera_shape)
+    board = within(measured.poses[0].camera[0], measured.geometry.camera_shape)
     lit = board & (matches.light > LIT)
     whole = replace(matches, place=np.rint(matches.place))
     for name, places in (("fractions", matches), ("whole pixels", whole)):
@@ -167,7 +167,7 @@ def main(arguments: list[str] | None = None) -> None:
     for number, pose in enumerate(measured.poses):
         others = [capture for other, capture in enumerate(poses) if other != number]
         rig = lm.calibrate_rig(others, BOARD, SQUARE, units="mm").geometry
-        sides = square_sides(rig.triangulate(pose.camera, pose.projector))
+        sides = square_sides(rig.triangulate(pose.camera[0], pose.projector[0, 0]))
         print(f"pose {number} left out: squares of {sides.mean():.2f} +- {sides.std():.2f} mm")
     plane(poses[0], measured)
 

@@ -515,17 +515,9 @@ def test_separate(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     binned(lm.truth("l_objects"), 4).save(tmp_path / "T.npz")
     lm.write_image(tmp_path / "p.png", np.tile(np.eye(8), (2, 2)))
     words = f"separate {tmp_path}/T.npz --pattern {tmp_path}/p.png -o {tmp_path}/shown"
-    _run(f"{words} --epipolar --non-epipolar", capsys)
-    parts = lm.separate(
-        tmp_path / "T.npz", pattern=tmp_path / "p.png", epipolar=True, non_epipolar=True,
-        output=tmp_path / "made",
-    )  # fmt: skip
-    written = {
-        "direct": parts.direct,
-        "global": parts.global_,
-        "epipolar": parts.epipolar,
-        "non-epipolar": parts.non_epipolar,
-    }
+    _run(words, capsys)
+    parts = lm.separate(tmp_path / "T.npz", pattern=tmp_path / "p.png", output=tmp_path / "made")
+    written = {"direct": parts.direct, "global": parts.global_}
     for name, part in written.items():
         _same_transport(lm.open(tmp_path / "shown" / f"{name}.zarr"), part)
     for name in ("separation.png", *(f"{name}.npy" for name in written)):

@@ -59,8 +59,9 @@ def board_capture(
     )
     rays = rig.camera_rays(np.column_stack([(col + across).ravel(), (row + down).ravel()]))
     # The plane through the middle, at right angles to the third axis of the turn.
-    depth = (turn[:, 2] @ np.array(middle)) / (rays @ turn[:, 2])
-    points = depth[:, None] * rays
+    centre = rig.camera_centre
+    depth = (turn[:, 2] @ (np.array(middle) - centre)) / (rays @ turn[:, 2])
+    points = centre + depth[:, None] * rays
     place = (points - np.array(middle)) @ turn[:, :2] / SQUARE
     light = _albedo(place, squares) / _FINE**2
     lit = np.rint(rig.project_projector(points))
@@ -73,29 +74,33 @@ def board_capture(
     return lm.simulate(truth, patterns, exposure=1.0, noise=noise)
 
 
-def other_projector() -> lm.RigGeometry:
-    """The camera of `board_rig` and a projector on its other side."""
+def two_by_two() -> tuple[tuple[lm.RigGeometry, ...], ...]:
+    """The rig, a projector on its other side, and a camera above: each camera's two geometries."""
     rig = board_rig()
     turn = Rotation.from_euler("yx", [-12, 2], degrees=True).as_matrix()
     shift = turn @ np.array([190.0, -8, -15])
     matrix = np.array([[470.0, 0, 94], [0, 472, 70], [0, 0, 1]]) @ np.column_stack([turn, shift])
-    return replace(rig, projector_matrix=matrix)
+    both = rig, replace(rig, projector_matrix=matrix)
+    # Upside down, so that it counts the board from the other end.
+    turn = Rotation.from_euler("zyx", [175, -3, -9], degrees=True).as_matrix()
+    shift = -turn @ np.array([60.0, -170, 20])
+    matrix = np.array([[580.0, 0, 118], [0, 580, 92], [0, 0, 1]]) @ np.column_stack([turn, shift])
+    return both, tuple(replace(one, camera_matrix=matrix) for one in both)
 
 
 def two_projector_capture(
-    rigs: Sequence[lm.RigGeometry],
-    pose: tuple[Sequence[float], Sequence[float]],
-    patterns: lm.PatternSet,
+    rigs: Sequence[lm.RigGeometry], pose: tuple[Sequence[float], Sequence[float]]
 ) -> SimulatedCapture:
-    """Photographs of the board under projectors of one size, whose patterns stand in one image."""
+    """A dark photograph of the board under projectors of one size, and its true T."""
     shape = rigs[0].projector_shape
     black = lm.ImagePatterns(np.zeros((1, *shape), np.float32))
     matrices = [board_capture(rig, pose, black).truth.matrix for rig in rigs]
     matrix = csr_array(hstack(matrices), dtype=np.float32)
-    about = {"projectors": [list(shape)] * len(rigs)}
     size = (len(rigs) * shape[0], shape[1])
+    about = {"projectors": [list(shape)] * len(rigs)}
     truth = lm.Truth(matrix, matrix.data, rigs[0].camera_shape, size, about)
-    return lm.simulate(truth, patterns, exposure=1.0, noise=0.004)
+    black = lm.ImagePatterns(np.zeros((1, *size), np.float32))
+    return lm.simulate(truth, black, exposure=1.0, noise=0.004)
 
 
 def _albedo(place: NDArray[np.float64], squares: bool) -> NDArray[np.float64]:

@@ -6,6 +6,7 @@ import json
 from collections.abc import Iterator
 from dataclasses import replace
 from functools import cache, partial
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -17,13 +18,12 @@ import lightmatrix as lm
 from lightmatrix.cli import main
 from lightmatrix.geometry.matches import fit_fundamental, fit_homography, moved, sampson
 from lightmatrix.shape import calibrate
+from lightmatrix.shape.adjustment import Fit, fit_board
 from lightmatrix.shape.calibrate import (
-    BoardCorners,
     BoardKind,
     RigCalibration,
     board_points,
     find_corners,
-    fit_stereo,
     light_corners,
     pose_images,
 )
@@ -35,7 +35,7 @@ from ..helpers.board import (
     SQUARE,
     board_capture,
     board_rig,
-    other_projector,
+    two_by_two,
     two_projector_capture,
 )
 
@@ -56,12 +56,16 @@ def real_matches() -> lm.Correspondence:
     return lm.decode(lm.Capture.from_folders(DATA / "graycode_pattern", DATA / "capture_0"))
 
 
-def real_corners() -> list[BoardCorners]:
+def real_corners() -> tuple[np.ndarray, np.ndarray]:
+    """The corners of five poses in the camera's image, and what lights them, (5, 63, 2)."""
     table = np.loadtxt(DATA / "corners.csv", delimiter=",", skiprows=1)
-    return [
-        BoardCorners(part[:, 1:3], part[:, 3:])
-        for part in (table[table[:, 0] == pose] for pose in range(5))
-    ]
+    poses = np.array([table[table[:, 0] == pose] for pose in range(5)])
+    return poses[..., 1:3], poses[..., 3:]
+
+
+def fitted(seen: np.ndarray, lit: np.ndarray) -> tuple[Fit, lm.RigGeometry]:
+    fit = fit_board(seen[None], lit[None, None], board_points((9, 7), SIDE), CAMERA)
+    return fit, fit.geometry(0, 0, (CAMERA, PROJECTOR))
 
 
 def squares(points: np.ndarray, used: np.ndarray) -> np.ndarray:
@@ -73,22 +77,21 @@ def squares(points: np.ndarray, used: np.ndarray) -> np.ndarray:
 
 
 def test_a_real_board_is_explained_to_a_quarter_of_a_pixel() -> None:
-    fit = fit_stereo(real_corners(), board_points((9, 7), SIDE), CAMERA, PROJECTOR)
-    used = np.concatenate(fit.used)
-    errors = np.concatenate([*fit.camera_errors, *fit.projector_errors])[np.tile(used, 2)]
+    fit, _ = fitted(*real_corners())
+    used = fit.used[0, 0]
     assert used.sum() >= 290
-    assert np.sqrt((errors**2).sum(axis=1).mean()) < 0.2
+    for errors in (fit.seen_errors[0], fit.lit_errors[0, 0]):
+        assert np.sqrt((errors[used] ** 2).sum(axis=1).mean()) < 0.2
     # The board is bent at one corner, which the second and third pose show at opposite ends.
-    assert not fit.used[1][-9]
-    assert not fit.used[2][8]
+    assert not used[1, -9]
+    assert not used[2, 8]
 
 
 @pytest.mark.parametrize("left_out", [0, 4])
 def test_a_pose_left_out_measures_the_squares(left_out: int) -> None:
-    poses = real_corners()
-    others = [pose for k, pose in enumerate(poses) if k != left_out]
-    fit = fit_stereo(others, board_points((9, 7), SIDE), CAMERA, PROJECTOR)
-    points = fit.geometry.triangulate(poses[left_out].camera, poses[left_out].projector)
+    seen, lit = real_corners()
+    others = np.arange(5) != left_out
+    points = fitted(seen[others], lit[others])[1].triangulate(seen[left_out], lit[left_out])
     sides = squares(points, np.ones(63, bool))
     assert abs(sides.mean() - SIDE) < 0.15
     assert sides.std() < 0.15
@@ -99,19 +102,19 @@ def test_corners_of_real_photographs_have_their_projector_pixels(
 ) -> None:
     """Also where the image is mirrored, which the homographies around the corners tell."""
     # The photographs are a window of those whose corners are stored.
-    known = real_corners()[0]
-    seen = known.camera - np.array([248.0, 592.0])
+    known, projector = (places[0] for places in real_corners())
+    seen = known - np.array([248.0, 592.0])
     inside = ((seen > 20) & (seen < np.array([384, 280]) - 20)).all(axis=1)
     grid = inside.reshape(7, 9)
     board = int(grid.any(axis=0).sum()), int(grid.any(axis=1).sum())
     assert inside.sum() == board[0] * board[1] >= 6
-    lit = light_corners(seen[inside], real_matches, board)
-    assert np.abs(lit.projector - known.projector[inside]).max() < 0.06
-    assert lit.mirrored == 0
+    lit, mirrored = light_corners(seen[inside], real_matches, board)
+    assert np.abs(lit - projector[inside]).max() < 0.06
+    assert mirrored == 0
     cols = real_matches.projector_shape[1] - 1  # type: ignore[index]
-    mirrored = (real_matches.place * [1, -1] + [0, cols]).astype(np.float32)
-    turned = light_corners(seen[inside], replace(real_matches, place=mirrored), board)
-    assert turned.mirrored == 1
+    place = (real_matches.place * [1, -1] + [0, cols]).astype(np.float32)
+    turned = light_corners(seen[inside], replace(real_matches, place=place), board)
+    assert turned[1] == 1
 
 
 def test_a_shifted_lens_above_the_camera_is_found() -> None:
@@ -127,15 +130,16 @@ def test_a_shifted_lens_above_the_camera_is_found() -> None:
         (800, 1280),
     )
     board = board_points((9, 7), 40.0)
-    poses = []
+    seen, lit = [], []
     for _ in range(5):
         turn = Rotation.from_euler("xyz", random.uniform(-30, 30, 3), degrees=True).as_matrix()
         points = (board - board.mean(axis=0)) @ turn.T + [*random.uniform(-60, 60, 2), 1400]
-        poses.append(BoardCorners(rig.project_camera(points), rig.project_projector(points)))
-    fit = fit_stereo(poses, board, (1024, 1280), (800, 1280))
-    found = fit.geometry.projector_intrinsics
-    np.testing.assert_allclose(found, projector, rtol=0.01, atol=2)
-    assert max(np.abs(each).max() for each in fit.projector_errors) < 0.05
+        seen.append(rig.project_camera(points))
+        lit.append(rig.project_projector(points))
+    fit = fit_board(np.array([seen]), np.array([[lit]]), board, (1024, 1280))
+    found = fit.geometry(0, 0, ((1024, 1280), (800, 1280))).projector_intrinsics
+    np.testing.assert_allclose(found, projector, rtol=1e-4, atol=0.1)
+    assert np.abs(fit.lit_errors).max() < 0.01
 
 
 # Seen askew: where pixels of a drawing of 30 pixels a square appear in a photograph.
@@ -203,10 +207,11 @@ def test_a_part_of_a_charuco_board_suffices_and_so_does_a_part_that_is_lit() -> 
     place[:300] = np.nan
     pixel = np.nan_to_num(place, nan=-1).astype(np.int32)
     matches = lm.Correspondence(pixel, place, np.ones(white.shape, np.float32))
-    lit = light_corners(found, matches, board)
-    assert (lit.lit <= seen).all()
-    assert 0 < lit.lit.sum() < seen.sum()
-    np.testing.assert_allclose(lit.projector[lit.lit], found[lit.lit] - [100, 40], atol=1e-2)
+    places, _ = light_corners(found, matches, board)
+    lit = np.isfinite(places).all(axis=1)
+    assert (lit <= seen).all()
+    assert 0 < lit.sum() < seen.sum()
+    np.testing.assert_allclose(places[lit], found[lit] - [100, 40], atol=1e-2)
 
 
 @pytest.mark.parametrize("count", [6, 12])
@@ -216,9 +221,9 @@ def test_poses_need_few_lit_corners_in_two_rows(
     whole = light_corners
 
     def in_part(corners: np.ndarray, matches: lm.Correspondence, board: tuple[int, int]) -> Any:
-        lit = whole(corners, matches, board)
-        lit.projector[count:] = np.nan
-        return lit
+        places, mirrored = whole(corners, matches, board)
+        places[count:] = np.nan
+        return places, mirrored
 
     poses = [*captures, replace(captures[0])]
     with monkeypatch.context() as patch:
@@ -227,8 +232,9 @@ def test_poses_need_few_lit_corners_in_two_rows(
             with pytest.raises(lm.InputError, match="projector lights 6 of them: 8 in two rows"):
                 lm.calibrate_rig(poses, BOARD, SQUARE)
         else:
-            found = calibrate._all_corners(poses, BOARD, "chessboard", 1, None)[0]
-            assert [each.lit.sum() for each in found.values()] == [12] * 5
+            opened: Any = {str(k): [[pose]] for k, pose in enumerate(poses)}
+            found, _ = calibrate._all_corners(opened, BOARD, "chessboard", None)
+            assert [np.isfinite(lit).sum() for _, lit, _ in found.values()] == [24] * 5
     with pytest.raises(lm.InputError, match="a board of the kind 'squares'"):
         lm.calibrate_rig(poses, BOARD, SQUARE, kind="squares")  # type: ignore[arg-type]
 
@@ -330,19 +336,14 @@ def test_flipped_patterns_calibrate_as_mirrored(
 
 @pytest.mark.parametrize("exchanged", [False, True])
 def test_the_rms_has_absolute_limits(exchanged: bool, monkeypatch: pytest.MonkeyPatch) -> None:
-    poses, random = real_corners(), np.random.default_rng(0)
-    wrong = [
-        replace(
-            pose,
-            projector=poses[4 - k].projector
-            if exchanged
-            else pose.projector + random.normal(0, 1.2, pose.projector.shape),
-        )
-        for k, pose in enumerate(poses)
-    ]
+    (seen, lit), random = real_corners(), np.random.default_rng(0)
+    wrong = lit[::-1] if exchanged else lit + random.normal(0, 1.2, lit.shape)
     names = [f"pose_{k}" for k in range(5)]
-    found = dict(zip(names, wrong, strict=True)), (CAMERA, PROJECTOR), dict[str, str]()
-    monkeypatch.setattr(calibrate, "_all_corners", lambda *_: found)
+    pairs = zip(seen[:, None], wrong[:, None, None], strict=True)
+    found = {name: (*pair, np.zeros((1, 1))) for name, pair in zip(names, pairs, strict=True)}
+    monkeypatch.setattr(calibrate, "_captures_of", lambda _: [])
+    monkeypatch.setattr(calibrate, "_shapes_of", lambda _: ([CAMERA], [PROJECTOR]))
+    monkeypatch.setattr(calibrate, "_all_corners", lambda *_: (found, {}))
     if exchanged:
         with pytest.raises(lm.InputError, match="no geometry explains the corners"):
             lm.calibrate_rig(names, (9, 7), SIDE)
@@ -353,16 +354,17 @@ def test_the_rms_has_absolute_limits(exchanged: bool, monkeypatch: pytest.Monkey
 
 
 def test_a_board_that_the_projector_does_not_light(captures: list[SimulatedCapture]) -> None:
-    white, matches = pose_images(captures[0])
+    white, (matches,) = pose_images(captures[0])
     places = find_corners(white, BOARD)
     assert places is not None
     dark = matches.place.copy()
     dark[:, 120:] = np.nan
-    half = light_corners(places, lm.Correspondence(matches.pixel, dark, matches.confidence), BOARD)
-    assert 0 < half.lit.sum() < 35
+    half = lm.Correspondence(matches.pixel, dark, matches.confidence)
+    lit = np.asarray(np.isfinite(light_corners(places, half, BOARD)[0]).all(axis=1))
+    assert 0 < lit.sum() < 35
     # A window that is half dark may still be lit enough.
-    assert half.lit[half.camera[:, 0] < 120].all()
-    assert not half.lit[half.camera[:, 0] > 124].any()
+    assert lit[places[:, 0] < 120].all()
+    assert not lit[places[:, 0] > 124].any()
 
 
 def test_the_command(
@@ -384,7 +386,7 @@ def test_the_command(
     assert main(["calibrate", *folders, *words, "--overwrite"]) == 0
     assert "25 mm" not in capsys.readouterr().out
     rig = lm.RigGeometry.load(tmp_path / "rig.json")
-    assert rig.baseline == pytest.approx(24.5 / 25 * answer["baseline"], abs=1e-3)
+    assert rig.baseline == pytest.approx(24.5 / 25 * answer["baseline"], rel=1e-4)
     for wrong, said in {"wide": "--square wide", "1,200mm": "write 1.2mm or 1200mm"}.items():
         words[3] = wrong
         assert main(["calibrate", *folders, *words, "--overwrite"]) == 2
@@ -399,35 +401,76 @@ def test_a_pose_under_random_patterns_has_the_same_corners(
     # A part of the camera, which the whole board is in, and a projector of half as many pixels.
     rig, corner = board_rig().scaled(projector=2), (24, 48)
     random = lm.BernoulliPatterns(rig.projector_shape, 24)
-    white, matches = pose_images(board_capture(rig, POSES[3], random).crop(corner, (124, 133)))
+    capture = board_capture(rig, POSES[3], random).crop(corner, (124, 133))
+    white, (matches,) = pose_images(capture)
     places = find_corners(white, BOARD)
     assert places is not None
-    one, other = light_corners(places, matches, BOARD), usual[0].poses[3]
-    assert one.lit.all()
-    assert np.abs(one.camera + corner[::-1] - other.camera).max() < 0.1
-    away = np.linalg.norm(2 * one.projector + 0.5 - other.projector, axis=1)
+    lit, other = light_corners(places, matches, BOARD)[0], usual[0].poses[3]
+    assert np.isfinite(lit).all()
+    assert np.abs(places + corner[::-1] - other.camera[0]).max() < 0.1
+    away = np.linalg.norm(2 * lit + 0.5 - other.projector[0, 0], axis=1)
     assert np.sqrt((away**2).mean()) < 0.25
 
 
-def test_two_projectors_from_one_set_of_boards(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Each with the camera, in whose frame the points that they light are the same."""
-    rigs = board_rig(), other_projector()
-    black = lm.ImagePatterns(np.zeros((1, 288, 192), np.float32))
-    captures = [two_projector_capture(rigs, pose, black) for pose in POSES[:3]]
+def test_two_projectors_and_two_cameras_from_one_set_of_boards(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    known = two_by_two()
+    captures = [[[two_projector_capture(rigs, pose) for rigs in known]] for pose in POSES[:3]]
     # Estimates from random patterns take half a minute a pose; they are exact here.
     monkeypatch.setattr(calibrate, "estimate", lambda capture: capture.truth.transport())
-    found = [lm.calibrate_rig(captures, BOARD, SQUARE, projector=k).geometry for k in (1, 2)]
-    assert all(rig.rms["stereo"] < 0.2 for rig in found)
-    row, col = np.mgrid[-50:60:20, -60:70:20]
-    points = np.column_stack([col.ravel(), row.ravel(), 900 + 0.4 * col.ravel()])
-    one, two = (
-        rig.triangulate(known.project_camera(points), known.project_projector(points))
-        for rig, known in zip(found, rigs, strict=True)
-    )
-    # Three poses leave the focal lengths open, which both share.
-    assert np.linalg.norm(one - two, axis=1).max() < 3
-    with pytest.raises(lm.InputError, match="has no projector 3"):
-        lm.calibrate_rig(captures, BOARD, SQUARE, projector=3)
+    with pytest.raises(lm.InputError, match="pose 2: has images of other sizes"):
+        lm.calibrate_rig([*captures[:2], [captures[2][0][:1]]], BOARD, SQUARE)
+    measured = lm.calibrate_rig(captures, BOARD, SQUARE, output=tmp_path / "rig.json")
+    stated = measured.standard_errors
+    assert set(stated) == {"camera 2", "projector 1", "projector 2"}
+    pairs = list(product((0, 1), (0, 1)))
+    files = [tmp_path / f"rig-{camera + 1}-{projector + 1}.json" for camera, projector in pairs]
+    found = [lm.RigGeometry.load(file) for file in files]
+    for (camera, projector), rig in zip(pairs, found, strict=True):
+        assert max(rig.rms.values()) < 0.2
+        own = errors(rig, known[camera][projector])[0]
+        assert own < 2.5 * max(turn for turn, _ in stated.values()) < 0.6
+    # How the projectors are turned to each other is known better than to the camera.
+    turn, exact = (b.rotation @ a.rotation.T for a, b in (found[:2], known[0]))
+    assert np.degrees(Rotation.from_matrix(turn @ exact.T).magnitude()) < 0.05
+
+
+def test_a_projector_is_compared_with_what_the_camera_took_for_a_corner() -> None:
+    """Poses are as good as the matches of camera and projector, not as the corners."""
+    random, board = np.random.default_rng(3), board_points((9, 7), 25.0)
+    turned, lit = [], []
+    rigs = two_by_two()
+    for k in range(8):
+        angles = 30 * np.cos([k, k + 1.5, 0])
+        turn = Rotation.from_euler("xyz", angles, degrees=True).as_matrix()
+        normal, middle = turn[:, 2], np.array([5.0 * k - 20, 0, 900 + 10 * (k % 3)])
+        corners = (board - board.mean(axis=0)) @ turn.T + middle
+        seen = rigs[0][0].project_camera(corners) + random.normal(0, 0.15, (63, 2))
+        rays = rigs[0][0].camera_rays(seen)
+        met = rays * (normal @ middle / (rays @ normal))[:, None]
+        lit.append(
+            [rig.project_projector(met) + random.normal(0, 0.01, (63, 2)) for rig in rigs[0]]
+        )
+        turned.append(seen)
+    places = np.array(lit).swapaxes(0, 1)[None]
+    fit = fit_board(np.array([turned]), places, board, (180, 240))
+    assert np.sqrt(np.square(fit.lit_errors).mean()) == pytest.approx(0.01, rel=0.1)
+    assert np.sqrt(np.square(fit.seen_errors).mean()) == pytest.approx(0.15, rel=0.1)
+    for projector, rig in enumerate(rigs[0]):
+        found = fit.geometry(0, projector, ((180, 240), (144, 192)))
+        assert errors(found, rig)[0] < 2.5 * fit.deviations[1 + projector, 0] < 0.2
+
+
+def test_folders_of_cameras_and_of_projectors_in_turn(
+    captures: list[SimulatedCapture], tmp_path: Path
+) -> None:
+    for camera, projector in product((1, 2), (1, 2)):
+        captures[0].save(tmp_path / "pose" / f"projector-{projector}" / f"camera-{camera}")
+    parts = calibrate._captures_of(tmp_path / "pose")
+    assert [len(part) for part in parts] == [2, 2]
+    shapes = calibrate._shapes_of({"pose": parts})
+    assert shapes == ([(180, 240)] * 2, [(144, 192)] * 2)
 
 
 # Self-calibration, against the exact geometry of rendered scenes.

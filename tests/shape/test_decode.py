@@ -13,7 +13,7 @@ from scipy.ndimage import map_coordinates
 import lightmatrix as lm
 from lightmatrix.capture.frames import ArrayStack
 from lightmatrix.capture.sensor import Sensor
-from lightmatrix.check.frame_order import missing_places
+from lightmatrix.check.all_checks import missing_places
 from lightmatrix.check.survey import Survey
 from lightmatrix.errors import InputError, LightMatrixWarning
 from lightmatrix.files.images import decode_image, encode_image

@@ -160,16 +160,6 @@ def test_channels_share_their_geometry() -> None:
     assert parts.confidence.shape == (SIDE, SIDE)
 
 
-def test_epipolar_parts_are_a_split_too() -> None:
-    transport, _ = _scene(30, depth=5, glow=0.1)
-    parts = lm.separate(transport)
-    assert ((parts.epipolar.sparse + parts.non_epipolar.sparse) != transport.sparse).nnz == 0
-    white = np.ones((SIDE, SIDE))
-    direct, epipolar = parts.direct.relight(white), parts.epipolar.relight(white)
-    assert (epipolar >= direct - 1e-6).mean() > 0.99
-    assert epipolar.sum() < 0.5 * (direct.sum() + transport.relight(white).sum())
-
-
 def test_global_light_can_be_scaled() -> None:
     transport, _ = _scene(30, depth=5, glow=0.1)
     parts, pattern = lm.separate(transport), np.zeros((SIDE, SIDE))

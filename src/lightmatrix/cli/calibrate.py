@@ -18,8 +18,9 @@ from lightmatrix.errors import InputError
 @described(
     poses=Argument(
         metavar="POSE...",
-        help="A capture of each pose: patterns/ and images/. With --focal, one T or file of "
-        "`decode`, of a scene that is not flat.",
+        help="A capture of each pose: patterns/ and images/, or folders of captures by "
+        "several cameras (camera-1, ...), of projectors in turn (projector-1, ...). With --focal, "
+        "one T or file of `decode`, of a scene that is not flat.",
     ),
     board=Option(metavar="9x7", help="Inner corners of the board (squares less one), or circles."),
     square=Option(
@@ -28,7 +29,6 @@ from lightmatrix.errors import InputError
         "ones from row to row.",
     ),
     kind="What is printed on the board.",
-    projector="Number of the projector, of several that showed random patterns at once.",
     focal="Without a board: the camera's focal length in pixels.",
     principal=Option(
         metavar="COL,ROW",
@@ -36,14 +36,13 @@ from lightmatrix.errors import InputError
         show_default="the middle",
     ),
     baseline=Option(metavar="200mm", help="Without a board: from the camera to the projector."),
-    output="The geometry to write: .json, .yml or .xml (OpenCV), .colmap.",
+    output="The geometry to write: .json, .yml or .xml (OpenCV).",
 )
 def calibrate(
     poses: list[Path],
     board: str | None = None,
     square: str | None = None,
     kind: Literal["chessboard", "charuco", "circles", "asymmetric-circles"] = "chessboard",
-    projector: int = 1,
     focal: float | None = None,
     principal: str | None = None,
     baseline: str = "1",
@@ -51,11 +50,11 @@ def calibrate(
     overwrite: Overwrite = False,
     as_json: Json = False,
 ) -> None:
-    """Calibrate camera and projector with a board.
+    """Calibrate cameras and projectors with a board.
 
     Print a board and mount it flat. Photograph it in 5 to 10 poses, each tilted differently,
-    under a Gray code (`patterns graycode`) or under random patterns. The camera's focal length,
-    distortion and place are found, and those of the projector as if it were a second camera.
+    under a Gray code (`patterns graycode`) or under random patterns. The focal length, distortion
+    and place of all cameras and projectors are found together; of several, each pair has a file.
     Without a board, --focal finds the projector from one scene.
     """
     written: dict[str, Any] = {"output": output, "overwrite": overwrite}
@@ -65,21 +64,28 @@ def calibrate(
     if focal is not None:
         raise InputError("--focal does not go with --board", hint="leave one of them out")
     side, units = _length("--square", square)
-    written |= {"kind": kind, "projector": projector, "units": units}
+    written |= {"kind": kind, "units": units}
     with progress("reading poses", "poses") as step:
         measured = lm.calibrate_rig(poses, size(board), side, progress=step, **written)
     rig, facts = measured.geometry, measured.as_dict()
+    several = len(measured.standard_errors) > 1
+    shown = f"geometries beside {output}" if several else str(output)
     answer(
         as_json,
         {"output": output, **facts},
         *(
-            f"{pose.name}: {pose.used.sum()} of {len(pose.used)} corners, off by "
+            f"{pose.name}: {pose.used.sum()} of {pose.used.size} corners, off by "
             f"{pose.rms_camera:.2f} camera pixels, {pose.rms_projector:.2f} projector pixels"
             for pose in measured.poses
         ),
-        f"{output}: {measured.corners} of {facts['of_corners']} corners in {len(measured.poses)} "
+        f"{shown}: {measured.corners} of {facts['of_corners']} corners in {len(measured.poses)} "
         f"poses, RMS {rig.rms['stereo']:.2f} pixels; camera and projector are {rig.baseline:.4g} "
         f"{rig.units or 'units'} apart",
+        *(
+            f"{device}: turned to +- {turn:.2g} degrees, placed to +- {place:.2g} "
+            f"{rig.units or 'units'}"
+            for device, (turn, place) in measured.standard_errors.items()
+        ),
         f"use it with: lightmatrix triangulate scene.zarr --geometry {output}",
     )
 

@@ -68,62 +68,41 @@ def _random_sets(count: int, size: int) -> tuple[NDArray[np.int64], NDArray[np.i
     return judges, judges[random.integers(len(judges), size=(ROBUST.trials, size))]
 
 
-def fit_parallel_lines(camera: Array, projector: Array) -> Array:
-    """F (3, 3) of parallel epipolar lines from n >= 4 matches; the lines' normals have length 1."""
-    points = np.concatenate([camera, projector], axis=1)
-    # Four points span a hyperplane n . x = c of matches. Normals whose projector part is short say
-    # little about the projector.
-    judges, sets = _random_sets(len(points), 4)
-    chosen = points[sets]
-    normals = np.linalg.svd(chosen[:, 1:] - chosen[:, :1])[2][:, -1]
-    length = np.linalg.norm(normals[:, 2:], axis=1)
-    usable = length >= min(0.2, float(length.max()))
-    normals = normals[usable] / length[usable, None]
-    offsets = (normals * chosen[usable, 0]).sum(axis=1)
-    support = (np.abs(points[judges] @ normals.T - offsets) < ROBUST.support).sum(axis=0)
-    best = int(support.argmax())
-
-    def solve(weight: Array) -> Array:
-        mean = weight @ points / weight.sum()
-        centred = points - mean
-        normal = np.linalg.eigh((centred * weight[:, None]).T @ centred)[1][:, 0]
-        normal = normal / max(float(np.linalg.norm(normal[2:])), 1e-9)
-        return np.append(normal, -float(normal @ mean))
-
-    start = np.append(normals[best], -offsets[best])
-    least = ROBUST.least_spread_of_spots
-    plane = _reweighted(solve, lambda plane: points @ plane[:4] + plane[4], start, least=least)
-    matrix = np.zeros((3, 3))
-    matrix[:2, 2], matrix[2] = plane[2:4], plane[[0, 1, 4]]
-    return matrix
-
-
-def fit_fundamental(camera: Array, projector: Array) -> Array:
+def fit_fundamental(camera: Array, projector: Array, *, parallel: bool = False) -> Array:
     """F (3, 3) of norm 1 with (projector, 1) F (camera, 1)' = 0 from n >= 8 matches.
 
-    Hartley, "In defense of the eight-point algorithm", PAMI 1997.
+    Hartley, "In defense of the eight-point algorithm", PAMI 1997. Of parallel lines, for which 4
+    matches suffice, F holds two numbers of each point and one more.
     """
     before, after = _unit_spread(camera), _unit_spread(projector)
     own, other = _with_ones(moved(before, camera)), _with_ones(moved(after, projector))
-    design = (other[:, :, None] * own[:, None, :]).reshape(-1, 9)
+    free = [2, 5, 6, 7, 8] if parallel else [*range(9)]
+    design = (other[:, :, None] * own[:, None, :]).reshape(-1, 9)[:, free]
 
-    def of_rank_two(matrices: Array) -> Array:
-        left, values, right = np.linalg.svd(matrices.reshape(-1, 3, 3))
-        values[:, 2] = 0
-        return np.asarray(after.T @ ((left * values[:, None, :]) @ right) @ before)
+    def of_rank_two(numbers: Array) -> Array:
+        every = np.zeros((numbers.size // len(free), 9))
+        every[:, free] = numbers
+        matrices = every.reshape(-1, 3, 3)
+        # That of parallel lines has no other rank.
+        if not parallel:
+            left, values, right = np.linalg.svd(matrices)
+            values[:, 2] = 0
+            matrices = (left * values[:, None, :]) @ right
+        return np.asarray(after.T @ matrices @ before)
 
     def solve(weight: Array) -> Array:
         moment = (design * weight[:, None]).T @ design
         return np.asarray(of_rank_two(np.linalg.eigh(moment)[1][:, 0])[0])
 
-    judges, sets = _random_sets(len(camera), 8)
+    judges, sets = _random_sets(len(camera), len(free) - 1)
     candidates = of_rank_two(np.linalg.svd(design[sets])[2][:, -1])
     support = [
         (np.abs(sampson(each, camera[judges], projector[judges])) < ROBUST.support).sum()
         for each in candidates
     ]
     start = candidates[int(np.argmax(support))]
-    matrix = _reweighted(solve, lambda matrix: sampson(matrix, camera, projector), start)
+    least = ROBUST.least_spread_of_spots if parallel else ROBUST.least_spread
+    matrix = _reweighted(solve, lambda m: sampson(m, camera, projector), start, least=least)
     return matrix / np.linalg.norm(matrix)
 
 

@@ -13,9 +13,9 @@ and so the size of the scene, cannot be known.
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from itertools import chain, product
 from pathlib import Path
 from typing import Any, Literal, get_args
 
@@ -31,11 +31,13 @@ from lightmatrix.files.extras import load_opencv
 from lightmatrix.files.kinds import geometry_kind
 from lightmatrix.files.writing import check_output
 from lightmatrix.geometry.matches import fit_fundamental, fit_homography, moved, sampson
-from lightmatrix.geometry.rig_geometry import Array, RigGeometry, decomposed, normalised
+from lightmatrix.geometry.rig_geometry import Array, RigGeometry
+from lightmatrix.paths import as_path
 from lightmatrix.patterns.codes import find_codes
 from lightmatrix.patterns.stripes import stripes_of
 from lightmatrix.ranges import check_list, check_number
 from lightmatrix.reprs import short_repr
+from lightmatrix.shape.adjustment import Fit, fit_board, largest_turn
 from lightmatrix.shape.decode import decode
 from lightmatrix.transport.correspondence import Correspondence, correspondence
 from lightmatrix.transport.matrix import LightTransport
@@ -43,29 +45,13 @@ from lightmatrix.transport.store import open_matches
 
 Shape = tuple[int, int]
 Progress = Callable[[int, int], None]
+Pose = Capture | str | Path | Sequence[Sequence[Capture | str | Path]]
 BoardKind = Literal["chessboard", "charuco", "circles", "asymmetric-circles"]
 # A homography takes four corners; twice as many show whether they fit.
 _FEWEST = 8
 
 
 # The corners of a board in the camera's image, and the projector pixels that light them.
-
-
-@dataclass(frozen=True, eq=False)
-class BoardCorners:
-    """The inner corners (n, 2) of a board, in the order of its rows, as (col, row)."""
-
-    # In the camera's image.
-    camera: Array
-    # The projector pixels that light them; NaN where too few pixels around a corner see them.
-    projector: Array
-    # The share of the lit corners around which the projector's image is mirrored.
-    mirrored: float = 0.0
-
-    @property
-    def lit(self) -> NDArray[np.bool_]:
-        """The corners whose projector pixel is known, (n,)."""
-        return np.asarray(np.isfinite(self.projector).all(axis=1))
 
 
 def find_corners(white: Array, board: Shape, kind: BoardKind = "chessboard") -> Array | None:
@@ -121,7 +107,7 @@ def _charuco_corners(
     """The corners of a ChArUco board that are seen, of whatever markers it has."""
     places = np.full((board[0] * board[1], 2), np.nan)
     # Older versions of OpenCV began boards of an even number of rows with a white square.
-    for bits, legacy in itertools.product((4, 5, 6, 7), (False, True)):
+    for bits, legacy in product((4, 5, 6, 7), (False, True)):
         # Smaller dictionaries are the beginning of these, and markers of half and of nine tenths of
         # a square are found as well as of 0.7.
         name = getattr(cv2.aruco, f"DICT_{bits}X{bits}_1000")
@@ -142,8 +128,12 @@ def _side_of(corners: NDArray[np.floating], board: Shape) -> float:
     return float(np.nanmedian(np.linalg.norm(np.diff(grid, axis=1), axis=2)))
 
 
-def light_corners(corners: Array, matches: Correspondence, board: Shape) -> BoardCorners:
-    """The projector pixels of corners (n, 2), by a homography around each."""
+def light_corners(corners: Array, matches: Correspondence, board: Shape) -> tuple[Array, float]:
+    """The projector pixels (n, 2) that light corners (n, 2), by a homography around each.
+
+    They are NaN where too few pixels around a corner see them. The share of the corners around
+    which the projector's image is mirrored comes last.
+    """
     # On the five poses of a real board, windows from 12 to 30 pixels gave the same corners to 0.01
     # pixels.
     reach = int(np.clip(0.4 * _side_of(corners, board), 4, 30))
@@ -171,20 +161,19 @@ def light_corners(corners: Array, matches: Correspondence, board: Shape) -> Boar
         # Mirrored images turn to the left where others turn to the right.
         scale = (matrix @ np.append(corner, 1))[2]
         mirrored.append(bool(np.linalg.det(matrix) / scale**3 < 0))
-    return BoardCorners(corners, projector, float(np.mean(mirrored)) if mirrored else 0.0)
+    return projector, float(np.mean(mirrored)) if mirrored else 0.0
 
 
-def pose_images(capture: Capture, projector: int = 1) -> tuple[Array, Correspondence]:
-    """The image (rows, cols) under white light, and the correspondence, of one projector.
+def pose_images(capture: Capture) -> tuple[Array, list[Correspondence]]:
+    """The image (rows, cols) under white light, and the correspondence of each projector.
 
     Stripes are decoded; of other patterns, and of several projectors at once, T is estimated.
     """
     if capture.projectors or stripes_of(capture.patterns) is None:
-        transport = estimate(capture).split()[projector - 1]
-        image = np.asarray(
-            transport.relight(np.ones(transport.projector_shape, np.float32)), np.float64
-        )
-        matches = correspondence(transport)
+        found = estimate(capture).split()
+        whites = [one.relight(np.ones(one.projector_shape, np.float32)) for one in found]
+        image = np.asarray(np.sum(whites, axis=0), np.float64)
+        matches = [correspondence(one) for one in found]
     else:
         white = find_codes(capture.patterns).white
         # Without a white frame, the brightest level of each pixel is nearest to it.
@@ -192,25 +181,11 @@ def pose_images(capture: Capture, projector: int = 1) -> tuple[Array, Correspond
         image = capture.frames.read(frames[0]).astype(np.float64)
         for k in frames[1:]:
             image = np.maximum(image, capture.frames.read(k))
-        matches = decode(capture)
+        matches = [decode(capture)]
     return image if image.ndim == 2 else image.mean(axis=2), matches
 
 
-# The rig's geometry from the corners of a board in several poses, by OpenCV.
-
-
-@dataclass(frozen=True, eq=False)
-class StereoFit:
-    """What OpenCV finds; residuals belong to all corners, those that were left out too."""
-
-    geometry: RigGeometry
-    # (poses, 3): the normal of each board in the camera's frame.
-    normals: Array
-    # (poses, n, 2) in pixels; NaN where a corner has no projector pixel.
-    camera_errors: Array
-    projector_errors: Array
-    # (poses, n): the corners that count.
-    used: NDArray[np.bool_]
+# The rig's geometry from the corners of a board in several poses.
 
 
 def board_points(board: Shape, square: float, kind: BoardKind = "chessboard") -> Array:
@@ -222,121 +197,20 @@ def board_points(board: Shape, square: float, kind: BoardKind = "chessboard") ->
     return np.column_stack([col.ravel(), row.ravel(), np.zeros(across * down)]) * float(square)
 
 
-def fit_stereo(
-    poses: Sequence[BoardCorners], points: Array, camera_shape: Shape, projector_shape: Shape
-) -> StereoFit:
-    """Fit both devices to all poses, and leave out corners that are far off."""
-    used = np.stack([pose.lit for pose in poses])
-    fit = _fit(poses, points, used, camera_shape, projector_shape)
-    # On real boards four rounds were enough.
-    for _ in range(8):
-        both = np.concatenate([fit.camera_errors, fit.projector_errors], axis=2)
-        errors = np.linalg.norm(both, axis=2)
-        # Random errors reach five times the median once in 10^10; where a board is bent or glares,
-        # corners are off by more. On the five poses of a real board, whose corner is bent, this
-        # leaves 304 of 315 corners, and all others within 0.6 pixels.
-        kept = used & (errors <= 5 * float(np.median(errors[used])))
-        # A pose needs four corners to be placed at all.
-        kept = np.where(kept.sum(axis=1, keepdims=True) >= 4, kept, used)
-        if np.array_equal(kept, used):
-            break
-        used = kept
-        fit = _fit(poses, points, used, camera_shape, projector_shape)
-    return fit
-
-
-def _fit(
-    poses: Sequence[BoardCorners], points: Array, used: NDArray[np.bool_], camera_shape: Shape,
-    projector_shape: Shape,
-) -> StereoFit:  # fmt: skip
-    """One fit to the corners that count."""
-    cv2 = load_opencv("calibrating a rig", "shape")
-    # Five poses do not support more than two coefficients of radial distortion, so tangential terms
-    # and the third coefficient stay 0.
-    flags = cv2.CALIB_ZERO_TANGENT_DIST | cv2.CALIB_FIX_K3
-    objects = [points[use].astype(np.float32) for use in used]
-    seen = [pose.camera[use].astype(np.float32) for pose, use in zip(poses, used, strict=True)]
-    lit = [pose.projector[use].astype(np.float32) for pose, use in zip(poses, used, strict=True)]
-    # Each device by itself, then both together.
-    _, *camera_start, turns, shifts = cv2.calibrateCamera(
-        objects, seen, camera_shape[::-1], None, None, flags=flags
-    )
-    # Projectors shift their image, and OpenCV starts from an axis through its middle. The corners
-    # in the camera's frame lead straight to another start; the better one counts.
-    placed = [
-        board @ cv2.Rodrigues(turn)[0].T + shift.ravel()
-        for board, turn, shift in zip(objects, turns, shifts, strict=True)
-    ]
-    # It takes no axis outside of the image, so the image is put in the middle of a larger one.
-    wide = (7 * projector_shape[1], 7 * projector_shape[0])
-    border = np.array([3 * projector_shape[1], 3 * projector_shape[0]])
-    lit = [(each + border).astype(np.float32) for each in lit]
-    fits = [cv2.calibrateCamera(objects, lit, wide, None, None, flags=flags)]
-    start = projector_start(np.concatenate(placed), np.concatenate(lit))
-    if start is not None and (start[:2, 2] > 0).all() and (start[:2, 2] < wide).all():
-        guess = flags | cv2.CALIB_USE_INTRINSIC_GUESS
-        fits.append(cv2.calibrateCamera(objects, lit, wide, start, None, flags=guess))
-    known = *camera_start, *min(fits, key=lambda fit: float(fit[0]))[1:3]
-    flags |= cv2.CALIB_USE_INTRINSIC_GUESS
-    end = cv2.TERM_CRITERIA_COUNT + cv2.TERM_CRITERIA_EPS, 200, 1e-9
-    answer = cv2.stereoCalibrateExtended(
-        objects, seen, lit, *known, camera_shape[::-1], None, None, flags=flags, criteria=end
-    )
-    camera, camera_lens, projector, projector_lens, turn, shift = answer[1:7]
-    projector[:2, 2] -= border
-
-    def errors(rotation: Any, translation: Any, intrinsics: Any, lens: Any, places: Array) -> Array:
-        """How far a device shows the points of the board from where they were found, (n, 2)."""
-        vector = cv2.Rodrigues(rotation)[0]
-        image = cv2.projectPoints(points, vector, translation, intrinsics, lens)[0]
-        return np.asarray(image, np.float64).reshape(-1, 2) - places
-
-    normals, camera_errors, projector_errors = [], [], []
-    for pose, vector, place in zip(poses, answer[9], answer[10], strict=True):
-        own = cv2.Rodrigues(vector)[0]
-        normals.append(own[:, 2])
-        camera_errors.append(errors(own, place, camera, camera_lens, pose.camera))
-        both = turn @ own, turn @ place + shift
-        projector_errors.append(errors(*both, projector, projector_lens, pose.projector))
-    # A wild fit is judged by its residuals.
-    matrices = camera @ np.eye(3, 4), projector @ np.column_stack([turn, shift])
-    geometry = RigGeometry(*matrices, camera_shape, projector_shape, camera_lens, projector_lens)
-    residuals = np.array(camera_errors), np.array(projector_errors)
-    return StereoFit(geometry, np.array(normals), *residuals, used)
-
-
-def projector_start(points: NDArray[np.floating], places: NDArray[np.floating]) -> Array | None:
-    """K of a device that shows points (n, 3) at places (n, 2), by its projection matrix.
-
-    The direct linear transformation (Hartley & Zisserman 2004, chapter 7), without skew; None if
-    its focal lengths make no sense.
-    """
-    middle, scale = points.mean(axis=0), points.std()
-    centre, size = places.mean(axis=0), places.std()
-    space = np.column_stack([(points - middle) / scale, np.ones(len(points))])
-    col, row = (places - centre).T / size
-    zero = np.zeros_like(space)
-    parts = [[space, zero, -col[:, None] * space], [zero, space, -row[:, None] * space]]
-    rows = np.concatenate([np.hstack(part) for part in parts])
-    matrix = np.linalg.eigh(rows.T @ rows)[1][:, 0].reshape(3, 4)
-    back = np.array([[size, 0, centre[0]], [0, size, centre[1]], [0, 0, 1]])
-    result = back @ decomposed(normalised(matrix, "projector"))[0]
-    result[0, 1] = 0
-    return result if 0.2 < result[0, 0] / result[1, 1] < 5 else None
-
-
 @dataclass(frozen=True, eq=False)
 class BoardPose:
     """One pose of the board, by the name of its folder."""
 
     name: str
-    # Its corners (n, 2) in the camera's image and on the projector, as (col, row); NaN where they
-    # are not seen or not lit.
+    # Its corners (cameras, n, 2) in the images, and the projector pixels that light them, (cameras,
+    # projectors, n, 2), as (col, row); NaN where they are not seen or not lit.
     camera: Array
     projector: Array
-    # The corners that count; others are not lit, or off by more than 5 times the median.
+    # (cameras, projectors, n): those that count; others are not lit, or off by more than 5 times
+    # the median.
     used: NDArray[np.bool_]
-    # Root mean square of the distances of those from where the geometry puts them, in pixels.
+    # Root mean square of how far those are from where the geometry puts them, in pixels: the
+    # corners in the images, and what lights the places that were taken for them.
     rms_camera: float
     rms_projector: float
 
@@ -347,15 +221,24 @@ class BoardPose:
 class RigCalibration:
     """A calibrated rig, and how well it explains the board."""
 
-    # In the camera's frame; its `rms` holds "stereo" (both images), "camera" and "projector".
-    geometry: RigGeometry
+    # Of each camera, with each projector, all in the frame of the first camera; their `rms` holds
+    # "stereo" (both images), "camera" and "projector".
+    geometries: tuple[tuple[RigGeometry, ...], ...]
     # The poses that were used, and why others were not.
     poses: tuple[BoardPose, ...]
     left_out: dict[str, str]
     # The largest angle between two poses of the board, in degrees.
     turn: float
+    # The standard errors of how each device but the first camera is turned, in degrees, and of
+    # where it stands, in the unit of the board, by its name, such as "projector 1".
+    standard_errors: dict[str, tuple[float, float]]
 
     __repr__ = short_repr
+
+    @property
+    def geometry(self) -> RigGeometry:
+        """That of the first camera and the first projector."""
+        return self.geometries[0][0]
 
     @property
     def corners(self) -> int:
@@ -370,37 +253,39 @@ class RigCalibration:
             for pose in self.poses
         ]  # fmt: skip
         rms = {f"rms_{name}": round(value, 4) for name, value in self.geometry.rms.items()}
-        total = sum(len(pose.used) for pose in self.poses)
         return {
-            **rms, "corners": self.corners, "of_corners": total, "poses": poses,
+            **rms, "corners": self.corners, "of_corners": sum(p.used.size for p in self.poses),
+            "poses": poses, "standard_errors": self.standard_errors,
             "largest_turn": round(self.turn, 1), "baseline": round(self.geometry.baseline, 4),
             "units": self.geometry.units, "left_out": dict(self.left_out),
         }  # fmt: skip
 
 
 def calibrate_rig(
-    poses: Sequence[Capture | str | Path],
+    poses: Sequence[Pose],
     board: tuple[int, int] = (9, 7),
     square: float = 1.0,
     *,
     kind: BoardKind = "chessboard",
-    projector: int = 1,
     units: str | None = None,
     output: str | Path | None = None,
     overwrite: bool = False,
     progress: Progress | None = None,
 ) -> RigCalibration:
-    """Calibrate a projector and a camera with a printed board.
+    """Calibrate projectors and cameras, all together, with a printed board.
 
-    Show the board in at least three poses, better five to ten: tilted to all sides by 20 to 40
-    degrees, each filling much of the image that both camera and projector cover. Photograph each
-    pose under a Gray code (see `make_patterns`) or other stripes, which are decoded, or under
-    random patterns, whose T is estimated.
+    Show the board in at least three poses, better ten: tilted to all sides by 20 to 40 degrees,
+    each filling much of the image that both camera and projector cover. Photograph each pose under
+    a Gray code (see `make_patterns`) or other stripes, which are decoded, or under random patterns,
+    whose T is estimated.
 
     Parameters
     ----------
-    poses : sequence of Capture, str or Path
-        A capture of each pose, or its folder.
+    poses : sequence of Capture, str, Path or sequence
+        Each pose of the board: a capture or its folder. Several cameras have folders camera-1,
+        camera-2, ... in that of the pose, as `capture` writes them. Several projectors show random
+        patterns at once; or stripes in turn, with such folders in projector-1, projector-2, ... In
+        Python, a sequence of what was shown in turn, each of it the captures of all cameras.
     board : (int, int)
         Inner corners along the rows and the columns of the board: squares less one. Or circles.
     square : float
@@ -410,22 +295,21 @@ def calibrate_rig(
         What is printed. The markers of a ChArUco board may be of any dictionary of 4 x 4 to 7 x 7
         bits; only a part of such a board need be seen. Of any board, 8 corners in two rows and two
         columns must be lit.
-    projector : int
-        Number of the projector, from 1 on, of several that showed random patterns at once. The
-        geometries of all of them are in the frame of the one camera.
     units : str, optional
         Unit of length, such as "mm".
     output : str or Path, optional
-        The geometry to write, as `RigGeometry.save` does: .json, or of another program.
+        The geometry to write, as `RigGeometry.save` does: .json, or of another program. One for
+        each of several projectors, NAME-1.json, NAME-2.json, ...; of several cameras with each
+        projector, NAME-1-1.json, NAME-1-2.json, ..., the camera first.
     overwrite : bool
-        Whether an existing geometry may be replaced.
+        Whether existing geometries may be replaced.
     progress : callable, optional
         Called with (done, total) poses.
 
     Returns
     -------
     RigCalibration
-        Intrinsics, distortion (two coefficients) and pose of both devices, with the residuals of
+        Intrinsics, distortion (two coefficients) and poses of all devices, with the residuals of
         each pose. Warnings name the poses that were left out, or do not fit the others.
 
     Raises
@@ -434,7 +318,7 @@ def calibrate_rig(
         If fewer than three poses show a board that both devices see, if the poses are parallel, or
         if they have different image sizes.
     MissingExtraError, OutputError
-        Without OpenCV, the extra `shape`; if the file exists or cannot be written.
+        Without OpenCV, the extra `shape`; if a file exists or cannot be written.
 
     References
     ----------
@@ -447,8 +331,6 @@ def calibrate_rig(
     >>> measured = lm.calibrate_rig(["pose_0", "pose_1", "pose_2"])  # doctest: +SKIP
     """
     load_opencv("calibrating a rig", "shape")
-    if output is not None:
-        check_output(output, geometry_kind(output), overwrite=overwrite)
     check_number("a square", square, above=True, hint="give its side, such as 24")
     if min(board) < 3:
         hint = "use at least 3 x 3"
@@ -458,132 +340,201 @@ def calibrate_rig(
         raise InputError(f"a board of the kind {kind!r}", hint=hint)
     check_list(poses, hint="give a capture for each pose of the board")
     _check_count(len(poses), {})
-    corners, shapes, left_out = _all_corners(poses, board, kind, projector, progress)
-    points = board_points(board, square, kind)
-    mirrored = bool(np.mean([pose.mirrored for pose in corners.values()]) > 0.5)
-    if mirrored:
+    opened = {
+        str(pose) if isinstance(pose, str | Path) else f"pose {number}": _captures_of(pose)
+        for number, pose in enumerate(poses)
+    }
+    cameras, projectors = _shapes_of(opened)
+    files = [] if output is None else _files(output, len(cameras), len(projectors))
+    for file in files:
+        check_output(file, geometry_kind(file), overwrite=overwrite)
+    corners, left_out = _all_corners(opened, board, kind, progress)
+    mirrored = np.mean([flipped for *_, flipped in corners.values()], axis=(0, 1)) > 0.5
+    if mirrored.any():
         warn(
             "the camera sees the projector's image mirrored (rear projection, a mirror, flipped "
             "patterns): the geometry takes it into account"
         )
 
-    def fitted() -> StereoFit:
-        flip, last = ((-1, 1), (shapes[1][1] - 1, 0)) if mirrored else ((1, 1), (0, 0))
-        own = [replace(pose, projector=pose.projector * flip + last) for pose in corners.values()]
-        return fit_stereo(own, points, *shapes)
+    names = [f"camera {k + 1}" for k in range(len(cameras))]
+    names += [f"projector {k + 1}" for k in range(len(projectors))]
+
+    def fitted() -> Fit:
+        seen = np.stack([places for places, *_ in corners.values()], axis=1)
+        lit = np.stack([places for _, places, _ in corners.values()], axis=2)
+        for name, places in zip(names, (*seen[:, None], *lit.swapaxes(0, 1)), strict=True):
+            usable = [_suffice(each, board) for each in places.swapaxes(0, 1)]
+            _check_count(sum(usable), left_out, f" of {name}")
+        for number in np.flatnonzero(mirrored):
+            lit[:, number, ..., 0] = projectors[number][1] - 1 - lit[:, number, ..., 0]
+        return fit_board(seen, lit, board_points(board, square, kind), cameras[0])
 
     fit = fitted()
-    badly = {
-        name: f"only {use.sum()} of {len(use)} corners fit the other poses; did the board move?"
-        for (name, pose), use in zip(corners.items(), fit.used, strict=True)
-        if use.sum() < 0.5 * pose.lit.sum()
-    }
+    badly = {}
+    for number, (name, (_, places, _)) in enumerate(corners.items()):
+        use, lit = fit.used[:, :, number].sum(), np.isfinite(places).all(axis=-1).sum()
+        if use < 0.5 * lit:
+            badly[name] = f"only {use} of {lit} corners fit the other poses; did the board move?"
     if badly:
         left_out |= badly
         corners = {name: pose for name, pose in corners.items() if name not in badly}
         _check_count(len(corners), left_out)
         fit = fitted()
-    turn = float(np.degrees(np.arccos(np.abs(fit.normals @ fit.normals.T).clip(0, 1).min())))
-    # Zhang's Fig. 4: the error of the focal length falls steeply with the angle between two boards,
-    # and is several times its best below 10 degrees.
-    if turn < 10:
-        raise InputError(
-            f"the poses are nearly parallel: their largest angle is {turn:.1f} degrees",
-            hint="add poses with the board tilted by 20 to 40 degrees to the left, right, up, down",
-        )
-    seen, lit = fit.camera_errors, fit.projector_errors
-    rms = {"camera": _rms(seen[fit.used]), "projector": _rms(lit[fit.used])}
-    rms["stereo"] = float(np.sqrt((rms["camera"] ** 2 + rms["projector"] ** 2) / 2))
+    seen_errors, lit_errors, used = fit.seen_errors, fit.lit_errors, fit.used
+    # By camera and pose.
+    counted = np.asarray(used.any(axis=1))
+    rms = {"camera": _rms(seen_errors[counted]), "projector": _rms(lit_errors[used])}
     # Good calibrations reach 0.1 to 0.5 pixels.
-    worst = max(rms["camera"], rms["projector"])
+    worst = max(rms.values())
     causes = (
         "are all poses in the order of their patterns? Is the board flat and of this many inner "
         "corners, and did it lie still? Did the camera focus anew?"
     )
     off = f"{rms['camera']:.2f} camera pixels and {rms['projector']:.2f} projector pixels (RMS)"
-    if worst > 3:
+    if not worst <= 3:
         raise InputError(f"no geometry explains the corners: they are off by {off}", hint=causes)
     if worst > 1:
         warn(f"the corners are off by {off}; good calibrations reach 0.5\n  {causes}")
-    geometry = replace(fit.geometry, units=units, rms=rms, projector_mirrored=mirrored)
-    used_poses = tuple(
-        BoardPose(name, corner.camera, corner.projector, use, _rms(a[use]), _rms(b[use]))
-        for (name, corner), use, a, b in zip(corners.items(), fit.used, seen, lit, strict=True)
+
+    def geometry(camera: int, projector: int) -> RigGeometry:
+        own = {
+            "camera": _rms(seen_errors[camera][counted[camera]]),
+            "projector": _rms(lit_errors[camera, projector][used[camera, projector]]),
+        }
+        own["stereo"] = float(np.sqrt((own["camera"] ** 2 + own["projector"] ** 2) / 2))
+        found = fit.geometry(camera, projector, (cameras[camera], projectors[projector]))
+        return replace(found, units=units, rms=own, projector_mirrored=bool(mirrored[projector]))
+
+    geometries = tuple(
+        tuple(geometry(c, p) for p in range(len(projectors))) for c in range(len(cameras))
     )
+    used_poses = tuple(
+        BoardPose(
+            name, seen, lit, used[:, :, k], _rms(seen_errors[:, k][counted[:, k]]),
+            _rms(lit_errors[:, :, k][used[:, :, k]]),
+        )
+        for k, (name, (seen, lit, _)) in enumerate(corners.items())
+    )  # fmt: skip
     for name, reason in left_out.items():
         warn(f"{name} is left out: {reason}")
-    usual = float(np.median([pose.rms_projector for pose in used_poses]))
-    for pose in used_poses:
-        if pose.rms_projector > 3 * usual:
-            warn(
-                f"{pose.name} fits badly: its corners are off by {pose.rms_projector:.2f} "
-                f"projector pixels, those of other poses by {usual:.2f}; photograph it again, or "
-                "leave it out"
-            )
-    if output is not None:
-        geometry.save(output, overwrite=overwrite)
-    return RigCalibration(geometry, used_poses, left_out, turn)
+    for file, found in zip(files, chain(*geometries), strict=False):
+        found.save(file, overwrite=overwrite)
+    stated = [(turn, place) for turn, place in fit.deviations.tolist()[1:]]
+    errors = dict(zip(names[1:], stated, strict=True))
+    return RigCalibration(geometries, used_poses, left_out, largest_turn(fit.poses), errors)
+
+
+def _captures_of(pose: Pose) -> list[list[Capture]]:
+    """The captures of a pose: what was shown in turn, and of each those of all cameras."""
+    if isinstance(pose, Capture):
+        return [[pose]]
+    if not isinstance(pose, str | Path):
+        return [[open_capture(one) for one in part] for part in pose]
+
+    def within(folder: Path, device: str) -> list[Path]:
+        found = folder.glob(f"{device}-[0-9]*")
+        return sorted(found, key=lambda path: (len(path.name), path.name)) or [folder]
+
+    parts = within(as_path(pose), "projector")
+    return [[open_capture(one) for one in within(part, "camera")] for part in parts]
+
+
+def _shapes_of(opened: dict[str, list[list[Capture]]]) -> tuple[list[Shape], list[Shape]]:
+    """The image sizes of all cameras, and of all projectors; they must be those of each pose."""
+    usual: tuple[list[Shape], list[Shape]] | None = None
+    for name, parts in opened.items():
+        seen = [
+            [(rows, cols) for rows, cols, *_ in (one.camera_shape for one in part)]
+            for part in parts
+        ]
+        lit = [[*(one.projectors or (one.projector_shape,))] for part in parts for one in part[:1]]
+        own = seen[0], list(chain(*lit))
+        usual = usual or own
+        if own != usual or any(each != seen[0] for each in seen):
+            hint = "photograph all poses with the same cameras and projectors"
+            raise InputError(f"{name}: has images of other sizes than the poses before", hint=hint)
+    assert usual is not None
+    return usual
+
+
+def _files(output: str | Path, cameras: int, projectors: int) -> list[Path]:
+    """The files of the geometries of all pairs, those of the first camera first."""
+    path = as_path(output)
+    pairs = product(range(1, cameras + 1), range(1, projectors + 1))
+    names = [f"-{c}-{p}" if cameras > 1 else f"-{p}" if projectors > 1 else "" for c, p in pairs]
+    return [path.with_stem(path.stem + name) for name in names]
 
 
 def _all_corners(
-    poses: Sequence[Capture | str | Path], board: Shape, kind: BoardKind, projector: int,
-    progress: Progress | None,
-) -> tuple[dict[str, BoardCorners], tuple[Shape, Shape], dict[str, str]]:  # fmt: skip
-    """The corners of usable poses by name, the image sizes, and why other poses are not usable."""
-    found: dict[str, BoardCorners] = {}
+    opened: dict[str, list[list[Capture]]], board: Shape, kind: BoardKind, progress: Progress | None
+) -> tuple[dict[str, tuple[Array, Array, Array]], dict[str, str]]:
+    """The corners of usable poses by name, and why other poses are not usable.
+
+    Where they are seen (cameras, n, 2), what lights them (cameras, projectors, n, 2), and how much
+    of it is mirrored (cameras, projectors).
+    """
+    found: dict[str, tuple[Array, Array, Array]] = {}
     left_out: dict[str, str] = {}
-    shapes: tuple[Shape, Shape] | None = None
-    for number, pose in enumerate(poses):
-        name = f"pose {number}" if isinstance(pose, Capture) else str(pose)
-        capture = open_capture(pose)
-        rows, cols = capture.camera_shape[:2]
-        several = capture.projectors or (capture.projector_shape,)
-        if not 0 < projector <= len(several):
-            raise InputError(f"{name}: has no projector {projector}", hint=f"it has {len(several)}")
-        sizes = ((rows, cols), several[projector - 1])
-        if shapes is not None and sizes != shapes:
-            hint = "photograph all poses with the same camera and projector"
-            raise InputError(f"{name}: has images of other sizes than the poses before", hint=hint)
-        shapes = sizes
+    for number, (name, parts) in enumerate(opened.items()):
         try:
-            white, matches = pose_images(capture, projector)
+            views = [[pose_images(one) for one in part] for part in parts]
         except InputError as error:
             # Frames out of order, or no light of the projector.
             left_out[name] = error.message
             continue
-        places = find_corners(white, board, kind)
-        corners = None if places is None else light_corners(places, matches, board)
-        if corners is None:
+        seen: list[Array] = []
+        lit: list[Array] = []
+        mirrored: list[list[float]] = []
+        for shown in zip(*views, strict=True):
+            white = np.sum([image for image, _ in shown], axis=0)
+            places = find_corners(white, board, kind)
+            if places is None:
+                places = np.full((board[0] * board[1], 2), np.nan)
+                pairs = [(places, 0.0)] * sum(len(each) for _, each in shown)
+            else:
+                pairs = [light_corners(places, one, board) for _, each in shown for one in each]
+            own = np.array([projector for projector, _ in pairs])
+            # A board may be counted from its other end, but not by each camera from another one.
+            ways = [np.linalg.norm(lit[0] - way, axis=-1) for way in (own, own[:, ::-1]) if lit]
+            if lit and (ways[1] < 2).sum() > (ways[0] < 2).sum():
+                places, own = places[::-1], own[:, ::-1]
+            seen.append(places)
+            lit.append(own)
+            mirrored.append([share for _, share in pairs])
+        known = np.isfinite(lit[0]).all(axis=-1)
+        count = int(np.isfinite(seen[0]).all(axis=1).sum())
+        if not count:
             left_out[name] = f"no board of {board[0]} x {board[1]} inner corners is found"
-        elif not _suffice(corners.lit, board):
-            seen = int(np.isfinite(corners.camera).all(axis=1).sum())
+        elif not any(_suffice(each, board) for each in lit[0]):
             left_out[name] = (
-                f"the camera sees {seen} of {len(corners.lit)} corners, and the projector lights "
-                f"{corners.lit.sum()} of them: {_FEWEST} in two rows and two columns are needed"
+                f"the camera sees {count} of {len(seen[0])} corners, and the projector lights "
+                f"{known.sum(axis=1).max()} of them: {_FEWEST} in two rows and two columns are "
+                "needed"
             )
         else:
-            found[name] = corners
+            found[name] = np.array(seen), np.array(lit), np.array(mirrored)
         if progress is not None:
-            progress(number + 1, len(poses))
+            progress(number + 1, len(opened))
     _check_count(len(found), left_out)
-    assert shapes is not None
-    return found, shapes, left_out
+    return found, left_out
 
 
-def _suffice(lit: NDArray[np.bool_], board: Shape) -> bool:
-    """Whether enough corners of a board are lit, in two of its rows and columns at least."""
-    grid = lit.reshape(board[1], board[0])
-    return lit.sum() >= _FEWEST and min(grid.any(axis=1).sum(), grid.any(axis=0).sum()) >= 2
+def _suffice(lit: Array, board: Shape) -> bool:
+    """Whether enough corners (..., n, 2) of a board are lit, in two rows and columns at least."""
+    finite = np.isfinite(lit).all(axis=-1).reshape(-1, board[1], board[0])
+    known = np.asarray(finite.any(axis=0))
+    several = min(known.any(axis=1).sum(), known.any(axis=0).sum()) >= 2
+    return bool(known.sum() >= _FEWEST and several)
 
 
-def _check_count(usable: int, left_out: dict[str, str]) -> None:
+def _check_count(usable: int, left_out: dict[str, str], device: str = "") -> None:
     # Each pose gives two equations for the four numbers of K (Zhang 2000); a third pose leaves some
     # for the distortion and for the residuals to mean anything.
     if usable >= 3:
         return
     reasons = "".join(f"; {name}: {reason}" for name, reason in left_out.items())
     raise InputError(
-        f"{usable} usable poses{reasons}",
+        f"{usable} usable poses{device}{reasons}",
         hint="photograph 3 poses at least, better 5 to 10, each tilted differently and "
         "lit by the projector; a board's size is its inner corners, squares less one",
     )

@@ -122,7 +122,7 @@ def layers(
     geometry, tolerance, least_probability, picture, overwrite
         As in `triangulate`.
     output : str or Path, optional
-        The file to write: a point cloud (.ply, .pcd) with the number of each layer, or an image
+        The file to write: a point cloud (.ply) with the number of each layer, or an image
         (.exr) with the channels Z, Y (light) and probability of layer1 to layer3.
 
     Returns

@@ -54,7 +54,7 @@ def triangulate(
         How probably a point is right to be kept, in [0, 1]; 0.99 keeps fewer points, of which
         hardly any is wrong.
     output : str or Path, optional
-        The point cloud to write: .ply, .pcd, .obj or .xyz, see `Shape.save`.
+        The point cloud to write: .ply or .obj, see `Shape.save`.
     depth : str or Path, optional
         The depth map to write: .tif, .tiff or .npy, or .png of 16 bits in millimetres.
     picture : str or Path, optional

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
 from itertools import pairwise
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -22,12 +21,7 @@ from lightmatrix.errors import InputError
 from lightmatrix.files.images import given_image, read_grey
 from lightmatrix.files.kinds import SEPARATION
 from lightmatrix.files.writing import atomic_folder, check_output
-from lightmatrix.geometry.matches import (
-    ROBUST,
-    fit_fundamental,
-    fit_parallel_lines,
-    spread_of_spots,
-)
+from lightmatrix.geometry.matches import ROBUST, fit_fundamental, spread_of_spots
 from lightmatrix.pictures.style import Picture
 from lightmatrix.pictures.transport import draw_parts
 from lightmatrix.reprs import short_repr
@@ -128,7 +122,7 @@ def fit_epipolar(camera: Floats, projector: Floats, surface: Floats) -> Epipolar
         share = float((np.abs(distance) < ROBUST.support).mean())
         return replace(made, spread=spread_of_spots(distance)), share
 
-    geometry, share = fitted(fit_parallel_lines(camera, projector))
+    geometry, share = fitted(fit_fundamental(camera, projector, parallel=True))
     # A fundamental matrix has 7 unknowns, so that fewer matches hardly support it.
     if len(camera) >= 64:
         meeting, more = fitted(fit_fundamental(camera, projector))
@@ -568,43 +562,11 @@ class Separation:
         direct, others = self.direct.relight(patterns), self.global_.relight(patterns)
         return np.asarray(direct + np.float32(global_scale) * others)
 
-    @cached_property
-    def epipolar(self) -> LightTransport:
-        """The part of T along the epipolar lines: direct light and little else."""
-        return self._part(on_line=True)
-
-    @cached_property
-    def non_epipolar(self) -> LightTransport:
-        """The part of T off the epipolar lines, which is global, with the whole background.
-
-        O'Toole et al. 2012 and 2014 photograph these parts with special hardware.
-        """
-        return self._part(on_line=False)
-
-    def _part(self, *, on_line: bool) -> LightTransport:
-        matrix = csr_array(self.direct.sparse + self.global_.sparse)
-        shape = self.direct.camera_shape
-        owner, *pixel = entries_of(matrix, self.direct.projector_shape[1])
-        channels = int(np.prod(shape[2:]))
-        camera = camera_pixels((shape[0], shape[1]))[owner // channels]
-        distance = np.abs(self.geometry.distance(camera, np.stack(pixel, axis=1)))
-        # A line that is one pixel wide, and its blur.
-        near = distance <= 1 + 2 * self.spot
-        rows = _with_data(matrix, np.where(near == on_line, matrix.data, 0))
-        background = self.global_.background
-        return replace(
-            self.global_,
-            sparse=rows,
-            background=np.zeros_like(background) if on_line else background,
-        )
-
 
 def separate(
     transport: Transport,
     *,
     pattern: NDArray[Any] | str | Path | None = None,
-    epipolar: bool = False,
-    non_epipolar: bool = False,
     output: str | Path | None = None,
     overwrite: bool = False,
 ) -> Separation:
@@ -621,13 +583,9 @@ def separate(
         T, or where `open` finds it. It must have no negative entries. A store is loaded.
     pattern : (rows, cols) array, str or Path, optional
         The pattern of the written images, in [0, 1], or an image file; without it, white.
-    epipolar, non_epipolar : bool
-        Whether the folder also holds the part of T along the epipolar lines, or the part off them.
-        `Separation` has both in any case.
     output : str or Path, optional
         Folder to make: direct.zarr and global.zarr; their images under the pattern, direct.npy and
-        global.npy, and both in separation.png for a look; confidence.npy and parallax.npy. Where
-        asked for, epipolar and non-epipolar likewise.
+        global.npy, and both in separation.png for a look; confidence.npy and parallax.npy.
     overwrite : bool
         Whether an existing separation may be replaced.
 
@@ -651,7 +609,7 @@ def separate(
 
     References
     ----------
-    Nayar et al. 2006 separate the image under white light; O'Toole et al. 2012 the epipolar part.
+    Nayar et al. 2006 separate the image under white light.
 
     Examples
     --------
@@ -713,10 +671,6 @@ def separate(
     if output is None:
         return separation
     chosen = {"direct": separation.direct, "global": separation.global_}
-    if epipolar:
-        chosen["epipolar"] = separation.epipolar
-    if non_epipolar:
-        chosen["non-epipolar"] = separation.non_epipolar
     images = {name: part.relight(lit) for name, part in chosen.items()}
     with atomic_folder(output, SEPARATION, overwrite=overwrite) as folder:
         for name, part in chosen.items():

@@ -1,0 +1,118 @@
+"""Two cameras and two projectors, calibrated together: `python -m benchmarks.calibration`.
+
+A chessboard of 9 x 7 corners in some poses is rendered for cameras and projectors with lenses; each
+projector shows a Gray code while the other is black, and the photographs have 8 bits and noise. The
+table has the RMS of each pair, and how far the turn of one device to another is from the true one,
+in degrees, beside the standard error that the calibration states.
+
+    python -m benchmarks.calibration --rows 480 --poses 8
+"""
+
+from __future__ import annotations
+
+import time
+from itertools import combinations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import csr_array
+from scipy.spatial.transform import Rotation
+
+import lightmatrix as lm
+from experiments.harness import options as options_of
+from lightmatrix.geometry.rig_geometry import RigGeometry
+
+BOARD, SQUARE, NOISE = (9, 7), 25.0, 0.004
+# Points of the board a side that a camera pixel averages.
+FINE = 2
+
+
+def devices(rows: int) -> list[tuple[NDArray[np.float64], NDArray[np.float64], list[float]]]:
+    """Projection matrix and lens of two cameras and two projectors, around a place 900 mm away."""
+    places = ((0, 0, 0), (60, -170, 20), (190, 8, 15), (-190, 8, 15))
+    angles = ((0, 0, 0), (4, 10, 175), (12, 7, 0), (-12, 7, 0))
+    focals, lenses = (2.4, 2.5, 2.2, 2.1), ([-0.2, 0.15], [-0.1], [-0.05], [0.0])
+    found = []
+    # Projectors shift their image upwards.
+    for number, (place, (across, down, roll), focal) in enumerate(
+        zip(places, angles, focals, strict=True)
+    ):
+        turn = Rotation.from_euler("yxz", [across, down, roll], degrees=True).as_matrix()
+        axis = 0.66 * rows + number, (0.5 if number < 2 else 0.8) * rows
+        own = np.array([[focal * rows, 0, axis[0]], [0, focal * rows, axis[1]], [0, 0, 1]])
+        pose = np.column_stack([turn, -turn @ np.array(place, float)])
+        found.append((own @ pose, turn, lenses[number]))
+    return found
+
+
+def capture(rig: RigGeometry, turn: NDArray[np.float64], middle: NDArray[np.float64]) -> lm.Capture:
+    """8-bit photographs of the board under a Gray code of one projector."""
+    rows, cols = rig.camera_shape
+    step = (np.arange(FINE) + 0.5) / FINE - 0.5
+    row, col, down, across = np.meshgrid(
+        np.arange(rows), np.arange(cols), step, step, indexing="ij"
+    )
+    rays = rig.camera_rays(np.column_stack([(col + across).ravel(), (row + down).ravel()]))
+    centre = rig.camera_centre
+    depth = turn[:, 2] @ (middle - centre) / (rays @ turn[:, 2])
+    points = centre + depth[:, None] * rays
+    place = (points - middle) @ turn[:, :2] / SQUARE
+    cell = np.floor(place + (np.array(BOARD) + 1) / 2)
+    on = (cell >= 0).all(axis=1) & (cell <= BOARD).all(axis=1)
+    light = np.where(on & (cell.sum(axis=1) % 2 == 0), 0.15, 0.8) / FINE**2
+    lit = np.rint(rig.project_projector(points))
+    inside = ((lit >= 0) & (lit < rig.projector_shape[::-1])).all(axis=1)
+    column = (lit[inside, 1] * rig.projector_shape[1] + lit[inside, 0]).astype(np.int32)
+    owner = np.repeat(np.arange(rows * cols), FINE**2)[inside]
+    size = rows * cols, rig.projector_shape[0] * rig.projector_shape[1]
+    matrix = csr_array((light[inside].astype(np.float32), (owner, column)), shape=size)
+    truth = lm.Truth(matrix, matrix.data, rig.camera_shape, rig.projector_shape)
+    code = lm.make_patterns("graycode", rig.projector_shape, inverse=False)
+    return lm.simulate(truth, code, exposure=1.0, noise=NOISE)
+
+
+def main(arguments: list[str] | None = None) -> None:
+    """Measure, and print the figures."""
+    parser = options_of("benchmarks.calibration", __doc__)
+    parser.add_argument("--rows", type=int, default=480, help="rows of all images")
+    parser.add_argument("--poses", type=int, default=8, help="poses of the board")
+    options = parser.parse_args(arguments)
+    shape = options.rows, 4 * options.rows // 3
+    known = devices(options.rows)
+    rigs = [
+        [
+            RigGeometry(c, p, shape, shape, np.array(of_c), np.array(of_p))
+            for p, _, of_p in known[2:]
+        ]
+        for c, _, of_c in known[:2]
+    ]
+    random = np.random.default_rng(0)
+    poses = []
+    for number in range(options.poses):
+        around = 2 * np.pi * number / options.poses
+        tilt = [30 * np.cos(around), 30 * np.sin(around), random.uniform(-10, 10)]
+        turn = Rotation.from_euler("xyz", tilt, degrees=True).as_matrix()
+        middle = np.array([*random.uniform(-30, 30, 2), 900 + random.uniform(-60, 60)])
+        middle[1] -= 10
+        poses.append([[capture(rigs[c][p], turn, middle) for c in (0, 1)] for p in (0, 1)])
+        print(f"pose {number + 1} of {options.poses}", flush=True)
+    started = time.process_time()
+    measured = lm.calibrate_rig(poses, BOARD, SQUARE, units="mm")
+    print(f"{measured.corners} matches of corners, {time.process_time() - started:.0f} s")
+    names = ["camera 1", *measured.standard_errors]
+    found = [measured.geometries[c][0].camera_matrix for c in (0, 1)]
+    found += [measured.geometries[0][p].projector_matrix for p in (0, 1)]
+    turns = [RigGeometry(found[0], one, shape, shape).rotation for one in found[1:]]
+    turns = [np.eye(3), *turns]
+    for one, other in combinations(range(4), 2):
+        right = known[other][1] @ known[one][1].T
+        off = Rotation.from_matrix(turns[other] @ turns[one].T @ right.T).magnitude()
+        stated = f", stated {measured.standard_errors[names[other]][0]:.3f}" if one == 0 else ""
+        print(f"{names[one]} to {names[other]}: {np.degrees(off):.3f} degrees off{stated}")
+    for c, p in np.ndindex(2, 2):
+        parts = [f"{name} {rms:.3f}" for name, rms in measured.geometries[c][p].rms.items()]
+        print(f"camera {c + 1}, projector {p + 1}: RMS in pixels: {', '.join(parts)}")
+
+
+if __name__ == "__main__":
+    main()
