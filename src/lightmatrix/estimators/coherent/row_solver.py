@@ -315,31 +315,14 @@ class RowSolver:
 
     def near(
         self, samples: Samples, rows: NDArray[np.int64], this_round: Round,
-        neighbours: Neighbourhood, progress: Progress | None = None,
+        neighbours: Neighbourhood, progress: Progress | None = None, *, together: bool = False,
     ) -> tuple[Result, NDArray[np.float32]]:  # fmt: skip
-        """Solve rows, ascending, on their likeliest atoms; returns samples of their halos too."""
-        if not in_parts(self.capture):
-            return self._near(samples, rows, this_round, neighbours, progress)
-        groups, parts, halos, done = [], [], [], 0
-        for some in self._groups(rows, this_round, neighbours):
-            # Where no neighbour holds light, the core looks this many camera pixels further.
-            part, own = neighbours.part(rows[some], 16)
-            solved, halo = self._near(samples.rows(some), own, this_round, part)
-            done += len(some)
-            if progress is not None:
-                progress(done, len(rows))
-            groups.append(some)
-            parts.append(solved.rows)
-            halos.append(halo)
-        order = np.argsort(np.concatenate(groups))
-        joined = SparseRows.joined(parts).rows(order)
-        return Result(joined, Status.CONVERGED), np.concatenate(halos)[order]
+        """Solve rows, ascending, on their likeliest atoms; returns samples of their halos too.
 
-    def _near(
-        self, samples: Samples, rows: NDArray[np.int64], this_round: Round,
-        neighbours: Neighbourhood, progress: Progress | None = None,
-    ) -> tuple[Result, NDArray[np.float32]]:  # fmt: skip
-        """The same of rows that are solved together."""
+        Where not all atoms are kept they are solved in parts, unless they are such a part.
+        """
+        if in_parts(self.capture) and not together:
+            return self._by_parts(samples, rows, this_round, neighbours, progress)
         assert this_round.window is not None
         problem, atoms, unseen = self._problem(samples, self.penalty), self.atoms, self.unseen
         known = samples.counted & ~samples.clipped
@@ -353,10 +336,7 @@ class RowSolver:
         start, near, sheet = neighbours.rows.rows(rows), neighbours, None
         if in_parts(self.capture):
             near, rows = neighbours.part(rows, REACH)
-            seen = [candidates.indices]
-            if this_round.has_pseudo_samples:
-                seen.append(near.rows.coefficients.indices)
-            boxes = boxes_around(np.concatenate(seen) % atoms.single.pixels, atoms.shape)
+            boxes = boxes_around(candidates.indices % atoms.single.pixels, atoms.shape)
             sheet = Sheet.of(boxes, atoms.shape, self._margin(near, this_round))
             shown = atoms.part(sheet.pixels)
             problem = replace(problem, patterns=shown)
@@ -395,6 +375,25 @@ class RowSolver:
             lifted = sheet.lifted(solved.coefficients, atoms.planes)
             solved = replace(solved, rows=replace(solved.rows, coefficients=lifted))
         return solved, halos
+
+    def _by_parts(
+        self, samples: Samples, rows: NDArray[np.int64], this_round: Round,
+        neighbours: Neighbourhood, progress: Progress | None,
+    ) -> tuple[Result, NDArray[np.float32]]:  # fmt: skip
+        groups, parts, halos, done = [], [], [], 0
+        for some in self._groups(rows, this_round, neighbours):
+            # Where no neighbour holds light, the core looks this many camera pixels further.
+            part, own = neighbours.part(rows[some], 16)
+            solved, halo = self.near(samples.rows(some), own, this_round, part, together=True)
+            done += len(some)
+            if progress is not None:
+                progress(done, len(rows))
+            groups.append(some)
+            parts.append(solved.rows)
+            halos.append(halo)
+        order = np.argsort(np.concatenate(groups))
+        joined = SparseRows.joined(parts).rows(order)
+        return Result(joined, Status.CONVERGED), np.concatenate(halos)[order]
 
     def _margin(self, neighbours: Neighbourhood, this_round: Round) -> int:
         """Pixels around the light of neighbours that a sheet holds, for spots and for movements."""
