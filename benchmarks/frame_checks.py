@@ -24,8 +24,8 @@ from experiments.harness import markdown, write_json
 from experiments.harness import options as options_of
 from lightmatrix.capture.capture import Capture
 from lightmatrix.capture.sensor import Sensor
+from lightmatrix.check.all_checks import missing_places
 from lightmatrix.check.finding import Finding
-from lightmatrix.check.frame_order import missing_places
 from lightmatrix.check.survey import Survey
 from lightmatrix.estimators.rig_findings import check
 from lightmatrix.files.images import decode_image, encode_image

@@ -137,8 +137,8 @@ def estimated(name: str, count: int) -> dict[str, Any]:
             check=True,
             capture_output=True,
         )
-        # The middle of a camera sees so little of the projector that the check cannot judge it.
-        unchecked = ["--no-check"] if "of" in name else []
+        # The middle of a camera sees so little of the projector that checks cannot judge it.
+        unchecked = ["--no-check", "--correct", "none"] if "of" in name else []
         cost = command_cost("estimate", capture, "-o", matrix, *unchecked)
         error = subprocess.run(
             [*again, "--judge", str(matrix)], check=True, capture_output=True

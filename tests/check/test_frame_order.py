@@ -15,8 +15,7 @@ import lightmatrix as lm
 from benchmarks.synthetic_captures import draw
 from lightmatrix.capture.capture import Capture
 from lightmatrix.capture.sensor import Sensor
-from lightmatrix.check.all_checks import check_capture
-from lightmatrix.check.frame_order import check_counts, missing_places
+from lightmatrix.check.all_checks import check_capture, check_counts, missing_places
 from lightmatrix.check.refusals import refuse_unordered, refuse_unusable
 from lightmatrix.check.survey import Survey
 from lightmatrix.errors import InputError

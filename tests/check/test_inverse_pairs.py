@@ -9,7 +9,7 @@ import pytest
 from numpy.typing import NDArray
 
 import lightmatrix as lm
-from lightmatrix.check.frame_order import missing_places
+from lightmatrix.check.all_checks import missing_places
 from lightmatrix.check.survey import Survey
 from lightmatrix.patterns.pattern_set import ImagePatterns
 from tests.helpers.surface import CAMERA, PROJECTOR, photographs

@@ -156,3 +156,16 @@ def test_an_estimate_takes_no_more_memory_than_its_bound(
     command = [sys.executable, "-c", program, str(tmp_path / "capture")]
     ran = subprocess.run(command, capture_output=True, text=True, check=True)
     assert float(ran.stdout) <= 1
+
+
+def test_a_large_projector_is_not_held_as_a_whole() -> None:
+    """From 2^20 pixels on, atoms are made where they are needed; a limit makes fewer at a time."""
+    frames = Unread(16, (256, 256), np.dtype(np.uint8))
+    taken = []
+    for rows in (1000, 1100):
+        patterns = lm.BernoulliPatterns((rows, 1000), 16)
+        capture = lm.Capture(patterns, frames, lm.Decoder(255, 255))
+        taken.append(lm.estimate_resources(capture).memory)
+    assert taken[1] < 0.6 * taken[0]
+    bounded = lm.EstimateSettings(memory=taken[1] - (200 << 20))
+    assert lm.estimate_resources(capture, bounded).fits

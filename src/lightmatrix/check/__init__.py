@@ -3,11 +3,12 @@
 ==================  ==============================================================================
 ``all_checks``      The entry: which files cannot be read?  Runs the following checks.
                     Are patterns and photographs exchanged?  Can the patterns reveal T?
+                    Is a photograph missing?
 ``levels``          Is there too much light, or too little?  Are black and white frames so?
                     Did the photographs go through lossy compression?
-``frame_order``     Does each frame show its own pattern?  Is a photograph missing?
-``code_order``      The same of stripes, by how far apart neighbouring camera pixels see.
 ``relation``        Do the photographs follow the patterns at all, or what else explains them?
+                    Does each show its own pattern?
+``code_order``      The same of stripes, by how far apart neighbouring camera pixels see.
 ``motion``          Did something move by pixels?
 ``wrong_frames``    Which frames show something else, and what?
 ``inverse_pairs``   Frames and motion where patterns come with inverses (Gray code).

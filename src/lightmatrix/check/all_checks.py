@@ -7,6 +7,7 @@ rig did in the course of the capture.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -16,9 +17,8 @@ from lightmatrix.capture.capture import Capture, Crop
 from lightmatrix.capture.folder import check_depth, read_capture, read_folders
 from lightmatrix.capture.frames import CaptureParts
 from lightmatrix.capture.settings import ReadSettings
-from lightmatrix.check.code_order import CodeLattice, check_code_order
+from lightmatrix.check.code_order import CodeLattice, check_code_order, missing_of_code
 from lightmatrix.check.finding import Finding
-from lightmatrix.check.frame_order import check_counts
 from lightmatrix.check.inverse_pairs import check_pairs, find_pairs
 from lightmatrix.check.levels import (
     check_clip_level,
@@ -29,7 +29,7 @@ from lightmatrix.check.levels import (
 )
 from lightmatrix.check.motion import check_motion
 from lightmatrix.check.prediction import predict
-from lightmatrix.check.relation import check_relation, check_unseen
+from lightmatrix.check.relation import Relation, check_relation, check_unseen
 from lightmatrix.check.survey import Survey, high_variance_rows
 from lightmatrix.check.wrong_frames import LIKELY, SUSPECT, check_frames, wrong_frames
 from lightmatrix.errors import InputError
@@ -101,6 +101,52 @@ def _check_uncounted(parts: CaptureParts) -> list[Finding]:
     images = [Path(entry.name) for entry in paths]
     counts = check_counts(survey, parts.patterns.count, images)
     return [counts, *check_distinguishable(parts.patterns)]
+
+
+def check_counts(survey: Survey | None, patterns: int, images: Sequence[Path]) -> Finding:
+    """State that the numbers differ, and, with a survey of all, which photograph is missing."""
+    count = len(images)
+    message = f"{patterns} patterns, but {count} photographs"
+    frames = missing_places(survey) if survey is not None and count == patterns - 1 else ()
+    if frames:
+        which = " or ".join(map(str, frames))
+        message += f": that of pattern {which} (counted from 0) is missing"
+        if len(frames) == 1 and frames[0] < count:
+            message += f", before {images[frames[0]].name}"
+    digits = ["".join(c for c in path.stem if c.isdecimal() and c.isascii()) for path in images]
+    if digits and all(digits) and not frames:
+        numbers = {int(each) for each in digits}
+        absent = sorted(set(range(min(numbers), max(numbers) + 1)) - numbers)
+        # Names count in steps, and have no gaps, if they leave out more than a quarter.
+        if absent and 4 * len(absent) <= count:
+            message += f"; their names leave out number {', '.join(map(str, absent[:5]))}"
+    advice = (
+        "take it again, or leave the pattern out too"
+        if count < patterns
+        else "remove what is no photograph of a pattern: a test shot, a frame taken twice, the "
+        "black frame?"
+    )
+    return Finding("counts", frames, message, advice)
+
+
+def missing_places(survey: Survey) -> tuple[int, ...]:
+    """Which of K patterns may have no frame among K - 1 frames; empty if unknown."""
+    patterns, count = survey.patterns, survey.count
+    lattice = CodeLattice.of(survey)
+    if lattice is not None:
+        return missing_of_code(lattice)
+    # Frames after the missing one show the pattern after that of their number.
+    first = replace(survey, patterns=patterns.subset(np.arange(count)))
+    place = size = 0
+    while place == size < count:
+        relation = Relation.of(first, size)
+        if count < 16 or relation is None:
+            return ()
+        excess, place, step = relation.displaced(0)
+        size = relation.first + len(relation.frames)
+        if excess < 6 or step < 0:
+            return ()
+    return (place,)
 
 
 def _unread(parts: CaptureParts) -> list[Finding]:

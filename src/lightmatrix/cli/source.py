@@ -39,10 +39,8 @@ class Source:
     images: Path | None
     settings: ReadSettings | None
     crop: tuple[tuple[int, int], tuple[int, int]] | None
-    # Whether the response of a capture folder is to be found in its photographs.
-    find_response: bool = False
-    # Whether the light of its patterns' grey values is to be found too.
-    find_projector: bool = False
+    # Which responses of a capture folder are to be found in its photographs.
+    automatic: frozenset[str] = frozenset()
 
     def open(self, *, finds_projector: bool = False) -> Capture:
         """The capture, not binned; its patterns may be grey values if the caller finds their light.
@@ -60,9 +58,9 @@ class Source:
             )
         else:
             capture = lm.Capture.open(self.folder, crop=self.crop)
-            unknown = self.find_projector or capture.projector_unknown
+            unknown = "projector_response" in self.automatic or capture.projector_unknown
             capture = replace(capture, projector_unknown=unknown)
-            if self.find_response:
+            if "response" in self.automatic:
                 automatic = lm.Response.parse(AUTO)
                 capture = replace(capture, decoder=replace(capture.decoder, response=automatic))
         if not finds_projector:
@@ -188,13 +186,9 @@ def read_source(
                 hint="give patterns and images once",
             )
         capture, patterns, images = None, capture, photographs
-    find = capture is not None and stated.get("response") == AUTO
-    if find:
-        del stated["response"]
-    find_projector = capture is not None and stated.get("projector_response") == AUTO
-    if find_projector:
-        del stated["projector_response"]
     if capture is not None:
+        automatic = {k for k in ("response", "projector_response") if stated.get(k) == AUTO}
+        stated = {name: value for name, value in stated.items() if name not in automatic}
         folders = {"patterns": patterns, "images": images}
         besides = [name for name, value in folders.items() if value is not None] + list(stated)
         if besides:
@@ -202,7 +196,7 @@ def read_source(
                 f"a capture folder and {', '.join(map(_option, besides))} were given",
                 hint="a capture folder has these settings in capture.json; give one or the other",
             )
-        return Source(capture, None, None, None, region, find, find_projector)
+        return Source(capture, None, None, None, region, frozenset(automatic))
     if patterns is None and images is None:
         hint = "give a capture folder, or --patterns and --images"
         raise InputError("no capture is given", hint=hint)

@@ -166,8 +166,6 @@ def evaluate_colour(
     estimates: Sequence[LightTransport | str | Path] | ColourTransport | str | Path,
     truths: Sequence[LightTransport | Truth | str | Path] | ColourTransport | Truth | str | Path,
     exposure: float = 1.0,
-    *,
-    progress: Callable[[int, int], None] | None = None,
 ) -> ColourErrors:
     """Compare the three matrices of a colour projector with the truth.
 
@@ -176,7 +174,7 @@ def evaluate_colour(
     estimates, truths : sequence of three, ColourTransport, str or Path
         The matrices of red, green and blue, each as `evaluate` takes it; or a folder of three
         stores. Truths may also be the simulated capture of patterns in colour, or its truth.
-    exposure, progress
+    exposure : float
         As in `evaluate`.
 
     Returns
@@ -220,7 +218,7 @@ def evaluate_colour(
         check_list(matrices, hint="give those of red, green and blue")
         if len(matrices) != 3:
             raise InputError(f"{len(matrices)} {word}", hint="give those of red, green and blue")
-    pairs = [_matrices(*pair, progress) for pair in zip(estimates, truths, strict=True)]
+    pairs = [_matrices(*pair) for pair in zip(estimates, truths, strict=True)]
     red, green, blue = each = [errors_by_rows(*pair, exposure) for pair in pairs]
     energies = np.array([float(row_energies(matrix).sum()) for _, matrix in pairs])
     missed = np.array([errors.relative_error for errors in each]) ** 2 * energies
@@ -234,7 +232,7 @@ def evaluate_colour(
 def _matrices(
     estimate: LightTransport | str | Path,
     truth: LightTransport | Truth | str | Path,
-    progress: Callable[[int, int], None] | None,
+    progress: Callable[[int, int], None] | None = None,
 ) -> tuple[LightTransport, LightTransport]:
     """The matrix of an estimate, and the truth of its rows."""
     matrix = estimate if isinstance(estimate, LightTransport) else store.open(estimate)

@@ -288,14 +288,12 @@ def measure_response(
     photographer = Photographer(rig, settle)
     # A smooth curve is known between 17 grey values.
     levels = np.rint(np.linspace(0, 255, 17)).astype(int)
-    light = np.empty(len(levels))
+    light, ends = np.empty(len(levels)), (whites.white, whites.black)
     for k, level in enumerate(levels):
         image = np.full(rig.projector.shape, level, np.uint8)
-        frame = take_average(photographer, image, whites.exposure, 3)
-        means: list[NDArray[Any]] = [frame.mean, whites.white.mean, whites.black.mean]
-        if camera.levels is not None:
-            means = [camera.linearise(mean / frame.clip_level) for mean in means]
-        light[k] = share_of_white(means[0], means[1], means[2], whites.lit)
+        frames = take_average(photographer, image, whites.exposure, 3), *ends
+        seen, white, black = (camera.linearise(each.mean / each.clip_level) for each in frames)
+        light[k] = share_of_white(seen, white, black, whites.lit)
         report(k + 1, len(levels))
     return ProjectorResponse.of_light(levels, light)
 

@@ -59,8 +59,8 @@ class CoherentEstimator(Estimator):
         Likeliest atoms kept of each row.
     sizes : tuple of float
         Standard deviations of the spots in projector pixels, ascending; the first is 0, a single
-        pixel. Those wider than 4, or a sixteenth of the projector, are left out but where the
-        photographs have little contrast; there those up to an eighth of it are used.
+        pixel. Those wider than 4, or a sixteenth of the projector, are left out, but in
+        photographs of little contrast only those wider than an eighth of it.
     background_grid : (int, int)
         Rows and columns of the coarse cells; (1, 1) keeps one coefficient a row.
     fidelity : Fidelity
