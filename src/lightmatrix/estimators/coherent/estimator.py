@@ -52,7 +52,8 @@ class CoherentEstimator(Estimator):
     trust : float
         e, > 0: how little light among the neighbours makes a pixel likely. The penalty of the
         likeliest pixel is about 2 lambda e. Rows of fewer than 32 known samples, and cameras
-        coarser than the projector, rely more on neighbours: e is less in proportion.
+        coarser than the projector, rely more on neighbours: e is less in proportion. Faint light
+        in rows that are mostly background needs up to seven times e.
     windows : tuple of (int, int)
         Half widths of the windows of each round, in camera and projector pixels.
     candidates : int

@@ -289,6 +289,10 @@ class LikelyAtomConstants:
     pixels_least: float = 0.001
     # Side in camera pixels of the square that counts as around.
     pixels_around: int = 9
+    # Neighbours must hold 1 + spread q^2 times as much of an atom, where the background holds the
+    # share q of a row's light. Without it a projector blurred by 5.6 pixels errs by 0.106 in place
+    # of 0.059; rows of sharp rigs hardly change.
+    spread: float = 6.0
 
 
 PSEUDO_SAMPLES = PseudoSampleConstants()
@@ -496,9 +500,18 @@ class Neighbourhood:
         """How far rows can do without neighbours, (m,); 1 with `enough` known samples.
 
         It is less with fewer samples for each pixel that a row may see: about as many pixels as
-        footprints move by from one camera pixel to the next.
+        footprints move by from one camera pixel to the next. It is more where most light is in the
+        background, where faint light of single pixels probably belongs too.
         """
         step = self.jacobian[rows].astype(np.float64) / self.spacing
         size = np.maximum(np.hypot(step[:, 0], step[:, 2]), np.hypot(step[:, 1], step[:, 3]))
         enough = PSEUDO_SAMPLES.enough
-        return np.asarray(np.clip(known, 1, enough) / enough / np.maximum(size, 1))
+        independence = np.clip(known, 1, enough) / enough / np.maximum(size, 1)
+        return independence * (1 + LIKELY_ATOMS.spread * self._background_share[rows] ** 2)
+
+    @computed_once
+    def _background_share(self) -> NDArray[np.float64]:
+        """Share of each row's light that its background holds, (M,)."""
+        background = self.rows.background.sum(axis=1, dtype=np.float64)
+        whole = background + np.asarray(self.rows.coefficients.sum(axis=1), np.float64).ravel()
+        return np.divide(background, whole, out=np.zeros_like(whole), where=whole > 0)
