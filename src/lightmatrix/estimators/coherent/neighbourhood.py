@@ -280,6 +280,11 @@ class LikelyAtomConstants:
     # well; later rounds doubt single pixels by the light that they hold.
     within_at_first: float = 0.04
     within: float = 0.5
+    # A single pixel, or a spot, makes the next wider spot in its place likely by this factor:
+    # several narrow spots are often one wider spot, which is cheaper. Without it a projector blurred
+    # by 2.8 pixels errs by 0.049 in place of 0.043.
+    wider_pixel: float = 0.25
+    wider_spot: float = 2.0
     # Single pixels count fully where they hold at least this share of the light around. Where they
     # hold less, they count by `pixels_power` of the proportion, at least `pixels_least`. After the
     # first round they hold a twentieth of the light where footprints are wide, from which they must
@@ -484,11 +489,11 @@ class Neighbourhood:
                 matrix = csr_array((found.data, found.indices, found.indptr), shape=shape)
                 several = several + self._of(number, matrix)
             return Candidates(several.indptr.astype(np.int64), several.indices, several.data)
+        wider = np.full(self.atoms.planes, constants.wider_spot, np.float32)
+        wider[0] = constants.wider_pixel
         indptr, atoms, penalties = _core.likely_pixels(
             self.rows.coefficients, self.camera, self.projector, self.jacobian, self.atoms.spots,
-            # A spot makes no wider one in its place likely: errors are the same.
-            constants.within_at_first if first else constants.within,
-            np.zeros(self.atoms.planes, np.float32),
+            constants.within_at_first if first else constants.within, wider,
             np.ones(self.rows.count, np.float32) if first else self.singles, reach, most,
             trust * self._independence(known, rows), (0, self.rows.count), rows,
         )  # fmt: skip
