@@ -281,7 +281,7 @@ class LikelyAtomConstants:
     within_at_first: float = 0.04
     within: float = 0.5
     # A single pixel, or a spot, makes the next wider spot in its place likely by this factor:
-    # several narrow spots are often one wider spot, which is cheaper. Without it a projector blurred
+    # several narrow spots are often one wider spot, which is cheaper. Without it a scene blurred
     # by 2.8 pixels errs by 0.049 in place of 0.043.
     wider_pixel: float = 0.25
     wider_spot: float = 2.0
