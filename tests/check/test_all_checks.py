@@ -209,14 +209,14 @@ def test_fine_stripes_that_are_alike_in_a_part_of_the_projector_accuse_nothing(
 
 
 def test_motion_is_named_from_the_same_frame_on_in_a_crop() -> None:
-    patterns = lm.BernoulliPatterns((64, 64), 48)
+    patterns = lm.BernoulliPatterns((64, 64), 32)
     intact = lm.simulate("l_objects", patterns, noise=0.003, exposure=0.4)
     frames = stack(intact)
-    frames[30:] = np.roll(frames[30:], 1, axis=2)
+    frames[20:] = np.roll(frames[20:], 1, axis=2)
     capture = lm.Capture.from_arrays(patterns, frames, intact.decoder)
     whole = lm.check(capture)
     assert [each.kind for each in whole] == ["motion"]
-    assert abs(whole[0].frames[0] - 30) <= 1
+    assert abs(whole[0].frames[0] - 20) <= 1
     assert lm.check(capture, crop=((10, 20), (24, 32))) == whole
 
 

@@ -72,7 +72,10 @@ def test_estimate_refuses_photographs_of_other_patterns() -> None:
     assert "check=False" in (refused.value.hint or "")
 
 
-@pytest.mark.parametrize(("scene", "seed"), [("translucent", 1), ("wall", 0)])
+@pytest.mark.parametrize(
+    ("scene", "seed"),
+    [("translucent", 1), pytest.param("wall", 0, marks=pytest.mark.slow)],
+)
 def test_a_camera_that_sees_a_part_of_the_projector_is_not_accused(scene: str, seed: int) -> None:
     """Under 16 patterns, where little tells what photographs follow."""
     size, generator = 32, np.random.default_rng(seed)

@@ -27,7 +27,7 @@ def capture(camera: float, projector: float) -> lm.Capture:
     return lm.Capture.from_arrays(lm.ImagePatterns(GREY.astype(np.float32)), frames, decoder)
 
 
-@pytest.mark.parametrize("gamma", [0.8, 1.0, 2.2])
+@pytest.mark.parametrize("gamma", [0.8, 2.2])
 def test_the_gamma_of_the_projector_is_found_with_a_known_camera(gamma: float) -> None:
     found = lm.find_response(capture(1.0, gamma), projector=True)
     assert found.projector is not None
@@ -36,13 +36,12 @@ def test_the_gamma_of_the_projector_is_found_with_a_known_camera(gamma: float) -
     assert found.projector_uncertainty < 0.02 * gamma
 
 
-@pytest.mark.parametrize(("camera", "projector"), [(1.0, 1.0), (2.2, 1.4)])
-def test_both_gammas_are_found_at_once(camera: float, projector: float) -> None:
-    taken = with_response(capture(camera, projector), lm.Response.parse("auto"))
+def test_both_gammas_are_found_at_once() -> None:
+    taken = with_response(capture(2.2, 1.4), lm.Response.parse("auto"))
     found = lm.find_response(taken, projector=True)
     assert found.projector is not None
-    assert found.gamma == pytest.approx(camera, rel=0.02)
-    assert found.projector.gamma == pytest.approx(projector, rel=0.02)
+    assert found.gamma == pytest.approx(2.2, rel=0.02)
+    assert found.projector.gamma == pytest.approx(1.4, rel=0.02)
 
 
 @pytest.mark.filterwarnings("ignore::lightmatrix.errors.LightMatrixWarning")

@@ -33,8 +33,9 @@ def _memory() -> list[Case]:
     # Threads need room for their stacks; with little room there are no more threads.
     threads = (("RAYON_NUM_THREADS", "64"),)
     little = [
-        *((room, name, ()) for room in (8, 96) for name in commands),
-        *((room, name, threads) for room in (12,) for name in ("estimate", "coherent")),
+        *((96, name, ()) for name in commands),
+        *((8, name, ()) for name in ("coherent", "simulate")),
+        (12, "coherent", threads),
     ]
     return [
         Case(

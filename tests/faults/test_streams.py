@@ -50,24 +50,19 @@ def _interrupted(after: float, command: str) -> Scenario:
 
 
 def _outputs() -> list[Case]:
-    cases = []
-    for words, command in {
-        "info": INFO,
-        "patterns": "patterns bernoulli -k 2 --size 8x8 -o new --json",
-    }.items():
-        gone = (
-            f"(sleep 0.1; lm {command}; echo $? >../../tmp/code) | true; "
-            "exit $(cat ../../tmp/code; rm ../../tmp/code)"
-        )
+    command, new = "patterns bernoulli -k 2 --size 8x8 -o new --json", ("new",)
+    gone = (
+        f"(sleep 0.1; lm {command}; echo $? >../../tmp/code) | true; "
+        "exit $(cat ../../tmp/code; rm ../../tmp/code)"
+    )
+    return [
+        Case(f"patterns {end}", scenario=by_shell(line), code=code, makes=new, leaves=new)
         for end, line, code in (
             ("to a full disk", f"lm {command} >/dev/full", (2,)),
             ("to a reader that is gone", gone, (0, 141)),
             ("with standard output closed", f"lm {command} >&-", (0, 2)),
-        ):
-            run, new = by_shell(line), ("new",)
-            name = f"{words} {end}"
-            cases.append(Case(name, scenario=run, code=code, makes=new, leaves=new))
-    return cases
+        )
+    ]
 
 
 def _umlauts(folder: Path) -> None:
@@ -83,7 +78,6 @@ def _surroundings() -> list[Case]:
     gone = "mkdir away && cd away && rmdir ../away && lm info scene.zarr"
     # What -> line for a shell, variables, exit codes.
     lines: dict[str, tuple[str, dict[str, str], int | tuple[int, ...]]] = {
-        "standard error closed": (f"lm {INFO} 2>&-", {}, 0),
         "all streams closed": (f"lm {INFO} <&- >&- 2>&-", {}, (0, 2)),
         "a refusal with standard error closed": ("! lm info no 2>&- || exit 1", {}, 0),
         "a refusal to a full standard error": ("! lm info no 2>/dev/full || exit 1", {}, 0),
@@ -92,7 +86,6 @@ def _surroundings() -> list[Case]:
         "other letters in the C locale": ("lm info größe.zarr", locale, 0),
         "an error of other letters in ASCII": ("lm info größe2.zarr", ascii_only, 2),
         "a name that is no text": ("lm info $(printf 'a\\xffb')", {}, 2),
-        "a terminal of 1 column": (f"lm {INFO}", {"COLUMNS": "1"}, 0),
         "a terminal of nonsense": (f"lm {INFO}", {"COLUMNS": "wide", "TERM": "unknown"}, 0),
         "a home that does not exist": (f"lm {INFO}", nowhere, 0),
         "a temporary folder that does not exist": (

@@ -207,7 +207,7 @@ def test_no_error_is_stated_where_it_cannot_be_known(
     [
         ("gripper", "random", 16),
         ("l_objects", "few", 16),
-        ("corner", "few", 16),
+        pytest.param("corner", "few", 16, marks=pytest.mark.slow),
         ("metal", "random", 16),
         ("textured", "hadamard", 16),
         ("half lit", "shown twice", 16),

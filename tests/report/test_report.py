@@ -111,7 +111,8 @@ def test_depth_and_normals_are_shown_where_the_geometry_is_known(
     words = _words(tmp_path / "report" / "report.html")
     for phrase in ("pixels have a depth; its median is", "Depth", "Normals", "scene unit"):
         assert phrase in words, phrase
-    assert "layer-depth" in (tmp_path / "report" / "viewer.html").read_text()
+    viewer = (tmp_path / "report" / "viewer.html").read_text()
+    assert all(f"layer-{name}" in viewer for name in ("depth", "behind", "mirrors", "probability"))
     known.geometry.cropped((0, 0), (63, 60)).save("other.json")
     line = "estimate capture -o other.zarr --report other --geometry other.json"
     assert main(line.split()) == 2

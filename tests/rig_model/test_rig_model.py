@@ -57,12 +57,12 @@ def test_an_intact_capture_gets_no_name(intact: tuple[SimulatedCapture, lm.Light
         ("previous", 0.1, "previous", 1.25),
         ("rows", 0.1, "rows", 1.5),
         ("shake", 0.1, "shift", 2.0),
-        ("camera_curve", 1.1, "camera-curve", 1.25),
-        ("crosstalk", 0.1, "crosstalk", 1.25),
         ("torn", 0.2, "previous", 1.25),
-        # The camera's brightness was that of the whole picture, of which this is a part.
-        ("tone_mapping", 0.2, "tone-mapping", 3.0),
         ("black", 1.0, "black", 1.25),
+        pytest.param("camera_curve", 1.1, "camera-curve", 1.25, marks=pytest.mark.slow),
+        pytest.param("crosstalk", 0.1, "crosstalk", 1.25, marks=pytest.mark.slow),
+        # The camera's brightness was that of the whole picture, of which this is a part.
+        pytest.param("tone_mapping", 0.2, "tone-mapping", 3.0, marks=pytest.mark.slow),
     ],
 )
 def test_a_fault_is_named_and_taken_out(

@@ -156,8 +156,10 @@ def order(count: int, fault: str) -> np.ndarray:
     [
         ("graycode", "swapped", "frame 1 and frame 4 look swapped"),
         ("graycode, inverse", "late", "each photograph shows the pattern before its own"),
-        ("phase", "by name", "the order of their names as text"),
-        ("microphase", "backwards", "the opposite order"),
+        ("graycode, inverse", "by name", "the order of their names as text"),
+        ("phase", "swapped", "frame 1 and frame 4 look swapped"),
+        ("microphase", "swapped", "frame 1 and frame 4 look swapped"),
+        ("graycode", "backwards", "the opposite order"),
     ],
 )
 def test_frames_out_of_order_are_refused_by_name(name: str, fault: str, words: str) -> None:
@@ -187,6 +189,16 @@ def test_a_lost_frame_is_named(name: str, lost: int, named: str) -> None:
     survey = Survey.take(patterns, ArrayStack(frames), Sensor(bits=None).decoder())
     places = missing_places(survey)
     assert " or ".join(map(str, places)) == named
+
+
+@pytest.mark.parametrize("name", ["graycode", "phase"])
+def test_a_black_photograph_is_named(name: str) -> None:
+    patterns = code(name)
+    frames = photographs(patterns)
+    frames[3] = 0
+    with pytest.warns(LightMatrixWarning) as told:
+        lm.decode(capture(patterns, frames))
+    assert any("frame 3: black, although" in str(each.message) for each in told)
 
 
 def test_noise_and_darkness_are_refused_and_leave_no_file(tmp_path: Path) -> None:

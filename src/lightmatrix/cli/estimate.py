@@ -237,6 +237,8 @@ def estimate(
     for line in judged.lines():
         say(line)
     summary = transport.summary()
+    if capture.projectors:
+        summary["projector"] = " and ".join(f"{rows} x {cols}" for rows, cols in capture.projectors)
     show_table(options.written_stores(output), labelled(summary, main_only=not verbose))
     # All rows but one in a hundred should converge.
     if summary["converged_rows"] < 0.99:

@@ -85,8 +85,6 @@ def patterns(
     as_json: Json = False,
 ) -> None:
     """Write projection patterns as a folder of PNG files."""
-    if mix is not None and kind != "mix":
-        raise InputError(f"--mix for {kind} patterns", hint="write `lightmatrix patterns mix`")
     in_colour = primary == "rgb"
     if in_colour and kind != "bernoulli":
         hint = "write `lightmatrix patterns bernoulli --primary rgb`"

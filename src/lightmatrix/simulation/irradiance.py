@@ -26,7 +26,6 @@ def irradiance(
     matrix: csr_array,
     patterns: PatternSet,
     *,
-    threads: int | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> NDArray[np.float32]:
     """T P' for an (M, N) sparse T and K patterns: (M, K), linear, 1 = clip level at exposure 1."""
@@ -52,7 +51,7 @@ def irradiance(
         for k, block in zip(firsts, blocks, strict=True):
             light[start:stop, k : k + size] = some_rows @ block
 
-    with ThreadPoolExecutor(threads or os.cpu_count() or 1) as pool:
+    with ThreadPoolExecutor(os.cpu_count()) as pool:
         for task, _ in enumerate(pool.map(multiply, range(len(cuts) - 1))):
             if progress is not None:
                 progress(int(cuts[task + 1]), rows)

@@ -52,16 +52,15 @@ class CoherentEstimator(Estimator):
     trust : float
         e, > 0: how little light among the neighbours makes a pixel likely. The penalty of the
         likeliest pixel is about 2 lambda e. Rows of fewer than 32 known samples, and cameras
-        coarser than the projector, rely more on neighbours: e is less in proportion. Faint light
-        in rows that are mostly background needs up to seven times e.
+        coarser than the projector, rely more on neighbours: e is less in proportion.
     windows : tuple of (int, int)
         Half widths of the windows of each round, in camera and projector pixels.
     candidates : int
         Likeliest atoms kept of each row.
     sizes : tuple of float
         Standard deviations of the spots in projector pixels, ascending; the first is 0, a single
-        pixel. Those wider than 4, or a sixteenth of the projector, are left out but where the
-        photographs have little contrast; there those up to an eighth of it are used.
+        pixel. Those wider than 4, or a sixteenth of the projector, are left out, but in
+        photographs of little contrast only those wider than an eighth of it.
     background_grid : (int, int)
         Rows and columns of the coarse cells; (1, 1) keeps one coefficient a row.
     fidelity : Fidelity
