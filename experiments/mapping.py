@@ -173,6 +173,14 @@ def _projectors(truth: Truth, seed: int) -> Measured:
             "gains": np.clip(shared.start(found.target.ravel()), 0, 1),
             "compensated": np.concatenate([pattern.ravel() for pattern in found.patterns]),
         }
+        # What a photograph misses is asked for in addition, as in closed loop.
+        target, photograph = found.target.ravel(), light.forward(ways["compensated"])
+        noise = np.random.default_rng(seed).normal(0, NOISE, target.shape)
+        # Its exposure leaves room for twice the target.
+        missed = target - photograph - 2 * target.max() * noise
+        asked = (target + np.where(counted, missed, 0)).astype(np.float32)
+        refined = shared.reaching(target, found.brightness, start=ways["compensated"], asked=asked)
+        ways["refined"] = np.concatenate([pattern.ravel() for pattern in refined.patterns])
         for way, pattern in ways.items():
             seen = light.forward(pattern)
             row: Row = {"method": f"{name}, {way}", "PSNR": _psnr(seen, found, counted)}

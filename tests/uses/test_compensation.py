@@ -249,8 +249,19 @@ def test_the_folder_of_a_colour_projector_stands_for_its_primaries(
     parts = [replace(known, sparse=known.sparse * np.float32(gain)) for gain in (0.5, 0.3, 0.2)]
     lm.save_colour(tmp_path / "scene", lm.ColourTransport(*parts))
     found = lm.compensate(tmp_path / "scene", _ramp(), output=tmp_path / "shown.png")
-    np.testing.assert_array_equal(found.pattern, lm.compensate(parts, _ramp()).pattern)
     assert lm.read_image(tmp_path / "shown.png").shape == (32, 32, 3)
+    # Three projectors whose patterns have one shape are not the primaries of one.
+    three = lm.compensate(parts, _ramp(), output=tmp_path / "three.png")
+    np.testing.assert_array_equal(found.pattern, three.pattern)
+    for number, pattern in enumerate(three.encoded, start=1):
+        shown = lm.read_image(tmp_path / f"three-{number}.png")
+        np.testing.assert_array_equal(shown, np.rint(255 * pattern))
+    of_primaries = [
+        replace(part, provenance={**part.provenance, "primary": name})
+        for part, name in zip(parts, ("red", "green", "blue"), strict=True)
+    ]
+    lm.compensate(of_primaries, _ramp(), output=tmp_path / "one.png")
+    assert lm.read_image(tmp_path / "one.png").shape == (32, 32, 3)
     uses: tuple[Callable[[], Any], ...] = (
         lambda: lm.cancel_global(tmp_path / "scene"),
         lambda: lm.compensate_video(tmp_path / "scene", [_ramp()]),

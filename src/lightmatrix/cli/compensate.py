@@ -118,8 +118,9 @@ def compensate(
     else:
         assert wanted is not None
         found = lm.compensate([scene, *(beside or ())], wanted, ambient=black, **common)
-    shown_patterns = getattr(found, "compensation", found).patterns
-    names = shown_files(output, [one.shape for one in shown_patterns][: 1 if video else None])
+    shown_patterns = getattr(found, "compensation", found)
+    one = video or shown_patterns.in_colour
+    names = shown_files(output, 1 if one else len(shown_patterns.patterns))
     summary = {"output": output if len(names) == 1 else names, **found.as_dict()}
     if as_json:
         show_json(summary)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from pathlib import Path
 
 from lightmatrix.paths import as_path
@@ -18,13 +17,10 @@ def stores_within(folder: str | Path) -> tuple[Path, ...]:
     return tuple(sorted(found, key=lambda path: (len(path.name), path.name)))
 
 
-def shown_files(output: str | Path, shapes: Sequence[tuple[int, ...]]) -> list[Path]:
-    """The files of patterns of these shapes: one, one in colour for three alike, or one for each.
-
-    Those of several projectors have numbers, NAME-1.png, NAME-2.png.
-    """
-    path, count = Path(output), len(shapes)
-    if count == 1 or (count == 3 and len(set(shapes)) == 1):
+def shown_files(output: str | Path, count: int) -> list[Path]:
+    """The files of so many images: one, or one for each projector, NAME-1.png, NAME-2.png, ..."""
+    path = Path(output)
+    if count == 1:
         return [path]
     return [path.with_name(f"{path.stem}-{k}{path.suffix}") for k in range(1, count + 1)]
 

@@ -194,7 +194,7 @@ def refine_compensation(
     assert best is not None
     found = replace(best[0], encoding=(loop.known.response,) * len(found.patterns))
     if output is not None:
-        write_shown(output, found.encoded, overwrite=overwrite)
+        write_shown(output, found, overwrite=overwrite)
     photograph = best[1].reshape(shared.light.camera_shape)
     return RefinedCompensation(found, photograph, np.array(errors))
 

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lightmatrix.errors import InputError
-from lightmatrix.files.colours import shown_files, stores_within
+from lightmatrix.files.colours import COLOURS, holds_colour, shown_files, stores_within
 from lightmatrix.files.extras import video_frames
 from lightmatrix.files.images import DISPLAY_GAMMA, write_image
 from lightmatrix.files.kinds import IMAGE, PATTERNS
@@ -49,6 +49,8 @@ class JointLight:
     matrices: tuple[LightTransport, ...]
     # (N,): 1 for projector pixels that may give light, 0 for those that stay black; None: all may.
     usable: Singles | None = None
+    # Whether they are red, green and blue of one projector.
+    in_colour: bool = False
 
     @property
     def camera_shape(self) -> tuple[int, ...]:
@@ -150,19 +152,18 @@ def joint_light(transport: Transport | Sequence[Transport]) -> JointLight:
             f"matrices of cameras of shapes {' and '.join(map(str, shapes))}",
             hint="give matrices that one camera measured, with the same binning",
         )
-    return JointLight(matrices)
+    primaries = [matrix.provenance.get("primary") for matrix in matrices]
+    of_one = len(sources) == 1 and isinstance(sources[0], str | Path) and holds_colour(sources[0])
+    return JointLight(matrices, in_colour=of_one or primaries == list(COLOURS))
 
 
 # The images of the patterns.
 
 
-def write_shown(
-    output: str | Path, patterns: Sequence[Singles], *, overwrite: bool = False
-) -> None:
-    """Write patterns as images: one, three in colour, or several with numbers."""
-    files = shown_files(output, [pattern.shape for pattern in patterns])
-    in_colour = len(files) < len(patterns)
-    images = [np.stack(patterns, axis=-1)] if in_colour else patterns
+def write_shown(output: str | Path, found: Compensation, *, overwrite: bool = False) -> None:
+    """Write its patterns as images: one, which may be in colour, or several with numbers."""
+    images = [np.stack(found.encoded, axis=-1)] if found.in_colour else found.encoded
+    files = shown_files(output, len(images))
     for place in files:
         check_output(place, IMAGE, overwrite=overwrite)
     for place, image in zip(files, images, strict=True):
@@ -291,6 +292,8 @@ class Compensation:
         What `encoded` and the written image encode each pattern by; None: as light.
     uncompensated_psnr : float, optional
         What `psnr` would be, at its best brightness, if the picture were shown as it is.
+    in_colour : bool
+        Whether the patterns are red, green and blue of one projector, which make one image.
     """
 
     patterns: tuple[Singles, ...]
@@ -301,6 +304,7 @@ class Compensation:
     reach: NDArray[np.uint8]
     encoding: tuple[ProjectorResponse | None, ...] = ()
     uncompensated_psnr: float | None = None
+    in_colour: bool = False
 
     __repr__ = short_repr
 
@@ -482,7 +486,7 @@ class Compensator:
         shape = self.light.camera_shape
         return Compensation(
             self.light.split(pattern), predicted.reshape(shape), target.reshape(shape), scale,
-            brightness, reach.reshape(shape),
+            brightness, reach.reshape(shape), in_colour=self.light.in_colour,
         )  # fmt: skip
 
 
@@ -555,8 +559,8 @@ def compensate(
         from `projector_response`, "gamma:2.2", or "linear", which writes light. None: as the
         patterns of T were, or a gamma of 2.2 if these do not tell.
     output : str or Path, optional
-        Image file to write the pattern to, to be shown: .png, .tiff, .exr or .npy. Three
-        patterns of one size become one in colour; otherwise several become NAME-1.png, NAME-2.png.
+        Image file to write the pattern to, to be shown: .png, .tiff, .exr or .npy. Those of the
+        primaries become one in colour, those of several projectors NAME-1.png, NAME-2.png, ...
     overwrite : bool
         Whether existing images may be replaced.
 
@@ -591,7 +595,7 @@ def compensate(
     encoding = encoding_of(projector_response, shared.light)
     found = replace(found, uncompensated_psnr=plain, encoding=encoding)
     if output is not None:
-        write_shown(output, found.encoded, overwrite=overwrite)
+        write_shown(output, found, overwrite=overwrite)
     return found
 
 
@@ -791,5 +795,5 @@ def cancel_global(
     )
     compensation = replace(compensation, encoding=encoding_of(projector_response, light))
     if output is not None:
-        write_shown(output, compensation.encoded, overwrite=overwrite)
+        write_shown(output, compensation, overwrite=overwrite)
     return compensation

@@ -69,9 +69,9 @@ class Backgrounds:
         even = (self._sizes / self._sizes.sum()).astype(np.float32)
         return np.where(total > 0, shares / np.where(total > 0, total, 1), even)
 
-    def under_patterns(self, rows: csr_array) -> NDArray[np.float32]:
-        """The halos of rows (m, N) under the patterns, shown and unseen, (m, K + E) in [0, 1]."""
-        under = _core.rows_times(self.spread(rows), self._means)
+    def under_patterns(self, shares: NDArray[np.float32]) -> NDArray[np.float32]:
+        """The halos under the patterns, shown and unseen, (m, K + E) in [0, 1]."""
+        under = _core.rows_times(shares, self._means)
         return np.clip(under, 0, 1, out=under)
 
     def cells(self, cost: float, *, unseen: bool) -> Cells:
@@ -429,7 +429,8 @@ class RowSolver:
 
     def halos(self, neighbours: Neighbourhood, start: int, stop: int) -> NDArray[np.float32]:
         """The halos of the rows start..stop under the patterns shown and unseen, (n, K + E)."""
-        return self.backgrounds.under_patterns(csr_array(neighbours.centres[start:stop]))
+        shares = self.backgrounds.spread(csr_array(neighbours.centres[start:stop]))
+        return self.backgrounds.under_patterns(shares)
 
     def first_problem(self, samples: Samples) -> Problem:
         """The problem of rows of which nothing is known."""
