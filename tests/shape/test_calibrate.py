@@ -376,12 +376,21 @@ def test_the_command(
     words = ["--board", "7x5", "--square", "25mm", "-o", str(tmp_path / "rig.json")]
     assert main(["calibrate", *folders, *words, "--json"]) == 0
     answer = json.loads(capsys.readouterr().out)
+    assert answer["files"] == [str(tmp_path / "rig.json")]
     assert answer["corners"] > 95
     assert answer["rms_stereo"] < 0.2
     assert [pose["pose"] for pose in answer["poses"]] == folders
     assert lm.RigGeometry.load(tmp_path / "rig.json").units == "mm"
     assert main(["calibrate", *folders, *words]) == 2
     assert "exists already" in capsys.readouterr().err
+    for poses, said in {
+        (tmp_path,): "no folder patterns",
+        (folders[0],) * 3: "1 usable pose",
+    }.items():
+        assert main(["calibrate", *map(str, poses), *words, "--overwrite"]) == 2
+        assert said in capsys.readouterr().err
+    assert main(["calibrate", *folders, *words[:2]]) == 2
+    assert "takes both --board and --square" in capsys.readouterr().err
     words[3] = "24,5 mm"
     assert main(["calibrate", *folders, *words, "--overwrite"]) == 0
     assert "25 mm" not in capsys.readouterr().out
@@ -426,6 +435,7 @@ def test_two_projectors_and_two_cameras_from_one_set_of_boards(
     assert set(stated) == {"camera 2", "projector 1", "projector 2"}
     pairs = list(product((0, 1), (0, 1)))
     files = [tmp_path / f"rig-{camera + 1}-{projector + 1}.json" for camera, projector in pairs]
+    assert measured.files == tuple(files)
     found = [lm.RigGeometry.load(file) for file in files]
     for (camera, projector), rig in zip(pairs, found, strict=True):
         assert max(rig.rms.values()) < 0.2

@@ -58,35 +58,36 @@ def calibrate(
     Without a board, --focal finds the projector from one scene.
     """
     written: dict[str, Any] = {"output": output, "overwrite": overwrite}
-    if board is None or square is None:
+    if board is None and square is None:
         _without_board(poses, focal, principal, baseline, as_json, **written)
         return
     if focal is not None:
-        raise InputError("--focal does not go with --board", hint="leave one of them out")
+        raise InputError("--focal does not go with a board", hint="leave one of them out")
+    if board is None or square is None:
+        hint = "such as --board 9x7 --square 24mm"
+        raise InputError("a board takes both --board and --square", hint=hint)
     side, units = _length("--square", square)
     written |= {"kind": kind, "units": units}
     with progress("reading poses", "poses") as step:
         measured = lm.calibrate_rig(poses, size(board), side, progress=step, **written)
     rig, facts = measured.geometry, measured.as_dict()
-    several = len(measured.standard_errors) > 1
-    shown = f"geometries beside {output}" if several else str(output)
     answer(
         as_json,
-        {"output": output, **facts},
+        {"output": output, "files": measured.files, **facts},
         *(
             f"{pose.name}: {pose.used.sum()} of {pose.used.size} corners, off by "
             f"{pose.rms_camera:.2f} camera pixels, {pose.rms_projector:.2f} projector pixels"
             for pose in measured.poses
         ),
-        f"{shown}: {measured.corners} of {facts['of_corners']} corners in {len(measured.poses)} "
-        f"poses, RMS {rig.rms['stereo']:.2f} pixels; camera and projector are {rig.baseline:.4g} "
-        f"{rig.units or 'units'} apart",
+        f"{', '.join(map(str, measured.files))}: {measured.corners} of {facts['of_corners']} "
+        f"corners in {len(measured.poses)} poses, RMS {rig.rms['stereo']:.2f} pixels; "
+        f"camera and projector are {rig.baseline:.4g} {rig.units or 'units'} apart",
         *(
             f"{device}: turned to +- {turn:.2g} degrees, placed to +- {place:.2g} "
             f"{rig.units or 'units'}"
             for device, (turn, place) in measured.standard_errors.items()
         ),
-        f"use it with: lightmatrix triangulate scene.zarr --geometry {output}",
+        f"use it with: lightmatrix triangulate scene.zarr --geometry {measured.files[0]}",
     )
 
 

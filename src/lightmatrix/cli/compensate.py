@@ -86,7 +86,7 @@ def compensate(
         options.refuse({"--black": black, "--projector-response": projector_response}, "a rig")
         options.refuse({"--beside": beside, "a video": video}, "a rig")
     else:
-        options.refuse(of_rig, "a compensation without a rig")
+        options.refuse(of_rig, "a compensation without a rig", "name the rig, or leave it out")
         options.refuse({"--beside": video and beside}, "a video")
     options.missing_rig_file(rig_file, with_rig=with_rig)
     response: Any = projector_response

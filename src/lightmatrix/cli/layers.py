@@ -20,7 +20,7 @@ from lightmatrix.cli.terminal import answer
 
 @described(
     scene=Argument(metavar="SCENE", help="A store of `estimate`, or a T.npz."),
-    output="Point cloud (.ply) or image of layers (.exr).",
+    output="Point cloud (.ply, .pcd, .obj, .xyz) or image of layers (.exr).",
     picture="Maps of the layers to write: .png.",
 )
 def layers(

@@ -76,12 +76,20 @@ RigName = Annotated[
 ProjectorName = Annotated[str | None, Option("--projector", help="A projector, such as window:1.")]
 ProjectorNames = Annotated[
     list[str] | None,
-    Option("--projector", help="A projector, such as window:1; repeat it for several at once."),
+    Option(
+        "--projector",
+        metavar="ADDRESS",
+        help="A projector, such as window:1; repeat it for several at once.",
+    ),
 ]
 CameraName = Annotated[str | None, Option("--camera", help="A camera, such as aravis:ID.")]
 CameraNames = Annotated[
     list[str] | None,
-    Option("--camera", help="A camera, such as aravis:ID; repeat it for several in turn."),
+    Option(
+        "--camera",
+        metavar="ADDRESS",
+        help="A camera, such as aravis:ID; repeat it for several in turn.",
+    ),
 ]
 Settle = Annotated[
     float | None,
@@ -112,11 +120,11 @@ USUAL_SIZE = "x".join(map(str, defaults.USUAL_SIZE))
 MOST_PIXELS = 2**31 - 1
 
 
-def refuse(options: Mapping[str, object], what: str) -> None:
+def refuse(options: Mapping[str, object], what: str, hint: str = "leave it out") -> None:
     """Raise InputError if any of some options, by name, has a value, as `what` has none."""
     given = [name for name, value in options.items() if value not in (None, False)]
     if given:
-        raise InputError(f"{', '.join(given)} for {what}", hint="leave it out")
+        raise InputError(f"{', '.join(given)} for {what}", hint=hint)
 
 
 def size(text: str) -> tuple[int, int]:

@@ -306,7 +306,7 @@ def _solved(seen: Prediction, changes: Array) -> tuple[Array, Array] | None:
 def _refuse_patterns(capture: Capture, *, projector: bool) -> None:
     """Refuse patterns from which no curve of the camera, or none of the projector, can be found."""
     patterns, binned = capture.patterns, capture.bin_projector != (1, 1)
-    hint = 'leave out projector_response="auto"'
+    hint = 'leave out projector_response="auto", or projector=True of find_response'
     if projector and isinstance(patterns, ColourPatterns):
         raise InputError("the projector's gamma cannot be found from patterns in colour", hint=hint)
     if projector and patterns.as_bits() is not None:

@@ -213,7 +213,10 @@ PACKED = FileKind("packed scene", (".npz",), f"{PACKED_MARK}.npy")
 NUMBERS = FileKind("numbers of a picture", (".npz",), f"{NUMBERS_MARK}.npy")
 RIG = FileKind("measurements of a rig", (".json",), f'"format": "{RIG_FORMAT}"')
 RESPONSE = FileKind("measured response", (".json",), f'"format": "{RESPONSE_FORMAT}"')
-GEOMETRY = FileKind("geometry of a rig", (".json",), f'"format": "{GEOMETRY_FORMAT}"')
+# Those of other programs have kinds of their own, below; messages name the endings of all.
+GEOMETRY = FileKind(
+    "geometry of a rig", (".json", ".yml", ".xml", ".colmap"), f'"format": "{GEOMETRY_FORMAT}"'
+)
 OPENCV_GEOMETRY = FileKind("geometry of a rig", (".yml", ".yaml", ".xml"), OUR_MARK)
 COLMAP = FolderKind("geometry of a rig", (".colmap",))
 PAGE = FileKind("page of the viewer", (".html",), PAGE_MARK)

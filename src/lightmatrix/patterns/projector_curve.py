@@ -17,6 +17,7 @@ from lightmatrix.files.curve_file import CurveFile
 from lightmatrix.patterns.colour import ColourPatterns
 from lightmatrix.patterns.pattern_set import ImagePatterns, PatternSet
 from lightmatrix.ranges import as_float, check_number
+from lightmatrix.reprs import short_repr
 
 # This entry of a capture's description holds the response of its projector.
 CURVE = "projector_response"
@@ -48,6 +49,8 @@ class ProjectorResponse:
     levels: tuple[int, ...]
     light: tuple[float, ...]
     gamma: float
+
+    __repr__ = short_repr
 
     @classmethod
     def of_light(

@@ -232,6 +232,8 @@ class RigCalibration:
     # The standard errors of how each device but the first camera is turned, in degrees, and of
     # where it stands, in the unit of the board, by its name, such as "projector 1".
     standard_errors: dict[str, tuple[float, float]]
+    # What was written, in the order of the geometries.
+    files: tuple[Path, ...]
 
     __repr__ = short_repr
 
@@ -339,11 +341,11 @@ def calibrate_rig(
         hint = f"use one of {', '.join(get_args(BoardKind))}"
         raise InputError(f"a board of the kind {kind!r}", hint=hint)
     check_list(poses, hint="give a capture for each pose of the board")
-    _check_count(len(poses), {})
     opened = {
         str(pose) if isinstance(pose, str | Path) else f"pose {number}": _captures_of(pose)
         for number, pose in enumerate(poses)
     }
+    _check_count(len(opened), {})
     cameras, projectors = _shapes_of(opened)
     files = [] if output is None else _files(output, len(cameras), len(projectors))
     for file in files:
@@ -421,7 +423,9 @@ def calibrate_rig(
         found.save(file, overwrite=overwrite)
     stated = [(turn, place) for turn, place in fit.deviations.tolist()[1:]]
     errors = dict(zip(names[1:], stated, strict=True))
-    return RigCalibration(geometries, used_poses, left_out, largest_turn(fit.poses), errors)
+    return RigCalibration(
+        geometries, used_poses, left_out, largest_turn(fit.poses), errors, tuple(files)
+    )
 
 
 def _captures_of(pose: Pose) -> list[list[Capture]]:
@@ -534,7 +538,7 @@ def _check_count(usable: int, left_out: dict[str, str], device: str = "") -> Non
         return
     reasons = "".join(f"; {name}: {reason}" for name, reason in left_out.items())
     raise InputError(
-        f"{usable} usable poses{device}{reasons}",
+        f"{usable} usable pose{'s' * (usable != 1)}{device}{reasons}",
         hint="photograph 3 poses at least, better 5 to 10, each tilted differently and "
         "lit by the projector; a board's size is its inner corners, squares less one",
     )

@@ -142,7 +142,8 @@ def layers(
     check_thresholds(tolerance, least_probability)
     outputs = {} if picture is None else {picture: PICTURE}
     if output is not None:
-        outputs[output] = IMAGE if as_path(output).suffix.lower() == ".exr" else CLOUD
+        cloud = replace(CLOUD, suffixes=(*CLOUD.suffixes, ".exr"))
+        outputs[output] = IMAGE if as_path(output).suffix.lower() == ".exr" else cloud
     for path, kind in outputs.items():
         check_output(path, kind, overwrite=overwrite)
     matrix = loaded(transport, 2.5)

@@ -60,7 +60,7 @@ def triangulate(
     picture : str or Path, optional
         The picture to write: .png, maps of depth and normals.
     mesh : bool
-        Whether the cloud holds triangles too.
+        Whether the cloud, a .ply or .obj, holds triangles too.
     overwrite : bool
         Whether existing files may be replaced.
 
@@ -90,6 +90,8 @@ def triangulate(
     outputs = {path: kind for path, kind in wanted if path is not None}
     for path, kind in outputs.items():
         check_output(path, kind, overwrite=overwrite)
+    if mesh and output is not None and as_path(output).suffix.lower() in (".pcd", ".xyz"):
+        raise InputError(f"{output}: holds no triangles", hint="end it in .ply or .obj for a mesh")
     source = open_matches(transport)
     rig = geometry_of(source, geometry)
     if depth is not None and as_path(depth).suffix.lower() == ".png":
