@@ -58,6 +58,10 @@ WITHOUT: dict[str, tuple[Change, dict[str, Any]]] = {
         partial(_likely_atoms, within_at_first=1e-9, within=1e-9),
         {},
     ),
+    "without wider spots in the place of narrow ones": (
+        partial(_likely_atoms, wider_pixel=0.0, wider_spot=0.0),
+        {},
+    ),
     "with single pixels believed in everywhere": (
         partial(_likely_atoms, pixels_least=1.0),
         {},

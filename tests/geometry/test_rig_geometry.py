@@ -608,3 +608,35 @@ def test_a_geometry_of_other_images_needs_a_stated_bin(tmp_path: Path) -> None:
     found = lm.geometry_of(replace(transport, provenance=stated), file)
     assert (found.camera_shape, found.projector_shape) == ((64, 64), (64, 64))
     assert found.camera_intrinsics[0, 0] == pytest.approx(rig().camera_intrinsics[0, 0] / 20)
+
+
+def test_a_colmap_model_has_the_same_projections(tmp_path: Path) -> None:
+    cv2: Any = pytest.importorskip("cv2")
+    geometry = rig(2)
+    geometry.save(tmp_path / "rig.colmap")
+    lines = {
+        name: (tmp_path / "rig.colmap" / f"{name}.txt").read_text().splitlines()[1:]
+        for name in ("cameras", "images", "points3D")
+    }
+    # The second line of an image holds its points.
+    assert (lines["points3D"], lines["images"][1::2]) == ([], ["", ""])
+    points = points_before(geometry, 2)
+    expected = geometry.project_camera(points), geometry.project_projector(points)
+    for camera, image, pixels in zip(lines["cameras"], lines["images"][::2], expected, strict=True):
+        number, model, width, _, *numbers = camera.split()
+        fx, fy, cx, cy, *lens = map(float, numbers)
+        _, *pose, owner, _ = image.split()
+        w, x, y, z, *shift = map(float, pose)
+        assert (model, owner) == ("FULL_OPENCV", number)
+        assert int(width) == (640 if number == "1" else 800)
+        turn = Rotation.from_quat([x, y, z, w]).as_rotvec()
+        matrix = np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]])
+        shown = cv2.projectPoints(points, turn, np.array(shift), matrix, np.array(lens))[0][:, 0]
+        # COLMAP counts pixels from the corner of the first one.
+        np.testing.assert_allclose(shown - 0.5, pixels, atol=1e-6)
+    skewed = lm.RigGeometry(
+        np.array([[900.0, 5, 300, 0], [0, 900, 200, 0], [0, 0, 1, 0]]),
+        geometry.projector_matrix, (480, 640), (600, 800),
+    )  # fmt: skip
+    with pytest.raises(lm.OutputError, match="cannot state skewed pixels"):
+        skewed.save(tmp_path / "other.colmap")

@@ -177,6 +177,9 @@ def test_files(tmp_path: Path) -> None:
     faces = surface_faces(shape.depth, shape.geometry)
     trimesh = pytest.importorskip("trimesh")
     shape.save(tmp_path / "cloud.obj", mesh=True)
+    shape.save(tmp_path / "cloud.xyz")
+    points = shape.points[shape.kept]
+    np.testing.assert_allclose(np.loadtxt(tmp_path / "cloud.xyz"), points, rtol=1e-6)
     for name in ("cloud.ply", "cloud.obj"):
         read = trimesh.load(tmp_path / name, process=False)
         # trimesh leaves out points of an OBJ file that are in no triangle.
@@ -187,7 +190,7 @@ def test_files(tmp_path: Path) -> None:
         assert (read.face_normals[:, 2] > 0).mean() > 0.99
         grey = np.asarray(read.visual.vertex_colors)[:, 0]
         assert np.corrcoef(grey, shape.albedo.ravel()[used] ** (1 / 2.2))[0, 1] > 0.99
-    for name in ("cloud.ply", "cloud.obj"):
+    for name in ("cloud.ply", "cloud.obj", "cloud.xyz"):
         with pytest.raises(OutputError, match="exists already"):
             shape.save(tmp_path / name)
         shape.save(tmp_path / name, overwrite=True)
@@ -360,3 +363,22 @@ def test_files_take_their_places_together(tmp_path: Path, monkeypatch: pytest.Mo
     assert not list(tmp_path.iterdir())
     lm.triangulate(*scene, output=cloud, depth=depth, picture=picture)
     assert set(tmp_path.iterdir()) == {cloud, depth, picture}
+
+
+def test_a_pcd_file_says_what_its_bytes_are(tmp_path: Path) -> None:
+    _, shape = triangulated("corner")
+    shape.save(tmp_path / "a.pcd")
+    header, _, data = (tmp_path / "a.pcd").read_bytes().partition(b"DATA binary\n")
+    lines = dict(each.split(" ", 1) for each in header.decode().splitlines())
+    columns = zip(*(lines[name].split() for name in ("FIELDS", "TYPE", "SIZE")), strict=True)
+    table = np.frombuffer(data, [(name, kind.lower() + size) for name, kind, size in columns])
+    assert len(table) == int(lines["POINTS"]) == int(lines["WIDTH"]) == shape.kept.sum()
+    points = np.stack([table["x"], table["y"], table["z"]], axis=1)
+    np.testing.assert_array_equal(points, shape.points[shape.kept])
+    np.testing.assert_array_equal(table["probability"], shape.probability[shape.kept])
+    normal = shape.normals[shape.kept][:, 2]
+    np.testing.assert_array_equal(table["normal_z"], np.nan_to_num(normal))
+    # Red, green and blue, as PCL unpacks them.
+    colour = table["rgb"].view(np.uint32)
+    assert ((colour >> 16 & 255) == (colour & 255)).all()
+    assert colour.max() == 0xFFFFFF

@@ -273,3 +273,13 @@ def test_the_stronger_surface_keeps_a_projector_pixel() -> None:
     found = outshone_spots(place, parallax, light, doubtful)
     assert found.tolist() == [False] * 5 + [True] * 3 + [False]
     assert not outshone_spots(place, parallax, light, ~doubtful).any()
+
+
+def test_epipolar_parts_are_a_split_too() -> None:
+    transport, _ = _scene(30, depth=5, glow=0.1)
+    parts = lm.separate(transport)
+    assert ((parts.epipolar.sparse + parts.non_epipolar.sparse) != transport.sparse).nnz == 0
+    white = np.ones((SIDE, SIDE))
+    direct, epipolar = parts.direct.relight(white), parts.epipolar.relight(white)
+    assert (epipolar >= direct - 1e-6).mean() > 0.99
+    assert epipolar.sum() < 0.5 * (direct.sum() + transport.relight(white).sum())

@@ -36,7 +36,7 @@ from lightmatrix.errors import InputError
         show_default="the middle",
     ),
     baseline=Option(metavar="200mm", help="Without a board: from the camera to the projector."),
-    output="The geometry to write: .json, .yml or .xml (OpenCV).",
+    output="The geometry to write: .json, .yml or .xml (OpenCV), .colmap.",
 )
 def calibrate(
     poses: list[Path],

@@ -14,11 +14,15 @@ from lightmatrix.cli.terminal import answer
 @described(
     output="Folder for both matrices, their images, and maps.",
     pattern=Option(help="Pattern of the images.", show_default="white"),
+    epipolar="Also write the part of T along epipolar lines.",
+    non_epipolar="Also write the part of T off epipolar lines.",
 )
 def separate(
     scene: Store,
     output: Path,
     pattern: Path | None = None,
+    epipolar: bool = False,
+    non_epipolar: bool = False,
     overwrite: Overwrite = False,
     as_json: Json = False,
 ) -> None:
@@ -28,7 +32,10 @@ def separate(
     sum is T; direct.npy and global.npy, their images; separation.png, a picture of both;
     confidence.npy and parallax.npy.
     """
-    parts = lm.separate(scene, pattern=pattern, output=output, overwrite=overwrite)
+    parts = lm.separate(
+        scene, pattern=pattern, epipolar=epipolar, non_epipolar=non_epipolar, output=output,
+        overwrite=overwrite,
+    )  # fmt: skip
     direct, others = (
         float(part.sparse.data.sum(dtype=float) + part.background.sum(dtype=float))
         for part in (parts.direct, parts.global_)

@@ -13,7 +13,7 @@ from lightmatrix.cli.terminal import answer
 
 @options.described(
     scene=Argument(metavar="SCENE", help="A store, a T.npz, a file of `decode`, or a map."),
-    output="Point cloud to write: .ply or .obj.",
+    output="Point cloud to write: .ply, .pcd, .obj or .xyz.",
     depth="Depth map to write: .tif, .tiff, .npy, or .png of 16 bits in millimetres.",
     picture="Maps of depth and normals to write: .png.",
     mesh="Write triangles between neighbouring points too.",

@@ -8,7 +8,7 @@ from collections.abc import Callable, Mapping
 from contextlib import ExitStack
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, cast
+from typing import Any, cast
 
 import numpy as np
 import scipy
@@ -18,7 +18,7 @@ from lightmatrix._version import __version__
 from lightmatrix.capture.capture import Capture
 from lightmatrix.capture.samples import Samples
 from lightmatrix.check.finding import FINDINGS
-from lightmatrix.estimators.work import TilesInMemory, Work, complete
+from lightmatrix.estimators.work import TilesInMemory, Work, WorkerPool, complete
 from lightmatrix.files.kinds import PROJECTOR_STORES, STORE
 from lightmatrix.files.writing import final_target
 from lightmatrix.resources.disk import check_disk_space
@@ -29,9 +29,6 @@ from lightmatrix.solvers.problem import Result, check_regularization
 from lightmatrix.transport.checkpoint import ROWS, Checkpoint
 from lightmatrix.transport.matrix import PROJECTORS, LightTransport
 from lightmatrix.transport.sparse_rows import SparseRows
-
-if TYPE_CHECKING:
-    from lightmatrix.estimators.workers import DaskPool
 
 # The step of a T that takes the place of the one that was estimated.
 _REVIEWED = "reviewed"
@@ -74,7 +71,7 @@ class Estimator(ABC):
         overwrite: bool = False,
         remarks: Mapping[str, Any] | None = None,
         progress: Progress | None = None,
-        pool: DaskPool | None = None,
+        pool: WorkerPool | None = None,
         review: Callable[[LightTransport], LightTransport | None] | None = None,
     ) -> LightTransport:
         """Estimate T of a capture, as `lm.estimate` describes it.

@@ -9,15 +9,12 @@ from dataclasses import dataclass, field
 from functools import partial
 from itertools import islice
 from threading import Event
-from typing import TYPE_CHECKING
+from typing import Protocol
 
 from lightmatrix.capture.capture import Capture
 from lightmatrix.solvers.loop import Progress
 from lightmatrix.transport.checkpoint import ROWS, Checkpoint, Span, unfinished_spans
 from lightmatrix.transport.sparse_rows import SparseRows
-
-if TYPE_CHECKING:
-    from lightmatrix.estimators.workers import DaskPool
 
 # Solves the rows start..stop of a step, and reports how many of them are done.
 SolveTile = Callable[[int, int, Progress], SparseRows]
@@ -78,6 +75,22 @@ class Work(ABC):
         return done
 
 
+class WorkerPool(Protocol):
+    """Other processes that solve tiles, which `finished` keeps."""
+
+    @property
+    def parts(self) -> int: ...
+
+    def solve(
+        self,
+        work: Work,
+        step: str,
+        spans: list[Span],
+        finished: Checkpoint | TilesInMemory,
+        report: Callable[[int], None],
+    ) -> None: ...
+
+
 @dataclass(frozen=True, eq=False)
 class TilesInMemory:
     """Finished tiles of an estimate without an output; does what a `Checkpoint` does."""
@@ -106,7 +119,7 @@ def complete(
     work: Work,
     finished: Checkpoint | TilesInMemory,
     progress: Progress | None = None,
-    pool: DaskPool | None = None,
+    pool: WorkerPool | None = None,
 ) -> None:
     """Solve the missing tiles of an estimate; `finished` keeps each at once.
 

@@ -215,11 +215,12 @@ RIG = FileKind("measurements of a rig", (".json",), f'"format": "{RIG_FORMAT}"')
 RESPONSE = FileKind("measured response", (".json",), f'"format": "{RESPONSE_FORMAT}"')
 GEOMETRY = FileKind("geometry of a rig", (".json",), f'"format": "{GEOMETRY_FORMAT}"')
 OPENCV_GEOMETRY = FileKind("geometry of a rig", (".yml", ".yaml", ".xml"), OUR_MARK)
+COLMAP = FolderKind("geometry of a rig", (".colmap",))
 PAGE = FileKind("page of the viewer", (".html",), PAGE_MARK)
 CORRESPONDENCE = FileKind("correspondence", (".npz",), f"{CORRESPONDENCE_MARK}.npy")
 MAP_FOLDER = FolderKind("projector map")
 MPCDI = FileKind("MPCDI file", (".mpcdi",), MPCDI_MARK)
-CLOUD = FileKind("point cloud", (".ply", ".obj"), OUR_MARK)
+CLOUD = FileKind("point cloud", (".ply", ".obj", ".pcd", ".xyz"), OUR_MARK)
 # Depth maps do not say who wrote them, like images.
 DEPTH = FileKind("depth map", (".tif", ".tiff", ".npy", ".png"), _IMAGES)
 NPZ = FileKind("exported matrix", (".npz",), f"{TRANSPORT_MARK}.npy")
@@ -229,10 +230,10 @@ IMAGE = FileKind("image", (".png", ".tif", ".tiff", ".npy", ".exr"), _IMAGES)
 PICTURE = FileKind("picture", (".png",), _IMAGES[:1])
 
 
-def geometry_kind(path: str | Path) -> FileKind:
+def geometry_kind(path: str | Path) -> FileKind | FolderKind:
     """The kind of geometry that is written at a path, by its ending."""
-    opencv = as_path(path).suffix.lower() in OPENCV_GEOMETRY.suffixes
-    return OPENCV_GEOMETRY if opencv else GEOMETRY
+    suffix = as_path(path).suffix.lower()
+    return next((kind for kind in (OPENCV_GEOMETRY, COLMAP) if suffix in kind.suffixes), GEOMETRY)
 
 
 def export_kind(path: str | Path) -> FileKind:

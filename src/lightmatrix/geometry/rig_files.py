@@ -15,6 +15,7 @@ from xml.etree import ElementTree
 import numpy as np
 from numpy.typing import NDArray
 from scipy.io import loadmat
+from scipy.spatial.transform import Rotation
 
 from lightmatrix.errors import InputError, OutputError
 from lightmatrix.files.extras import load_opencv
@@ -262,14 +263,19 @@ READERS: dict[str, Callable[[Contents], Values | None]] = {
 
 
 def write_rig(part: Path, rig: Any) -> None:
-    """Write a geometry to a file, in the format of its ending."""
+    """Write a geometry to a file, in the format of its ending, or into a folder of COLMAP's."""
     if part.suffix == ".json":
         content = {"format": GEOMETRY_FORMAT, "version": VERSION, **rig.as_dict()}
         part.write_text(json.dumps(content, indent=2) + "\n", encoding="utf-8")
         return
-    if rig.projector_mirrored:
-        what = "a file of OpenCV cannot state a mirrored projector"
-        raise OutputError(what, hint="save it as .json")
+    skew = max(abs(rig.camera_intrinsics[0, 1]), abs(rig.projector_intrinsics[0, 1]))
+    if rig.projector_mirrored or (part.is_dir() and skew > 1e-6):
+        what = "a mirrored projector" if rig.projector_mirrored else "skewed pixels"
+        raise OutputError(f"this format cannot state {what}", hint="save it as .json")
+    (_write_colmap if part.is_dir() else _write_opencv)(part, rig)
+
+
+def _write_opencv(part: Path, rig: Any) -> None:
     cv2 = load_opencv("writing a file of OpenCV", "shape")
     storage = cv2.FileStorage(str(part), cv2.FILE_STORAGE_WRITE)
     storage.writeComment(f"{OUR_MARK}, unit of length: {rig.units or 'unknown'}")
@@ -280,3 +286,27 @@ def write_rig(part: Path, rig: Any) -> None:
     storage.write("R", rig.rotation)
     storage.write("T", rig.translation[:, None])
     storage.release()
+
+
+def _write_colmap(part: Path, rig: Any) -> None:
+    """COLMAP's text files: the camera is image 1, the projector image 2."""
+    texts = {"cameras": "", "images": "", "points3D": ""}
+    for number, device in ((1, "camera"), (2, "projector")):
+        rows, cols = getattr(rig, f"{device}_shape")
+        matrix, lens = getattr(rig, f"{device}_intrinsics"), getattr(rig, f"{device}_distortion")
+        # The corner of COLMAP's first pixel is (0, 0), which OpenCV counts from its centre.
+        numbers = [matrix[0, 0], matrix[1, 1], matrix[0, 2] + 0.5, matrix[1, 2] + 0.5, *lens[:4]]
+        model = f"{number} FULL_OPENCV {cols} {rows}"
+        texts["cameras"] += f"{model} {_spaced([*numbers, lens[4], 0, 0, 0])}\n"
+        pose = np.linalg.solve(matrix, getattr(rig, f"{device}_matrix"))
+        x, y, z, w = Rotation.from_matrix(pose[:, :3]).as_quat()
+        # The points that an image shows would stand in the line below.
+        texts["images"] += (
+            f"{number} {_spaced([w, x, y, z, *pose[:, 3]])} {number} {device}.png\n\n"
+        )
+    for name, text in texts.items():
+        (part / f"{name}.txt").write_text(f"# {OUR_MARK}\n{text}", encoding="ascii")
+
+
+def _spaced(numbers: list[Any]) -> str:
+    return " ".join(repr(float(number)) for number in numbers)

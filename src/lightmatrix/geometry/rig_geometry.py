@@ -12,9 +12,9 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.linalg import rq
 
 from lightmatrix.errors import InputError
-from lightmatrix.files.kinds import geometry_kind
+from lightmatrix.files.kinds import FolderKind, geometry_kind
 from lightmatrix.files.reading import errors_naming
-from lightmatrix.files.writing import atomic_file
+from lightmatrix.files.writing import atomic_file, atomic_folder
 from lightmatrix.geometry.rig_files import read_rig, write_rig
 from lightmatrix.paths import as_path
 from lightmatrix.ranges import check_sides
@@ -476,11 +476,17 @@ class RigGeometry:
         """Write the geometry: .json, which keeps all of it, or a file of another program.
 
         A file ending in .yml, .yaml or .xml is OpenCV's, with the names M1, D1, M2, D2, R and T of
-        its stereo sample. An OutputError refuses a file that exists, unless `overwrite` is set,
-        that cannot be written, or that cannot state a mirrored projector.
+        its stereo sample; .colmap is a folder with COLMAP's cameras.txt and images.txt. An
+        OutputError refuses a file that exists, unless `overwrite` is set, that cannot be written,
+        or that cannot state a mirrored projector or, of COLMAP's, skewed pixels.
         """
-        with atomic_file(path, geometry_kind(path), overwrite=overwrite) as part:
-            write_rig(part, self)
+        kind = geometry_kind(path)
+        if isinstance(kind, FolderKind):
+            with atomic_folder(path, kind, overwrite=overwrite) as folder:
+                write_rig(folder, self)
+        else:
+            with atomic_file(path, kind, overwrite=overwrite) as part:
+                write_rig(part, self)
 
     @staticmethod
     def load(

@@ -18,6 +18,7 @@ from typing import Any, Literal, Self
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import rank_filter
 
 from lightmatrix.judgement.metrics import row_energies, unclipped_rows
 from lightmatrix.ranges import check_type
@@ -445,8 +446,6 @@ def _glints(transport: LightTransport) -> int:
         return 0
     rows, cols = transport.camera_shape[:2]
     image = _diagnostic(transport, "clipped_share").reshape(rows, cols, -1)
-    from scipy.ndimage import rank_filter
-
     # The third among the neighbours from above; the sample itself comes before them.
     third = rank_filter(image, -4, size=(3, 3, 1))
     return int((glint & (image - third > DOUBTFUL.apart).ravel()).sum())

@@ -21,6 +21,7 @@ from typing import Any, ClassVar, TypeVar, cast
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import convolve
 
 from lightmatrix import _core
 from lightmatrix.errors import InputError
@@ -292,8 +293,6 @@ class PatternSet(ABC):
     @computed_once
     def alike_surroundings(self) -> NDArray[np.bool_]:
         """Whether all patterns show a pixel and its neighbours like those farther away, (N,)."""
-        from scipy.ndimage import convolve
-
         corner, beside, above, centre = np.random.default_rng(1).standard_normal(4)
         kernel = [[corner, above, corner], [beside, centre, beside], [corner, above, corner]]
         # A mixture with the neighbours is the same where the surroundings are, also if mirrored.

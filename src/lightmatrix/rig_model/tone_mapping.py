@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
+from scipy.interpolate import RegularGridInterpolator
 from scipy.ndimage import gaussian_filter
 
 from lightmatrix.capture.capture import Capture
@@ -39,8 +40,6 @@ def _around(capture: Capture, power: float = 0.0) -> Callable[[Array], Array]:
         around = np.log(around + 0.01)
         right = light * np.exp(power * around)
     centres = [(np.arange(n) + 0.5) * side / m for n, m in zip(light.shape, size, strict=False)]
-    from scipy.interpolate import RegularGridInterpolator
-
     whole = RegularGridInterpolator(centres, around, bounds_error=False, fill_value=None)
     return lambda places: np.asarray(whole(np.moveaxis(places, 0, -1)))
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
 from enum import IntEnum
 from pathlib import Path
@@ -114,7 +115,8 @@ def write_cloud(
     """Write the finite ones of points (..., 3), in the format of a file's ending.
 
     `light` (...) becomes grey values, `more` names further columns (...), and `faces` (n, 3) are
-    numbers of points. Binary PLY (Turk 1994) holds all of it, OBJ points, colours and faces.
+    numbers of points. Binary PLY (Turk 1994) holds all of it, binary PCD (of the Point Cloud
+    Library) all but faces, OBJ points, colours and faces, and XYZ bare coordinates.
     """
     known = np.isfinite(points).all(axis=-1)
     # Light at this quantile is shown white, and bent for screens, which undo it.
@@ -125,6 +127,9 @@ def write_cloud(
     further = {name: np.nan_to_num(values[known]) for name, values in more.items()}
     corners = None if faces is None else (np.cumsum(known.ravel()) - 1)[faces]
     with part.open("wb") as stream:
+        if part.suffix == ".xyz":
+            np.savetxt(stream, points[known], "%.7g")
+            return
         if part.suffix == ".obj":
             stream.write(f"# {OUR_MARK}\n".encode())
             shown = np.column_stack([points[known], *[grey / 255] * 3])
@@ -132,22 +137,33 @@ def write_cloud(
             if corners is not None:
                 np.savetxt(stream, corners + 1, "f %d %d %d")
             return
+        if part.suffix == ".pcd":
+            # PCL keeps a colour in the bits of a float, and has names of its own for normals.
+            colours = {"rgb": (grey.astype(np.uint32) * 0x10101).view(np.float32)}
+            further = {re.sub("^n([xyz])$", r"normal_\1", name): v for name, v in further.items()}
         columns = {**dict(zip("xyz", points[known].T, strict=True)), **colours, **further}
         small = {name: each.dtype == np.uint8 for name, each in columns.items()}
         table = np.empty(len(grey), [(name, "u1" if small[name] else "<f4") for name in columns])
         for name, values in columns.items():
             table[name] = values
-        lines = ["ply", "format binary_little_endian 1.0", f"comment {OUR_MARK}"]
-        lines += [f"element vertex {len(table)}"] + [
-            f"property {'uchar' if small[name] else 'float'} {name}" for name in columns
-        ]
-        if corners is not None:
-            of_faces = "property list uchar int vertex_indices"
-            lines += [f"element face {len(corners)}", of_faces]
-        lines += ["end_header"]
+        if part.suffix == ".pcd":
+            lines = [f"# {OUR_MARK}", "VERSION 0.7", f"FIELDS {' '.join(columns)}"]
+            lines += [f"SIZE {' '.join('1' if small[name] else '4' for name in columns)}"]
+            lines += [f"TYPE {' '.join('U' if small[name] else 'F' for name in columns)}"]
+            lines += [f"COUNT {' '.join('1' for _ in columns)}", f"WIDTH {len(table)}", "HEIGHT 1"]
+            lines += ["VIEWPOINT 0 0 0 1 0 0 0", f"POINTS {len(table)}", "DATA binary"]
+        else:
+            lines = ["ply", "format binary_little_endian 1.0", f"comment {OUR_MARK}"]
+            lines += [f"element vertex {len(table)}"] + [
+                f"property {'uchar' if small[name] else 'float'} {name}" for name in columns
+            ]
+            if corners is not None:
+                of_faces = "property list uchar int vertex_indices"
+                lines += [f"element face {len(corners)}", of_faces]
+            lines += ["end_header"]
         stream.write(("\n".join(lines) + "\n").encode("ascii"))
         stream.write(table.tobytes())
-        if corners is not None:
+        if part.suffix == ".ply" and corners is not None:
             triangles = np.empty(len(corners), [("count", "u1"), ("corners", "<i4", 3)])
             triangles["count"], triangles["corners"] = 3, corners
             stream.write(triangles.tobytes())
@@ -286,9 +302,9 @@ class Shape:
         """Write points or the depth, in the format of the file's ending.
 
         Points: .ply with normals, grey values, uncertainty and probability, and with triangles
-        between neighbouring pixels on one surface if `mesh` is set; .obj with grey values and
-        triangles. Depth: .tif, .tiff and .npy as float32, NaN where there is none, or .png of 16
-        bits in millimetres, 0 where there is none.
+        between neighbouring pixels on one surface if `mesh` is set; .pcd without triangles; .obj
+        with grey values and triangles; .xyz with coordinates alone. Depth: .tif, .tiff and .npy as
+        float32, NaN where there is none, or .png of 16 bits in millimetres, 0 where there is none.
 
         An OutputError refuses a file that exists, unless `overwrite` is set, or that cannot be
         written, an InputError millimetres of a geometry in unknown units.

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
+from scipy.io import savemat
 
 from lightmatrix.errors import InputError, OutputError
 from lightmatrix.files import kinds
@@ -92,8 +93,6 @@ def export(
         raise OutputError(f"{path}: {matrix.nnz} entries are too many for a .mat file", hint=hint)
     with atomic_file(path, kind, overwrite=overwrite) as part:
         if kind is kinds.MAT:
-            from scipy.io import savemat
-
             # MATLAB only has sparse matrices of doubles, compressed by columns.
             content: dict[str, Any] = {
                 "T": sparse.csc_array(matrix, dtype=np.float64),

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from itertools import pairwise
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -562,11 +563,43 @@ class Separation:
         direct, others = self.direct.relight(patterns), self.global_.relight(patterns)
         return np.asarray(direct + np.float32(global_scale) * others)
 
+    @cached_property
+    def epipolar(self) -> LightTransport:
+        """The part of T along the epipolar lines: direct light and little else."""
+        return self._part(on_line=True)
+
+    @cached_property
+    def non_epipolar(self) -> LightTransport:
+        """The part of T off the epipolar lines, which is global, with the whole background.
+
+        O'Toole et al. 2012 and 2014 photograph these parts with special hardware.
+        """
+        return self._part(on_line=False)
+
+    def _part(self, *, on_line: bool) -> LightTransport:
+        matrix = csr_array(self.direct.sparse + self.global_.sparse)
+        shape = self.direct.camera_shape
+        owner, *pixel = entries_of(matrix, self.direct.projector_shape[1])
+        channels = int(np.prod(shape[2:]))
+        camera = camera_pixels((shape[0], shape[1]))[owner // channels]
+        distance = np.abs(self.geometry.distance(camera, np.stack(pixel, axis=1)))
+        # A line that is one pixel wide, and its blur.
+        near = distance <= 1 + 2 * self.spot
+        rows = _with_data(matrix, np.where(near == on_line, matrix.data, 0))
+        background = self.global_.background
+        return replace(
+            self.global_,
+            sparse=rows,
+            background=np.zeros_like(background) if on_line else background,
+        )
+
 
 def separate(
     transport: Transport,
     *,
     pattern: NDArray[Any] | str | Path | None = None,
+    epipolar: bool = False,
+    non_epipolar: bool = False,
     output: str | Path | None = None,
     overwrite: bool = False,
 ) -> Separation:
@@ -583,9 +616,13 @@ def separate(
         T, or where `open` finds it. It must have no negative entries. A store is loaded.
     pattern : (rows, cols) array, str or Path, optional
         The pattern of the written images, in [0, 1], or an image file; without it, white.
+    epipolar, non_epipolar : bool
+        Whether the folder also holds the part of T along the epipolar lines, or the part off them.
+        `Separation` has both in any case.
     output : str or Path, optional
         Folder to make: direct.zarr and global.zarr; their images under the pattern, direct.npy and
-        global.npy, and both in separation.png for a look; confidence.npy and parallax.npy.
+        global.npy, and both in separation.png for a look; confidence.npy and parallax.npy. Where
+        asked for, epipolar and non-epipolar likewise.
     overwrite : bool
         Whether an existing separation may be replaced.
 
@@ -609,7 +646,7 @@ def separate(
 
     References
     ----------
-    Nayar et al. 2006 separate the image under white light.
+    Nayar et al. 2006 separate the image under white light; O'Toole et al. 2012 the epipolar part.
 
     Examples
     --------
@@ -671,6 +708,10 @@ def separate(
     if output is None:
         return separation
     chosen = {"direct": separation.direct, "global": separation.global_}
+    if epipolar:
+        chosen["epipolar"] = separation.epipolar
+    if non_epipolar:
+        chosen["non-epipolar"] = separation.non_epipolar
     images = {name: part.relight(lit) for name, part in chosen.items()}
     with atomic_folder(output, SEPARATION, overwrite=overwrite) as folder:
         for name, part in chosen.items():
