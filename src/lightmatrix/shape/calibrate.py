@@ -377,18 +377,18 @@ def calibrate_rig(
         use, lit = fit.used[:, :, number].sum(), np.isfinite(places).all(axis=-1).sum()
         if use < 0.5 * lit:
             badly[name] = f"only {use} of {lit} corners fit the other poses; did the board move?"
-    off = max(fit.rms().values())
+    far = max(fit.rms().values())
     # A pose in which something moved can bend the others to itself: without it, they fit.
-    if off > 0.5 and not badly and len(corners) > 3:
+    if far > 0.5 and not badly and len(corners) > 3:
         rest = {}
         for name in corners:
             # The other poses may be too few, or parallel.
             with suppress(InputError):
                 rest[name] = max(fitted(name).rms().values())
         name = min(rest, key=lambda each: rest[each], default="")
-        if name and rest[name] < 0.5 * off:
+        if name and rest[name] < 0.5 * far:
             badly[name] = (
-                f"the others fit to {rest[name]:.2f} pixels without it, and to {off:.2f} with it; "
+                f"the others fit to {rest[name]:.2f} pixels without it, and to {far:.2f} with it; "
                 "did the board move?"
             )
     if badly:
