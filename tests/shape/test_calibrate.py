@@ -117,29 +117,75 @@ def test_corners_of_real_photographs_have_their_projector_pixels(
     assert turned[1] == 1
 
 
-def test_a_shifted_lens_above_the_camera_is_found() -> None:
-    """The axis of the projector passes far below its image."""
-    random = np.random.default_rng(0)
-    projector = np.array([[1920.0, 0, 639.5], [0, 1920, 1000], [0, 0, 1]])
+def board_views(
+    seed: int, poses: int, noise: float
+) -> tuple[np.ndarray, np.ndarray, lm.RigGeometry]:
+    """A board in poses before a rig whose projector has its axis anywhere, even off its image.
+
+    Returns its corners in the camera's image, (poses, 63, 2), and the projector pixels.
+    """
+    random = np.random.default_rng(seed)
+    focal, throw = random.uniform(1000, 2200), random.uniform(0.8, 2.2) * 1280
+    axis = (640 + random.uniform(-100, 100), random.uniform(-0.3, 1.3) * 800)
+    side = random.uniform(0, 2 * np.pi)
+    centre = np.array([np.cos(side), np.sin(side), 0.1]) * random.uniform(150, 450)
+    if seed == 0:
+        # Straight above the camera; such a rig was once taken for one of another focal length.
+        throw, axis, centre = 1920.0, (639.5, 1000.0), np.array([0, -220.0, -15])
+    projector = np.array([[throw, 0, axis[0]], [0, throw, axis[1]], [0, 0, 1]])
+    # The middle of the projector's image meets the board.
+    ahead = np.linalg.solve(projector, [640, 400, 1.0])
+    board = np.array([0, 0, 1400.0]) - centre
+    pairs = [ahead / np.linalg.norm(ahead), [1, 0, 0]], [board / np.linalg.norm(board), [1, 0, 0]]
+    turn = Rotation.align_vectors(*pairs, weights=[1, 1e-3])[0].as_matrix()
     rig = lm.RigGeometry.from_intrinsics(
-        np.array([[1400.0, 0, 640], [0, 1400, 512], [0, 0, 1]]),
-        projector,
-        Rotation.from_euler("x", 8, degrees=True).as_matrix(),
-        [0, 220.0, 15],
-        (1024, 1280),
-        (800, 1280),
-    )
-    board = board_points((9, 7), 40.0)
-    seen, lit = [], []
-    for _ in range(5):
-        turn = Rotation.from_euler("xyz", random.uniform(-30, 30, 3), degrees=True).as_matrix()
-        points = (board - board.mean(axis=0)) @ turn.T + [*random.uniform(-60, 60, 2), 1400]
-        seen.append(rig.project_camera(points))
-        lit.append(rig.project_projector(points))
-    fit = fit_board(np.array([seen]), np.array([[lit]]), board, (1024, 1280))
-    found = fit.geometry(0, 0, ((1024, 1280), (800, 1280))).projector_intrinsics
-    np.testing.assert_allclose(found, projector, rtol=1e-4, atol=0.1)
-    assert np.abs(fit.lit_errors).max() < 0.01
+        np.array([[focal, 0, 645], [0, focal, 505], [0, 0, 1]]), projector, turn, -turn @ centre,
+        (1024, 1280), (800, 1280),
+        camera_distortion=[random.uniform(-0.2, 0.1)],
+        projector_distortion=[random.uniform(-0.05, 0.05)],
+    )  # fmt: skip
+    corners = board_points((9, 7), 40.0)
+    corners -= corners.mean(axis=0)
+    places = np.empty((2, poses, 63, 2))
+    for k in range(poses):
+        tilt = Rotation.from_euler("xyz", random.uniform(-30, 30, 3), degrees=True).as_matrix()
+        middle = np.array([*random.uniform(-80, 80, 2), 1400 + random.uniform(-150, 150)])
+        seen = rig.project_camera(corners @ tilt.T + middle) + random.normal(0, noise, (63, 2))
+        # The projector lights the place that the camera takes for the corner.
+        rays = rig.camera_rays(seen)
+        met = rays * (tilt[:, 2] @ middle / (rays @ tilt[:, 2]))[:, None]
+        places[:, k] = seen, rig.project_projector(met) + random.normal(0, noise, (63, 2))
+    return *places, rig
+
+
+def worst_depth(found: lm.RigGeometry, known: lm.RigGeometry) -> float:
+    points = np.array([*product([-150.0, 150], [-100.0, 100], [1250.0, 1550])])
+    again = found.triangulate(known.project_camera(points), known.project_projector(points))
+    return float(np.abs(again / points - 1)[:, 2].max())
+
+
+@pytest.mark.parametrize("noise", [0, 0.1])
+@pytest.mark.parametrize("seed", range(12))
+def test_projectors_with_their_axis_anywhere_are_found(seed: int, noise: float) -> None:
+    seen, lit, rig = board_views(seed, 5, noise)
+    fit = fit_board(seen[None], lit[None, None], board_points((9, 7), 40.0), (1024, 1280))
+    found = fit.geometry(0, 0, (rig.camera_shape, rig.projector_shape))
+    assert worst_depth(found, rig) < (0.008 if noise else 1e-5)
+    away = np.abs(found.projector_intrinsics - rig.projector_intrinsics).max()
+    assert away < (25 if noise else 0.01)
+    assert max(fit.rms().values()) < 1.6 * noise + 1e-3
+
+
+@pytest.mark.parametrize("seed", [4, 11])
+def test_a_pose_in_which_the_board_moved_is_left_out(
+    seed: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    seen, lit, rig = board_views(seed, 6, 0.1)
+    lit[1] += 25, 10
+    calibrated = partial(calibrated_from, monkeypatch, seen, lit, (9, 7), 40.0)
+    with pytest.warns(lm.LightMatrixWarning, match="pose_1 is left out: .*did the board move"):
+        measured = calibrated((rig.camera_shape, rig.projector_shape))
+    assert worst_depth(measured.geometry, rig) < 0.008
 
 
 # Seen askew: where pixels of a drawing of 30 pixels a square appear in a photograph.
@@ -334,22 +380,31 @@ def test_flipped_patterns_calibrate_as_mirrored(
     np.testing.assert_allclose(small.project_projector(points), (lit - 2) / 5, atol=1e-6)
 
 
+def calibrated_from(
+    patch: pytest.MonkeyPatch, seen: np.ndarray, lit: np.ndarray, board: tuple[int, int],
+    side: float, sizes: tuple[tuple[int, int], tuple[int, int]],
+) -> RigCalibration:  # fmt: skip
+    """`calibrate_rig` of corners that are given, (poses, n, 2)."""
+    names = [f"pose_{k}" for k in range(len(seen))]
+    pairs = zip(seen[:, None], lit[:, None, None], strict=True)
+    found = {name: (*pair, np.zeros((1, 1))) for name, pair in zip(names, pairs, strict=True)}
+    patch.setattr(calibrate, "_captures_of", lambda _: [])
+    patch.setattr(calibrate, "_shapes_of", lambda _: tuple([size] for size in sizes))
+    patch.setattr(calibrate, "_all_corners", lambda *_: (found, {}))
+    return lm.calibrate_rig(names, board, side)
+
+
 @pytest.mark.parametrize("exchanged", [False, True])
 def test_the_rms_has_absolute_limits(exchanged: bool, monkeypatch: pytest.MonkeyPatch) -> None:
     (seen, lit), random = real_corners(), np.random.default_rng(0)
     wrong = lit[::-1] if exchanged else lit + random.normal(0, 1.2, lit.shape)
-    names = [f"pose_{k}" for k in range(5)]
-    pairs = zip(seen[:, None], wrong[:, None, None], strict=True)
-    found = {name: (*pair, np.zeros((1, 1))) for name, pair in zip(names, pairs, strict=True)}
-    monkeypatch.setattr(calibrate, "_captures_of", lambda _: [])
-    monkeypatch.setattr(calibrate, "_shapes_of", lambda _: ([CAMERA], [PROJECTOR]))
-    monkeypatch.setattr(calibrate, "_all_corners", lambda *_: (found, {}))
+    given = monkeypatch, seen, wrong, (9, 7), SIDE, (CAMERA, PROJECTOR)
     if exchanged:
         with pytest.raises(lm.InputError, match="no geometry explains the corners"):
-            lm.calibrate_rig(names, (9, 7), SIDE)
+            calibrated_from(*given)
         return
     with pytest.warns(lm.LightMatrixWarning, match="good calibrations reach 0.5"):
-        measured = lm.calibrate_rig(names, (9, 7), SIDE)
+        measured = calibrated_from(*given)
     assert 1 < measured.geometry.rms["projector"] < 2.5
 
 

@@ -14,6 +14,7 @@ and so the size of the scene, cannot be known.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from itertools import chain, product
 from pathlib import Path
@@ -37,7 +38,7 @@ from lightmatrix.patterns.codes import find_codes
 from lightmatrix.patterns.stripes import stripes_of
 from lightmatrix.ranges import check_list, check_number
 from lightmatrix.reprs import short_repr
-from lightmatrix.shape.adjustment import Fit, fit_board, largest_turn
+from lightmatrix.shape.adjustment import Fit, fit_board, largest_turn, rms_of
 from lightmatrix.shape.decode import decode
 from lightmatrix.transport.correspondence import Correspondence, correspondence
 from lightmatrix.transport.matrix import LightTransport
@@ -359,9 +360,10 @@ def calibrate_rig(
     names = [f"camera {k + 1}" for k in range(len(cameras))]
     names += [f"projector {k + 1}" for k in range(len(projectors))]
 
-    def fitted() -> Fit:
-        seen = np.stack([places for places, *_ in corners.values()], axis=1)
-        lit = np.stack([places for _, places, _ in corners.values()], axis=2)
+    def fitted(without: str | None = None) -> Fit:
+        use = [pose for name, pose in corners.items() if name != without]
+        seen = np.stack([places for places, *_ in use], axis=1)
+        lit = np.stack([places for _, places, _ in use], axis=2)
         for name, places in zip(names, (*seen[:, None], *lit.swapaxes(0, 1)), strict=True):
             usable = [_suffice(each, board) for each in places.swapaxes(0, 1)]
             _check_count(sum(usable), left_out, f" of {name}")
@@ -375,6 +377,20 @@ def calibrate_rig(
         use, lit = fit.used[:, :, number].sum(), np.isfinite(places).all(axis=-1).sum()
         if use < 0.5 * lit:
             badly[name] = f"only {use} of {lit} corners fit the other poses; did the board move?"
+    far = max(fit.rms().values())
+    # A pose in which something moved can bend the others to itself: without it, they fit.
+    if far > 0.5 and not badly and len(corners) > 3:
+        rest = {}
+        for name in corners:
+            # The other poses may be too few, or parallel.
+            with suppress(InputError):
+                rest[name] = max(fitted(name).rms().values())
+        name = min(rest, key=lambda each: rest[each], default="")
+        if name and rest[name] < 0.5 * far:
+            badly[name] = (
+                f"the others fit to {rest[name]:.2f} pixels without it, and to {far:.2f} with it; "
+                "did the board move?"
+            )
     if badly:
         left_out |= badly
         corners = {name: pose for name, pose in corners.items() if name not in badly}
@@ -383,7 +399,7 @@ def calibrate_rig(
     seen_errors, lit_errors, used = fit.seen_errors, fit.lit_errors, fit.used
     # By camera and pose.
     counted = np.asarray(used.any(axis=1))
-    rms = {"camera": _rms(seen_errors[counted]), "projector": _rms(lit_errors[used])}
+    rms = fit.rms()
     # Good calibrations reach 0.1 to 0.5 pixels.
     worst = max(rms.values())
     causes = (
@@ -398,8 +414,8 @@ def calibrate_rig(
 
     def geometry(camera: int, projector: int) -> RigGeometry:
         own = {
-            "camera": _rms(seen_errors[camera][counted[camera]]),
-            "projector": _rms(lit_errors[camera, projector][used[camera, projector]]),
+            "camera": rms_of(seen_errors[camera][counted[camera]]),
+            "projector": rms_of(lit_errors[camera, projector][used[camera, projector]]),
         }
         own["stereo"] = float(np.sqrt((own["camera"] ** 2 + own["projector"] ** 2) / 2))
         found = fit.geometry(camera, projector, (cameras[camera], projectors[projector]))
@@ -410,8 +426,8 @@ def calibrate_rig(
     )
     used_poses = tuple(
         BoardPose(
-            name, seen, lit, used[:, :, k], _rms(seen_errors[:, k][counted[:, k]]),
-            _rms(lit_errors[:, :, k][used[:, :, k]]),
+            name, seen, lit, used[:, :, k], rms_of(seen_errors[:, k][counted[:, k]]),
+            rms_of(lit_errors[:, :, k][used[:, :, k]]),
         )
         for k, (name, (seen, lit, _)) in enumerate(corners.items())
     )  # fmt: skip
@@ -429,6 +445,10 @@ def _captures_of(pose: Pose) -> list[list[Capture]]:
     if isinstance(pose, Capture):
         return [[pose]]
     if not isinstance(pose, str | Path):
+        for part in (pose, *pose):
+            check_list(
+                part, hint="give a capture, or the captures of all cameras under each projector"
+            )
         return [[open_capture(one) for one in part] for part in pose]
 
     def within(folder: Path, device: str) -> list[Path]:
@@ -538,11 +558,6 @@ def _check_count(usable: int, left_out: dict[str, str], device: str = "") -> Non
         hint="photograph 3 poses at least, better 5 to 10, each tilted differently and "
         "lit by the projector; a board's size is its inner corners, squares less one",
     )
-
-
-def _rms(errors: Array) -> float:
-    """Root mean square of the lengths of errors (n, 2)."""
-    return float(np.sqrt((errors**2).sum(axis=1).mean()))
 
 
 # The rig's geometry from any scene that is not flat.
