@@ -115,6 +115,30 @@ def test_corners_of_real_photographs_have_their_projector_pixels(
     place = (real_matches.place * [1, -1] + [0, cols]).astype(np.float32)
     turned = light_corners(seen[inside], replace(real_matches, place=place), board)
     assert turned[1] == 1
+    unlit = replace(real_matches, place=np.full_like(place, np.nan))
+    assert light_corners(seen[inside], unlit, board)[1] == 0.5
+
+
+def test_a_camera_need_not_see_every_projector(monkeypatch: pytest.MonkeyPatch) -> None:
+    rigs, board = two_by_two(), board_points((9, 7), 25.0)
+    corners = {}
+    for k in range(6):
+        turn = Rotation.from_euler("xy", 30 * np.cos([k, k + 1.5]), degrees=True)
+        middle = np.array([5.0 * k - 20, 0, 900 + 10 * (k % 3)])
+        points = turn.apply(board - board.mean(axis=0)) + middle
+        seen = np.array([rig.project_camera(points) for rig, _ in rigs])
+        lit = np.array([[rig.project_projector(points) for rig in pair] for pair in rigs])
+        lit[1, 1] = np.nan
+        corners[f"pose {k}"] = seen, lit, np.array([[0, 0], [0, 0.5]])
+    shapes = [(180, 240)] * 2, [(144, 192)] * 2
+    monkeypatch.setattr(calibrate, "_captures_of", lambda pose: pose)
+    monkeypatch.setattr(calibrate, "_shapes_of", lambda opened: shapes)
+    monkeypatch.setattr(calibrate, "_all_corners", lambda *_: (corners, {}))
+    measured = lm.calibrate_rig([[]] * 6, (9, 7), 25.0)
+    assert all(
+        value < 0.01 for pair in measured.geometries for r in pair for value in r.rms.values()
+    )
+    assert errors(measured.geometries[1][1], rigs[1][1])[0] < 0.01
 
 
 def board_views(
