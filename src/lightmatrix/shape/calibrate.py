@@ -16,6 +16,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import chain, product
 from pathlib import Path
 from typing import Any, Literal, get_args
@@ -606,7 +607,8 @@ def self_calibrate(
     -------
     RigGeometry
         In the camera's frame; its `rms` holds "epipolar", the distances of matches that fit from
-        their epipolar lines, in pixels, and "projector_focal_length", its standard error.
+        their epipolar lines, in pixels, and "projector_focal_length", its standard error if the
+        projector's axis passes the middle column to 5 % of the width.
 
     Warns
     -----
@@ -796,7 +798,15 @@ def _pose(
         # Errors of neighbours are alike: all matches tell as much as a hundred that are not.
         inverse = np.linalg.pinv(found.jac.T @ found.jac / len(seen) * 100)
         pose = parts(found.x)
-        error = 0.0 if len(first) < 7 else rms * float(np.sqrt(inverse[6, 6])) * pose[0][0, 0]
+        error = 0.0
+        if len(first) > 6:
+            # The matches hardly tell the column of the axis, which is taken to pass the middle of
+            # the image to 5 % of its width.
+            aside = start.copy()
+            aside[0, 2] += 0.05 * projector_shape[1]
+            off = distances(found.x, partial(parts, start=aside)) - distances(found.x)
+            of_axis = np.linalg.lstsq(found.jac, off, rcond=None)[0][6]
+            error = float(np.hypot(rms * np.sqrt(inverse[6, 6]), of_axis)) * pose[0][0, 0]
         if best is None or rms < best[0]:
             best = rms, pose, error
     assert best is not None
