@@ -201,14 +201,6 @@ class PreparedPatterns:
         progress: Callable[[int, int], None] | None = None,
     ) -> Solved: ...
 
-def may_exceed(
-    parts: list[tuple[PreparedPatterns, NDArray[np.float64]]], limit: float
-) -> list[NDArray[np.int64]]:
-    """The atoms whose correlations, summed over the sets, may exceed `limit`, for each row.
-
-    Sets have the same atoms, and each its own e (M, K).
-    """
-
 class Solved:
     """Solved rows: the parts of a CSR matrix, and the diagnostics of each row."""
 

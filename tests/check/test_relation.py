@@ -136,10 +136,27 @@ def test_few_frames_are_not_judged() -> None:
         assert [each.kind for each in check_relation(few)] == kinds
 
 
+@pytest.mark.parametrize(("camera", "judged"), [(24, False), (47, True)])
+def test_sharp_pixels_of_large_projectors_are_not_accused(camera: int, judged: bool) -> None:
+    """Patterns are binned to compare them; pixels that see one of many follow bins little."""
+    size = (257, 256)
+    patterns = lm.BernoulliPatterns(size, 64, seed=2)
+    places = np.random.default_rng(0).permutation(patterns.pixels)[: camera**2]
+    frames = (200 * patterns.columns(places)).astype(np.uint8).reshape(64, camera, camera)
+    for shown in (patterns, lm.BernoulliPatterns(size, 64, seed=9)):
+        capture = lm.Capture.from_arrays(shown, frames, lm.Sensor())
+        relation = Relation.of(Survey.take(shown, capture.frames, capture.decoder))
+        assert relation is not None
+        assert relation.as_they_are < 3.5
+        assert relation.unrelated == (judged and shown is not patterns)
+        if judged:
+            assert (relation._sharp.as_they_are > 3.5) == (shown is patterns)
+
+
 def test_little_evidence_accuses_nobody() -> None:
     relation = made(damage="other seed", seed=0)
     assert relation.unrelated
-    assert not replace(relation, pixels=relation.pixels * 40).unrelated
+    assert not replace(relation, samples=relation.samples[::40]).unrelated
     noise = np.random.default_rng(0).standard_normal(relation.samples.shape).astype(np.float32)
     assert not replace(relation, samples=noise, contrasted=False).unrelated
     alike = 1e-4 * relation.features

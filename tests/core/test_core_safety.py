@@ -208,7 +208,6 @@ def test_any_arguments_give_an_ordinary_exception_or_a_result(values: list[Any])
         lambda: _core.PreparedPatterns.from_bits(a, PIXELS, b, c),
         lambda: _core.PreparedPatterns.from_dense(a, b),
         lambda: SHOWN.scores(a),
-        lambda: _core.may_exceed([(SHOWN, a)], 1.0),
         lambda: solve(samples=samples(values=a)),
         lambda: solve(samples=samples(values=a, clipped=b, weights=c)),
         lambda: solve(samples=samples(weights=d)),

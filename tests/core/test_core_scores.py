@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from lightmatrix._core import PreparedPatterns, may_exceed
+from lightmatrix._core import PreparedPatterns
 from lightmatrix.patterns.bits import BernoulliPatterns
 from lightmatrix.patterns.hadamard import HadamardPatterns
 from lightmatrix.patterns.pattern_set import ImagePatterns, PatternSet
@@ -67,41 +67,3 @@ def test_instruction_sets_give_the_same_scores(instructions: str) -> None:
     other = prepared(patterns, instructions).scores(e)
     np.testing.assert_array_equal(other[0], portable[0])
     np.testing.assert_array_equal(other[1], portable[1])
-
-
-@given(
-    shape=st.tuples(st.integers(1, 9), st.integers(1, 9)),
-    rows=st.integers(1, 7),
-    limit=st.floats(-2, 4),
-    seed=st.integers(0, 99),
-)
-@settings(max_examples=60, deadline=None)
-def test_no_sum_over_sets_exceeds_the_limit_unnoticed(
-    shape: tuple[int, int], rows: int, limit: float, seed: int
-) -> None:
-    rng = np.random.default_rng(seed)
-    count = min(8, shape[0] * shape[1])
-    sets: list[PatternSet] = [
-        BernoulliPatterns(shape, 20, seed=seed),
-        HadamardPatterns(shape, count, order="random", permute=True, seed=seed),
-        ImagePatterns(rng.random((5, *shape)).astype(np.float32)),
-    ]
-    e = [rng.normal(size=(rows, patterns.count)) for patterns in sets]
-    parts = [(patterns.prepared, own) for patterns, own in zip(sets, e, strict=True)]
-    exact, slack = np.zeros((rows, sets[0].pixels)), np.zeros((rows, 1))
-    for patterns, (core, own) in zip(sets, parts, strict=True):
-        exact += own @ patterns.dense()
-        unit, _, up, down = core.scores(own)[1].reshape(-1, 4).T[:, :, None]
-        slack += unit * (up + down + 0.02)
-    for found, sums, loose in zip(may_exceed(parts, limit), exact, slack, strict=True):
-        assert set(np.flatnonzero(sums > limit)) <= set(found)
-        assert (sums[found] > limit - loose).all()
-
-
-def test_sets_that_do_not_match_are_refused() -> None:
-    first, second = BernoulliPatterns((4, 5), 6), BernoulliPatterns((4, 6), 6)
-    for other, rows in ((second, 2), (first, 3)):
-        parts = [(first.prepared, np.ones((2, 6))), (other.prepared, np.ones((rows, 6)))]
-        with pytest.raises(ValueError, match="differ in their rows or atoms"):
-            may_exceed(parts, 1.0)
-    assert may_exceed([], 1.0) == []

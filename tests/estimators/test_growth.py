@@ -230,3 +230,18 @@ def test_a_projector_in_parts_gives_the_same(
     for name in ("estimated_error", "prediction_error"):
         stated = [np.nanmedian(each.diagnostics[name]) for each in (parts, whole)]
         assert stated[0] == pytest.approx(stated[1], rel=0.02)
+
+
+@pytest.mark.parametrize("lit", [0, 8])
+def test_parts_that_see_no_light_are_solved(
+    scene: Truth, monkeypatch: pytest.MonkeyPatch, lit: int
+) -> None:
+    """Camera pixels of which no neighbour holds light have no atoms on a sheet."""
+    monkeypatch.setattr(schedule, "GROWTH", LARGE_FRAMES)
+    monkeypatch.setattr(row_solver, "KEPT_PIXELS", 0)
+    capture = photographed(scene, 16)
+    dark = np.stack([capture.frame(k) for k in range(16)])
+    dark[:, lit:] = 0
+    capture = Capture.from_arrays(capture.patterns, dark, Sensor(0.8, 0.0, 0.003, 0.0, 8))
+    found = CoherentEstimator(tile_rows=400, judged=False).estimate(capture)
+    assert (found.sparse.nnz > 0) == (lit > 0)

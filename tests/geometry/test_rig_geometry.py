@@ -583,6 +583,18 @@ def test_other_conventions_of_intrinsics_are_refused(camera: np.ndarray, words: 
         )
 
 
+@pytest.mark.parametrize("lens", [[500.0], [-30, 900], [0, 0, 3]])
+def test_a_lens_beyond_reason_is_refused(lens: list[float]) -> None:
+    with pytest.raises(lm.InputError, match="projector's distortion moves a corner"):
+        replace(rig(), projector_distortion=np.append(lens, np.zeros(5 - len(lens))))
+
+
+def test_a_stated_size_counts_before_that_of_the_file(tmp_path: Path) -> None:
+    rig().save(tmp_path / "rig.json")
+    read = lm.RigGeometry.load(tmp_path / "rig.json", camera_shape=(960, 1280))
+    assert (read.camera_shape, read.projector_shape) == ((960, 1280), rig().projector_shape)
+
+
 def test_a_geometry_of_other_images_needs_a_stated_bin(tmp_path: Path) -> None:
     whole = replace(rig(), camera_shape=(1024, 1280))
     transport = lm.truth("metal").transport()

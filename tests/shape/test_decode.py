@@ -201,6 +201,17 @@ def test_a_black_photograph_is_named(name: str) -> None:
     assert any("frame 3: black, although" in str(each.message) for each in told)
 
 
+@pytest.mark.parametrize("name", ["graycode", "phase", "microphase"])
+def test_a_white_photograph_is_named(name: str) -> None:
+    patterns = code(name)
+    frames = photographs(patterns)
+    plain = [each.kind for each in lm.check(capture(patterns, frames))]
+    frames[3] = photographs(ImagePatterns(np.ones((1, *PROJECTOR), np.float32)))[0]
+    with pytest.warns(LightMatrixWarning, match="frame 3: white, although"):
+        lm.decode(capture(patterns, frames))
+    assert "frame" not in plain
+
+
 def test_noise_and_darkness_are_refused_and_leave_no_file(tmp_path: Path) -> None:
     patterns = code("graycode, inverse")
     random = np.random.default_rng(0)

@@ -10,7 +10,7 @@ use crate::threads::{on_all_cores, run_interruptibly, thread_count};
 use lightmatrix_core::active_set;
 use lightmatrix_core::atoms::Atoms;
 use lightmatrix_core::columns::{BitColumns, Columns, DenseColumns};
-use lightmatrix_core::correlate::{self, Correlator, Scores, Scratch};
+use lightmatrix_core::correlate::{Correlator, Scores, Scratch};
 use lightmatrix_core::problem::Dictionary;
 use lightmatrix_core::vector::padded;
 use numpy::{IntoPyArray, PyArray1, PyUntypedArrayMethods};
@@ -284,17 +284,6 @@ impl PreparedPatterns {
         }
     }
 
-    /// All scores of some rows.
-    fn all_scores(&self, rows: &[Vec<f64>]) -> Vec<Scores> {
-        let batch = self.dictionary.correlator.batch();
-        let mut scores = vec![Scores::default(); rows.len()];
-        let mut scratch = Scratch::default();
-        for (rows, scores) in rows.chunks(batch).zip(scores.chunks_mut(batch)) {
-            self.pass(rows, scores, &mut scratch);
-        }
-        scores
-    }
-
     /// The scores of at most a batch of rows.
     fn pass(&self, rows: &[Vec<f64>], scores: &mut [Scores], scratch: &mut Scratch) {
         let e: Vec<&[f64]> = rows.iter().map(Vec::as_slice).collect();
@@ -308,54 +297,7 @@ impl PreparedPatterns {
     }
 }
 
-/// For each row of several sets the atoms whose correlations, summed over the sets, may exceed `limit`.
-#[pyfunction]
-fn may_exceed<'py>(
-    py: Python<'py>,
-    parts: Vec<(Bound<'py, PreparedPatterns>, Bound<'py, PyAny>)>,
-    limit: f64,
-) -> PyResult<Vec<Bound<'py, PyArray1<i64>>>> {
-    let mut rows = Vec::with_capacity(parts.len());
-    for (prepared, e) in &parts {
-        rows.push(prepared.get().checked_rows(e)?);
-    }
-    let sets: Vec<&PreparedPatterns> = parts.iter().map(|(prepared, _)| prepared.get()).collect();
-    let (count, pixels) = match (rows.first(), sets.first()) {
-        (Some(rows), Some(set)) => (rows.len(), set.dictionary.pixels),
-        _ => return Ok(Vec::new()),
-    };
-    let alike = sets.iter().all(|set| set.dictionary.pixels == pixels);
-    if !alike || rows.iter().any(|rows| rows.len() != count) {
-        return Err(PyValueError::new_err(
-            "the sets differ in their rows or atoms",
-        ));
-    }
-    check_memory::<i16>(&[sets.len(), count, pixels], "the scores")?;
-    let level = sets[0].dictionary.level;
-    let found = py.detach(|| {
-        let scores: Vec<_> = sets
-            .iter()
-            .zip(&rows)
-            .map(|(set, rows)| set.all_scores(rows))
-            .collect();
-        let of_row = |row: usize| {
-            let passes = sets.iter().zip(&scores).map(|(set, scores)| {
-                let values = set.dictionary.correlator.by_pixel(&scores[row]);
-                (&scores[row], values)
-            });
-            correlate::may_exceed(level, &passes.collect::<Vec<_>>(), limit)
-        };
-        (0..count).map(of_row).collect::<Vec<_>>()
-    });
-    let wide = |places: Vec<u32>| places.into_iter().map(i64::from).collect::<Vec<_>>();
-    let found = found
-        .into_iter()
-        .map(|places| wide(places).into_pyarray(py));
-    Ok(found.collect())
-}
-
 pub fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_class::<Settings>()?;
-    module.add_class::<PreparedPatterns>()?;
-    module.add_function(wrap_pyfunction!(may_exceed, module)?)
+    module.add_class::<PreparedPatterns>()
 }

@@ -17,7 +17,7 @@ from lightmatrix.capture.capture import Capture, Crop
 from lightmatrix.capture.folder import check_depth, read_capture, read_folders
 from lightmatrix.capture.frames import CaptureParts
 from lightmatrix.capture.settings import ReadSettings
-from lightmatrix.check.code_order import CodeLattice, check_code_order, missing_of_code
+from lightmatrix.check.code_order import CodeLattice, check_code_order, check_white, missing_of_code
 from lightmatrix.check.finding import Finding
 from lightmatrix.check.inverse_pairs import check_pairs, find_pairs
 from lightmatrix.check.levels import (
@@ -216,6 +216,8 @@ def _check_surveyed(survey: Survey, capture: Capture) -> list[Finding]:
         displaced = []
     else:
         of_frames = _check_by_prediction(survey, rows, names, unrelated)
+        if lattice is not None and not displaced and not of_frames:
+            of_frames = check_white(lattice, names.__getitem__)
     # Motion, and a black frame, make neighbours see as distant places as a swap does.
     kinds = ("order", "motion")
     if displaced and not any(e.kind in kinds or "black" in e.message for e in of_frames):

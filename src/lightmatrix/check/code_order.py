@@ -226,6 +226,33 @@ def check_code_order(lattice: CodeLattice, name: Name) -> list[Finding]:
     return found
 
 
+def check_white(lattice: CodeLattice, name: Name) -> list[Finding]:
+    """Whether a frame of a code is white although its pattern is not.
+
+    Nearly all pixels are then as bright as they ever are, and neighbours see nearer to each other
+    without the frame, more so than without another. A camera that sees only the white part of a
+    pattern shows the first alone.
+    """
+    count, samples = lattice.patterns.count, lattice.samples
+    lowest = samples.min(axis=0)
+    share = (samples - lowest) / np.maximum(samples.max(axis=0) - lowest, 1e-9)
+    used = np.unique(np.concatenate([each.frames for each in lattice.codes.codes]))
+    bright = np.quantile(share[used], 0.1, axis=1) > 0.8
+    if not bright.any():
+        return []
+    frames = np.arange(count)
+    plain = lattice.costs(frames, {})
+    gains = [plain - lattice.costs(np.where(frames == k, -1, frames), {}) for k in used]
+    total = np.sum(gains, axis=1)
+    best = int(np.where(bright, total, -np.inf).argmax())
+    certain = _CERTAIN * float(np.sqrt((gains[best] ** 2).sum()))
+    if total[best] <= max(certain, 1.5 * float(np.median(total))):
+        return []
+    message = f"{name(int(used[best]))}: white, although the pattern is not"
+    advice = "take the photograph again; did the projector show something else?"
+    return [Finding("frame", (int(used[best]),), message, advice)]
+
+
 def _orders(count: int, name: Name) -> Iterator[tuple[Order, list[Finding]]]:
     """The frame that shows each pattern, in likely wrong orders, and the findings of each."""
     frames = np.arange(count)

@@ -164,14 +164,14 @@ class Relation:
     `samples` are those of K frames from `first` on, of mean 0 and variance 1 in each camera pixel,
     (m, K). `features` are the cosines of the patterns through several blurs and in several parts of
     the projector, (F, K, K); `shown` some pixels of the patterns at each blur, (F', n, K),
-    standardised. `count` is the number of all frames, `pixels` that of the projector's pixels once
+    standardised. `patterns` are all, and `pixels` is the number of the projector's pixels once
     binned. `contrasted` tells whether the usual camera pixel varies by far more than noise.
     """
 
+    patterns: PatternSet
     samples: Floats
     features: Floats
     shown: tuple[Floats, ...]
-    count: int
     pixels: int
     contrasted: bool
     # The frames of each exposure, which are standardised by themselves; or none.
@@ -213,7 +213,8 @@ class Relation:
         samples = _standardised(values)
         features, shown = _pattern_cosines(_binned(survey.patterns, frames, step))
         contrasted = bool(np.median(span - least) > 0)
-        return cls(samples, features, shown, survey.count, pixels, contrasted, groups, first)
+        patterns = survey.patterns
+        return cls(patterns, samples, features, shown, pixels, contrasted, groups, first)
 
     @cached_property
     def frames(self) -> NDArray[np.int64]:
@@ -333,15 +334,29 @@ class Relation:
         off = ~np.eye(count, dtype=bool)
         random = self.features[0][off].std() > _LIMITS.random / np.sqrt(self.pixels)
         pairs = count * (count - 1) / 2
-        clear = len(self.samples) / self.pixels * pairs > _LIMITS.clear**2
+        clear = len(self.samples) / self.patterns.pixels * pairs > _LIMITS.clear**2
         visible = self.contrasted or self._agreement > _LIMITS.agree
-        return bool(clear and self.as_they_are < _LIMITS.follows and random and visible)
+        unlike = clear and random and visible and self.as_they_are < _LIMITS.follows
+        # Camera pixels that see single projector pixels follow little of what bins show.
+        whole = self.pixels == self.patterns.pixels
+        return bool(unlike and (whole or self._sharp.as_they_are < _LIMITS.follows))
+
+    @property
+    def _sharp(self) -> Relation:
+        """The same beside the patterns as they are, not binned."""
+        count, size = len(self.frames), self.patterns.pixels
+        gram = np.zeros((count, count), np.float32)
+        for start in range(0, size, 1 << 16):
+            shown = self.patterns.span(start, min(start + (1 << 16), size))[self.first :][:count]
+            seen = shown - shown.mean(axis=0)
+            gram += seen @ seen.T
+        return replace(self, features=np.stack(_cosines_of(gram)))
 
     @property
     def parted(self) -> bool:
         """Whether each half of the frames follows its patterns, but not beside the other half."""
-        late = self.frames >= self.count // 2
-        # At most 128 frames are compared: beyond 240 frames, too few lie in the later half.
+        late = self.frames >= self.patterns.count // 2
+        # At most 256 frames are compared: beyond 496 frames, too few lie in the later half.
         if late.sum() < 8:
             return False
         same = late[:, None] == late

@@ -275,6 +275,16 @@ class RigGeometry:
             lens = distortion(getattr(self, f"{device}_distortion"), device)
             shape = getattr(self, f"{device}_shape")
             check_sides(f"an image of the {device}", shape)
+            # Where the corners of the image lie on the plane of distance 1.
+            ends = [(col, row, 1) for row in (0, shape[0] - 1) for col in (0, shape[1] - 1)]
+            plane = (np.array(ends) @ np.linalg.inv(decomposed(matrix)[0]).T)[:, :2]
+            away = np.linalg.norm(distort(plane, lens) - plane, axis=1)
+            if (away > 3 * np.linalg.norm(plane, axis=1)).any():
+                raise InputError(
+                    f"the {device}'s distortion moves a corner of its image to several times its "
+                    "distance from the axis",
+                    hint="give k1, k2, p1, p2, k3 for the plane of distance 1, as OpenCV has them",
+                )
             object.__setattr__(self, f"{device}_matrix", matrix)
             object.__setattr__(self, f"{device}_distortion", lens)
             object.__setattr__(self, f"{device}_shape", tuple(map(int, shape)))

@@ -235,8 +235,12 @@ _CELL = 16
 
 
 def boxes_around(pixels: NDArray[np.integer], shape: tuple[int, int]) -> list[Box]:
-    """Boxes that hold some pixels of a projector; pixels in cells side by side share one."""
+    """Boxes that hold some pixels of a projector; pixels in cells side by side share one.
+
+    The first cell stands for none, as rows without light are solved too.
+    """
     lit = np.zeros([-(-n // _CELL) for n in shape], bool)
+    lit[0, 0] = not len(pixels)
     lit.ravel()[_cells(pixels, shape)] = True
     found = find_objects(label(lit, np.ones((3, 3)))[0])
     return [tuple(slice(s.start * _CELL, s.stop * _CELL) for s in box) for box in found]

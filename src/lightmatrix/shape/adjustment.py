@@ -50,11 +50,21 @@ class Fit:
     # Standard errors of each device's turn in degrees and of its place, (devices, 2).
     deviations: Array
 
+    def rms(self) -> dict[str, float]:
+        """Root mean squares of what cameras and projectors are off by, in pixels."""
+        seen, lit = self.seen_errors[self.used.any(axis=1)], self.lit_errors[self.used]
+        return {"camera": rms_of(seen), "projector": rms_of(lit)}
+
     def geometry(self, camera: int, projector: int, shapes: tuple[Shape, Shape]) -> RigGeometry:
         """The geometry of a pair, in the frame of the first camera."""
         pair = self.devices[camera], self.devices[len(self.seen_errors) + projector]
         one, other = (_intrinsics(d) @ np.column_stack([_turn(d), d[9:]]) for d in pair)
         return RigGeometry(one, other, *shapes, _lens(pair[0]), _lens(pair[1]))
+
+
+def rms_of(errors: Array) -> float:
+    """Root mean square of the lengths of errors (n, 2)."""
+    return float(np.sqrt((errors**2).sum(axis=1).mean()))
 
 
 def largest_turn(poses: Array) -> float:
@@ -81,9 +91,11 @@ def fit_board(seen: Array, lit: Array, board: Array, camera_shape: Shape) -> Fit
     of_device = np.array([other for _, other in pairs])
     weights = np.ones(len(devices))
     # On real boards four rounds were enough.
-    for _ in range(8):
+    for number in range(8):
+        # At first a pose in which something moved must not bend all others to itself.
+        loss = "linear" if number else "soft_l1"
         system = _System(pairs, seen, places, use, weights[of_device], board)
-        devices, poses, deviations = system.solved(devices, poses)
+        devices, poses, deviations = system.solved(devices, poses, loss)
         errors = system.errors(devices, poses)
         sizes = np.linalg.norm(errors, axis=-1)
         # What is known better counts more. Exact corners are no better than 0.005 pixels.
@@ -138,7 +150,7 @@ class _System:
         ]
         return np.asarray(shown - self.places)
 
-    def solved(self, devices: Array, poses: Array) -> tuple[Array, Array, Array]:
+    def solved(self, devices: Array, poses: Array, loss: str) -> tuple[Array, Array, Array]:
         """The devices and poses of least squares, and the standard errors of the devices."""
         known = np.concatenate([devices.ravel(), poses.ravel()])
         # The first camera stands where it stands.
@@ -156,7 +168,7 @@ class _System:
 
         # Steps that turn a point behind a device are not finite, and are shortened.
         with np.errstate(all="ignore"):
-            found = least_squares(distances, known[free], x_scale="jac", max_nfev=100)
+            found = least_squares(distances, known[free], x_scale="jac", max_nfev=100, loss=loss)
         spare = max(len(found.fun) - int(free.sum()), 1)
         variances = np.zeros(len(known))
         covariance = np.linalg.pinv(found.jac.T @ found.jac, hermitian=True)

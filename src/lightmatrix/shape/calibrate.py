@@ -14,7 +14,9 @@ and so the size of the scene, cannot be known.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import chain, product
 from pathlib import Path
 from typing import Any, Literal, get_args
@@ -37,7 +39,7 @@ from lightmatrix.patterns.codes import find_codes
 from lightmatrix.patterns.stripes import stripes_of
 from lightmatrix.ranges import check_list, check_number
 from lightmatrix.reprs import short_repr
-from lightmatrix.shape.adjustment import Fit, fit_board, largest_turn
+from lightmatrix.shape.adjustment import Fit, fit_board, largest_turn, rms_of
 from lightmatrix.shape.decode import decode
 from lightmatrix.transport.correspondence import Correspondence, correspondence
 from lightmatrix.transport.matrix import LightTransport
@@ -132,7 +134,7 @@ def light_corners(corners: Array, matches: Correspondence, board: Shape) -> tupl
     """The projector pixels (n, 2) that light corners (n, 2), by a homography around each.
 
     They are NaN where too few pixels around a corner see them. The share of the corners around
-    which the projector's image is mirrored comes last.
+    which the projector's image is mirrored comes last; 0.5, which decides nothing, of none.
     """
     # On the five poses of a real board, windows from 12 to 30 pixels gave the same corners to 0.01
     # pixels.
@@ -161,7 +163,7 @@ def light_corners(corners: Array, matches: Correspondence, board: Shape) -> tupl
         # Mirrored images turn to the left where others turn to the right.
         scale = (matrix @ np.append(corner, 1))[2]
         mirrored.append(bool(np.linalg.det(matrix) / scale**3 < 0))
-    return projector, float(np.mean(mirrored)) if mirrored else 0.0
+    return projector, float(np.mean(mirrored)) if mirrored else 0.5
 
 
 def pose_images(capture: Capture) -> tuple[Array, list[Correspondence]]:
@@ -361,9 +363,10 @@ def calibrate_rig(
     names = [f"camera {k + 1}" for k in range(len(cameras))]
     names += [f"projector {k + 1}" for k in range(len(projectors))]
 
-    def fitted() -> Fit:
-        seen = np.stack([places for places, *_ in corners.values()], axis=1)
-        lit = np.stack([places for _, places, _ in corners.values()], axis=2)
+    def fitted(without: str | None = None) -> Fit:
+        use = [pose for name, pose in corners.items() if name != without]
+        seen = np.stack([places for places, *_ in use], axis=1)
+        lit = np.stack([places for _, places, _ in use], axis=2)
         for name, places in zip(names, (*seen[:, None], *lit.swapaxes(0, 1)), strict=True):
             usable = [_suffice(each, board) for each in places.swapaxes(0, 1)]
             _check_count(sum(usable), left_out, f" of {name}")
@@ -377,6 +380,20 @@ def calibrate_rig(
         use, lit = fit.used[:, :, number].sum(), np.isfinite(places).all(axis=-1).sum()
         if use < 0.5 * lit:
             badly[name] = f"only {use} of {lit} corners fit the other poses; did the board move?"
+    far = max(fit.rms().values())
+    # A pose in which something moved can bend the others to itself: without it, they fit.
+    if far > 0.5 and not badly and len(corners) > 3:
+        rest = {}
+        for name in corners:
+            # The other poses may be too few, or parallel.
+            with suppress(InputError):
+                rest[name] = max(fitted(name).rms().values())
+        name = min(rest, key=lambda each: rest[each], default="")
+        if name and rest[name] < 0.5 * far:
+            badly[name] = (
+                f"the others fit to {rest[name]:.2f} pixels without it, and to {far:.2f} with it; "
+                "did the board move?"
+            )
     if badly:
         left_out |= badly
         corners = {name: pose for name, pose in corners.items() if name not in badly}
@@ -385,7 +402,7 @@ def calibrate_rig(
     seen_errors, lit_errors, used = fit.seen_errors, fit.lit_errors, fit.used
     # By camera and pose.
     counted = np.asarray(used.any(axis=1))
-    rms = {"camera": _rms(seen_errors[counted]), "projector": _rms(lit_errors[used])}
+    rms = fit.rms()
     # Good calibrations reach 0.1 to 0.5 pixels.
     worst = max(rms.values())
     causes = (
@@ -399,9 +416,11 @@ def calibrate_rig(
         warn(f"the corners are off by {off}; good calibrations reach 0.5\n  {causes}")
 
     def geometry(camera: int, projector: int) -> RigGeometry:
+        # A projector that this camera does not see is known from the others.
+        those = camera if used[camera, projector].any() else slice(None)
         own = {
-            "camera": _rms(seen_errors[camera][counted[camera]]),
-            "projector": _rms(lit_errors[camera, projector][used[camera, projector]]),
+            "camera": rms_of(seen_errors[camera][counted[camera]]),
+            "projector": rms_of(lit_errors[those, projector][used[those, projector]]),
         }
         own["stereo"] = float(np.sqrt((own["camera"] ** 2 + own["projector"] ** 2) / 2))
         found = fit.geometry(camera, projector, (cameras[camera], projectors[projector]))
@@ -412,8 +431,8 @@ def calibrate_rig(
     )
     used_poses = tuple(
         BoardPose(
-            name, seen, lit, used[:, :, k], _rms(seen_errors[:, k][counted[:, k]]),
-            _rms(lit_errors[:, :, k][used[:, :, k]]),
+            name, seen, lit, used[:, :, k], rms_of(seen_errors[:, k][counted[:, k]]),
+            rms_of(lit_errors[:, :, k][used[:, :, k]]),
         )
         for k, (name, (seen, lit, _)) in enumerate(corners.items())
     )  # fmt: skip
@@ -433,6 +452,10 @@ def _captures_of(pose: Pose) -> list[list[Capture]]:
     if isinstance(pose, Capture):
         return [[pose]]
     if not isinstance(pose, str | Path):
+        for part in (pose, *pose):
+            check_list(
+                part, hint="give a capture, or the captures of all cameras under each projector"
+            )
         return [[open_capture(one) for one in part] for part in pose]
 
     def within(folder: Path, device: str) -> list[Path]:
@@ -494,7 +517,7 @@ def _all_corners(
             places = find_corners(white, board, kind)
             if places is None:
                 places = np.full((board[0] * board[1], 2), np.nan)
-                pairs = [(places, 0.0)] * sum(len(each) for _, each in shown)
+                pairs = [(places, 0.5)] * sum(len(each) for _, each in shown)
             else:
                 pairs = [light_corners(places, one, board) for _, each in shown for one in each]
             own = np.array([projector for projector, _ in pairs])
@@ -544,11 +567,6 @@ def _check_count(usable: int, left_out: dict[str, str], device: str = "") -> Non
     )
 
 
-def _rms(errors: Array) -> float:
-    """Root mean square of the lengths of errors (n, 2)."""
-    return float(np.sqrt((errors**2).sum(axis=1).mean()))
-
-
 # The rig's geometry from any scene that is not flat.
 
 
@@ -593,7 +611,8 @@ def self_calibrate(
     -------
     RigGeometry
         In the camera's frame; its `rms` holds "epipolar", the distances of matches that fit from
-        their epipolar lines, in pixels, and "projector_focal_length", its standard error.
+        their epipolar lines, in pixels, and "projector_focal_length", its standard error if the
+        projector's axis passes the middle column to 5 % of the width.
 
     Warns
     -----
@@ -783,7 +802,15 @@ def _pose(
         # Errors of neighbours are alike: all matches tell as much as a hundred that are not.
         inverse = np.linalg.pinv(found.jac.T @ found.jac / len(seen) * 100)
         pose = parts(found.x)
-        error = 0.0 if len(first) < 7 else rms * float(np.sqrt(inverse[6, 6])) * pose[0][0, 0]
+        error = 0.0
+        if len(first) > 6:
+            # The matches hardly tell the column of the axis, which is taken to pass the middle of
+            # the image to 5 % of its width.
+            aside = start.copy()
+            aside[0, 2] += 0.05 * projector_shape[1]
+            off = distances(found.x, partial(parts, start=aside)) - distances(found.x)
+            of_axis = np.linalg.lstsq(found.jac, off, rcond=None)[0][6]
+            error = float(np.hypot(rms * np.sqrt(inverse[6, 6]), of_axis)) * pose[0][0, 0]
         if best is None or rms < best[0]:
             best = rms, pose, error
     assert best is not None

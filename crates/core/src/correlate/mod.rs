@@ -7,8 +7,7 @@
 //! `Correlator::run` chooses the kernel: `lookup` for 0/1 patterns (tables of partial sums in portable
 //! code, `avx2` or `avx512`, or byte tiles in `amx`), `transform` for Hadamard patterns, `dense` for any
 //! other values, and `blurred` for atoms, which blurs the scores of single pixels. `Scores` keeps the
-//! scores beyond a threshold (`outside`); `select` finds the largest among them, and `summed` the large
-//! sums of several passes.
+//! scores beyond a threshold (`outside`), and `select` finds the largest among them.
 
 #[cfg(target_arch = "x86_64")]
 mod amx;
@@ -23,7 +22,6 @@ mod outside;
 mod quantise;
 mod scores;
 mod select;
-mod summed;
 mod tables;
 mod transform;
 
@@ -39,7 +37,6 @@ use quantise::{quantise, Sums};
 pub use scores::{ScoreFilter, Scores};
 use scores::{BATCH, GROUP};
 use std::borrow::Cow;
-pub use summed::may_exceed;
 use transform::Transform;
 
 /// Computes scores in the way that suits the patterns.
