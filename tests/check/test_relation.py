@@ -138,19 +138,28 @@ def test_few_frames_are_not_judged() -> None:
 
 @pytest.mark.parametrize(("camera", "judged"), [(24, False), (47, True)])
 def test_sharp_pixels_of_large_projectors_are_not_accused(camera: int, judged: bool) -> None:
-    """Patterns are binned to compare them; pixels that see one of many follow bins little."""
+    """Pixels that see one of many projector pixels follow the patterns, but not their bins."""
     size = (257, 256)
     patterns = lm.BernoulliPatterns(size, 64, seed=2)
     places = np.random.default_rng(0).permutation(patterns.pixels)[: camera**2]
     frames = (200 * patterns.columns(places)).astype(np.uint8).reshape(64, camera, camera)
-    for shown in (patterns, lm.BernoulliPatterns(size, 64, seed=9)):
+
+    def relation(shown: lm.PatternSet, frames: NDArray[np.uint8]) -> Relation:
         capture = lm.Capture.from_arrays(shown, frames, lm.Sensor())
-        relation = Relation.of(Survey.take(shown, capture.frames, capture.decoder))
-        assert relation is not None
-        assert relation.as_they_are < 3.5
-        assert relation.unrelated == (judged and shown is not patterns)
-        if judged:
-            assert (relation._sharp.as_they_are > 3.5) == (shown is patterns)
+        made = Relation.of(Survey.take(shown, capture.frames, capture.decoder))
+        assert made is not None
+        return made
+
+    other = relation(lm.BernoulliPatterns(size, 64, seed=9), frames)
+    assert not relation(patterns, frames).unrelated
+    assert other.unrelated == judged
+    if judged:
+        assert relation(patterns, frames).as_they_are > 3.5 > other.as_they_are
+        # A frame that is lost moves all that follow.
+        lost = relation(patterns, np.concatenate([frames[:30], frames[31:], frames[:1]]))
+        excess, *found = lost.displaced()
+        assert found == [30, 1]
+        assert excess > lost.as_they_are
 
 
 def test_little_evidence_accuses_nobody() -> None:

@@ -212,6 +212,9 @@ class Relation:
             values[:, group] = _standardised(values[:, group])
         samples = _standardised(values)
         features, shown = _pattern_cosines(_binned(survey.patterns, frames, step))
+        if step > 1:
+            # Camera pixels that see single projector pixels follow little of what bins show.
+            features = np.concatenate([features, _sharp_cosines(survey.patterns, frames)])
         contrasted = bool(np.median(span - least) > 0)
         patterns = survey.patterns
         return cls(patterns, samples, features, shown, pixels, contrasted, groups, first)
@@ -336,21 +339,7 @@ class Relation:
         pairs = count * (count - 1) / 2
         clear = len(self.samples) / self.patterns.pixels * pairs > _LIMITS.clear**2
         visible = self.contrasted or self._agreement > _LIMITS.agree
-        unlike = clear and random and visible and self.as_they_are < _LIMITS.follows
-        # Camera pixels that see single projector pixels follow little of what bins show.
-        whole = self.pixels == self.patterns.pixels
-        return bool(unlike and (whole or self._sharp.as_they_are < _LIMITS.follows))
-
-    @property
-    def _sharp(self) -> Relation:
-        """The same beside the patterns as they are, not binned."""
-        count, size = len(self.frames), self.patterns.pixels
-        gram = np.zeros((count, count), np.float32)
-        for start in range(0, size, 1 << 16):
-            shown = self.patterns.span(start, min(start + (1 << 16), size))[self.first :][:count]
-            seen = shown - shown.mean(axis=0)
-            gram += seen @ seen.T
-        return replace(self, features=np.stack(_cosines_of(gram)))
+        return bool(clear and random and visible and self.as_they_are < _LIMITS.follows)
 
     @property
     def parted(self) -> bool:
@@ -487,6 +476,16 @@ def _pattern_cosines(patterns: Floats) -> tuple[Floats, tuple[Floats, ...]]:
     # Cosines that do not differ tell nothing; the first stays, which says whether they are random.
     varied = [i for i, each in enumerate(cosines) if i == 0 or each[off].std() > 1e-5]
     return cosines[varied], tuple(shown)
+
+
+def _sharp_cosines(patterns: PatternSet, frames: slice) -> Floats:
+    """Cosines between some patterns as they are, not binned, (2, K, K)."""
+    gram = np.zeros((frames.stop - frames.start,) * 2, np.float32)
+    for start in range(0, patterns.pixels, 1 << 16):
+        shown = patterns.span(start, min(start + (1 << 16), patterns.pixels))[frames]
+        seen = shown - shown.mean(axis=0)
+        gram += seen @ seen.T
+    return np.stack(_cosines_of(gram))
 
 
 def _cosines_of(gram: Floats) -> tuple[Floats, Floats]:
