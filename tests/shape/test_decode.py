@@ -146,6 +146,7 @@ def order(count: int, fault: str) -> np.ndarray:
         frames[[1, 4]] = 4, 1
     return {
         "late": np.roll(frames, 1),
+        "late from 8": np.where(frames < 8, frames, frames - 1),
         "by name": np.array(sorted(frames, key=str)),
         "backwards": frames[::-1],
     }.get(fault, frames)
@@ -158,6 +159,7 @@ def order(count: int, fault: str) -> np.ndarray:
         ("graycode, inverse", "late", "each photograph shows the pattern before its own"),
         ("graycode, inverse", "by name", "the order of their names as text"),
         ("phase", "swapped", "frame 1 and frame 4 look swapped"),
+        ("phase", "late from 8", "from frame 8 to frame 15, each image shows the pattern before"),
         ("microphase", "swapped", "frame 1 and frame 4 look swapped"),
         ("graycode", "backwards", "the opposite order"),
     ],

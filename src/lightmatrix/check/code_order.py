@@ -264,14 +264,15 @@ def _orders(count: int, name: Name) -> Iterator[tuple[Order, list[Finding]]]:
         yield order, order_findings({a: b, b: a}, name)
     for start in range(1, count - 2):
         # A frame is lost, and the last one is there twice; or a frame is there twice.
-        for step, which in ((1, "after"), (-1, "before")):
+        # The one that is there twice shows its own pattern; those after it do not.
+        for step, first, which in ((1, start, "after"), (-1, start + 1, "before")):
             order = frames.copy()
             order[start:] = np.clip(frames[start:] - step, start, count - 1)
             message = (
-                f"from {name(start)} to {name(count - 1)}, each image shows the pattern {which} "
+                f"from {name(first)} to {name(count - 1)}, each image shows the pattern {which} "
                 "its own"
             )
-            yield order, [Finding("order", tuple(range(start, count)), message, WRONG_ORDER)]
+            yield order, [Finding("order", tuple(range(first, count)), message, WRONG_ORDER)]
 
 
 def missing_of_code(lattice: CodeLattice) -> tuple[int, ...]:
