@@ -452,10 +452,10 @@ def _captures_of(pose: Pose) -> list[list[Capture]]:
     if isinstance(pose, Capture):
         return [[pose]]
     if not isinstance(pose, str | Path):
-        for part in (pose, *pose):
-            check_list(
-                part, hint="give a capture, or the captures of all cameras under each projector"
-            )
+        hint = "give a capture, or the captures of all cameras under each projector"
+        check_list(pose, hint=hint)
+        for part in pose:
+            check_list(part, hint=hint)
         return [[open_capture(one) for one in part] for part in pose]
 
     def within(folder: Path, device: str) -> list[Path]:
