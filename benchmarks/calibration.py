@@ -21,10 +21,11 @@ from scipy.spatial.transform import Rotation
 import lightmatrix as lm
 from experiments.harness import options as options_of
 from lightmatrix.geometry.rig_geometry import RigGeometry
+from lightmatrix.simulation.simulate import SimulatedCapture
 
+# Corners across and down, the side of a square in mm, and the noise of a photograph as a share of
+# the clip level.
 BOARD, SQUARE, NOISE = (9, 7), 25.0, 0.004
-# Points of the board a side that a camera pixel averages.
-FINE = 2
 
 
 def devices(rows: int) -> list[tuple[NDArray[np.float64], NDArray[np.float64], list[float]]]:
@@ -45,10 +46,23 @@ def devices(rows: int) -> list[tuple[NDArray[np.float64], NDArray[np.float64], l
     return found
 
 
-def capture(rig: RigGeometry, turn: NDArray[np.float64], middle: NDArray[np.float64]) -> lm.Capture:
-    """8-bit photographs of the board under a Gray code of one projector."""
+def board_capture(
+    rig: RigGeometry,
+    turn: NDArray[np.float64],
+    middle: NDArray[np.float64],
+    patterns: lm.PatternSet,
+    board: tuple[int, int] | None,
+    fine: int,
+    noise: float = NOISE,
+) -> SimulatedCapture:
+    """8-bit photographs of a board, or of a blank sheet, under patterns.
+
+    The board has so many corners (across, down) and squares of `SQUARE`, and lies in the plane
+    through its `middle`, at right angles to the third axis of its `turn`. A camera pixel averages
+    `fine` x `fine` points.
+    """
     rows, cols = rig.camera_shape
-    step = (np.arange(FINE) + 0.5) / FINE - 0.5
+    step = (np.arange(fine) + 0.5) / fine - 0.5
     row, col, down, across = np.meshgrid(
         np.arange(rows), np.arange(cols), step, step, indexing="ij"
     )
@@ -56,19 +70,21 @@ def capture(rig: RigGeometry, turn: NDArray[np.float64], middle: NDArray[np.floa
     centre = rig.camera_centre
     depth = turn[:, 2] @ (middle - centre) / (rays @ turn[:, 2])
     points = centre + depth[:, None] * rays
-    place = (points - middle) @ turn[:, :2] / SQUARE
-    cell = np.floor(place + (np.array(BOARD) + 1) / 2)
-    on = (cell >= 0).all(axis=1) & (cell <= BOARD).all(axis=1)
-    light = np.where(on & (cell.sum(axis=1) % 2 == 0), 0.15, 0.8) / FINE**2
+    light = np.full(len(points), 0.8)
+    if board is not None:
+        # Dark squares on light paper.
+        cell = np.floor((points - middle) @ turn[:, :2] / SQUARE + (np.array(board) + 1) / 2)
+        on = (cell >= 0).all(axis=1) & (cell <= board).all(axis=1)
+        light[on & (cell.sum(axis=1) % 2 == 0)] = 0.15
+    light /= fine**2
     lit = np.rint(rig.project_projector(points))
     inside = ((lit >= 0) & (lit < rig.projector_shape[::-1])).all(axis=1)
     column = (lit[inside, 1] * rig.projector_shape[1] + lit[inside, 0]).astype(np.int32)
-    owner = np.repeat(np.arange(rows * cols), FINE**2)[inside]
+    owner = np.repeat(np.arange(rows * cols), fine**2)[inside]
     size = rows * cols, rig.projector_shape[0] * rig.projector_shape[1]
     matrix = csr_array((light[inside].astype(np.float32), (owner, column)), shape=size)
     truth = lm.Truth(matrix, matrix.data, rig.camera_shape, rig.projector_shape)
-    code = lm.make_patterns("graycode", rig.projector_shape, inverse=False)
-    return lm.simulate(truth, code, exposure=1.0, noise=NOISE)
+    return lm.simulate(truth, patterns, exposure=1.0, noise=noise)
 
 
 def main(arguments: list[str] | None = None) -> None:
@@ -87,6 +103,7 @@ def main(arguments: list[str] | None = None) -> None:
         for c, _, of_c in known[:2]
     ]
     random = np.random.default_rng(0)
+    code = lm.make_patterns("graycode", shape, inverse=False)
     poses = []
     for number in range(options.poses):
         around = 2 * np.pi * number / options.poses
@@ -94,7 +111,12 @@ def main(arguments: list[str] | None = None) -> None:
         turn = Rotation.from_euler("xyz", tilt, degrees=True).as_matrix()
         middle = np.array([*random.uniform(-30, 30, 2), 900 + random.uniform(-60, 60)])
         middle[1] -= 10
-        poses.append([[capture(rigs[c][p], turn, middle) for c in (0, 1)] for p in (0, 1)])
+        poses.append(
+            [
+                [board_capture(rigs[c][p], turn, middle, code, BOARD, 2) for c in (0, 1)]
+                for p in (0, 1)
+            ]
+        )
         print(f"pose {number + 1} of {options.poses}", flush=True)
     started = time.process_time()
     measured = lm.calibrate_rig(poses, BOARD, SQUARE, units="mm")

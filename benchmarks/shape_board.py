@@ -141,7 +141,7 @@ def large_map() -> None:
             subprocess.run(command, cwd=folder, check=True, capture_output=True)
             after, seconds = os.times(), time.perf_counter() - started
             processor = sum(after[2:4]) - sum(before[2:4])
-            # Of the largest process so far.
+            # The peak of the largest process so far, in GiB.
             memory = resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss / 2**20
             print(
                 f"{line.split()[0]}, {LARGE} x {LARGE} from a store: {seconds:.1f} s, "

@@ -6,11 +6,11 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.sparse import csr_array, hstack
 from scipy.spatial.transform import Rotation
 
 import lightmatrix as lm
+from benchmarks import calibration
 from lightmatrix.simulation.simulate import SimulatedCapture
 
 BOARD, SQUARE = (7, 5), 25.0
@@ -21,8 +21,6 @@ POSES = (
     ((5, 32, 0), (10, 5, 900)),
     ((-8, -30, 15), (-10, 0, 890)),
 )
-# Grid of points in a camera pixel that are averaged.
-_FINE = 3
 
 
 def board_rig() -> lm.RigGeometry:
@@ -52,26 +50,8 @@ def board_capture(
     """8-bit photographs of the board, or of a blank sheet, under patterns."""
     angles, middle = pose
     turn = Rotation.from_euler("xyz", angles, degrees=True).as_matrix()
-    rows, cols = rig.camera_shape
-    side = (np.arange(_FINE) + 0.5) / _FINE - 0.5
-    row, col, down, across = np.meshgrid(
-        np.arange(rows), np.arange(cols), side, side, indexing="ij"
-    )
-    rays = rig.camera_rays(np.column_stack([(col + across).ravel(), (row + down).ravel()]))
-    # The plane through the middle, at right angles to the third axis of the turn.
-    centre = rig.camera_centre
-    depth = (turn[:, 2] @ (np.array(middle) - centre)) / (rays @ turn[:, 2])
-    points = centre + depth[:, None] * rays
-    place = (points - np.array(middle)) @ turn[:, :2] / SQUARE
-    light = _albedo(place, squares) / _FINE**2
-    lit = np.rint(rig.project_projector(points))
-    inside = ((lit >= 0) & (lit < rig.projector_shape[::-1])).all(axis=1)
-    column = (lit[inside, 1] * rig.projector_shape[1] + lit[inside, 0]).astype(np.int32)
-    row_of = np.repeat(np.arange(rows * cols), _FINE**2)[inside]
-    size = (rows * cols, rig.projector_shape[0] * rig.projector_shape[1])
-    matrix = csr_array((light[inside].astype(np.float32), (row_of, column)), shape=size)
-    truth = lm.Truth(matrix, matrix.data, rig.camera_shape, rig.projector_shape)
-    return lm.simulate(truth, patterns, exposure=1.0, noise=noise)
+    board = BOARD if squares else None
+    return calibration.board_capture(rig, turn, np.array(middle), patterns, board, 3, noise)
 
 
 def two_by_two() -> tuple[tuple[lm.RigGeometry, ...], ...]:
@@ -101,12 +81,3 @@ def two_projector_capture(
     truth = lm.Truth(matrix, matrix.data, rigs[0].camera_shape, size, about)
     black = lm.ImagePatterns(np.zeros((1, *size), np.float32))
     return lm.simulate(truth, black, exposure=1.0, noise=0.004)
-
-
-def _albedo(place: NDArray[np.float64], squares: bool) -> NDArray[np.float64]:
-    """Reflectance of places (n, 2) in squares from the middle: dark squares on light paper."""
-    across, down = BOARD
-    cell = np.floor(place + np.array([across + 1, down + 1]) / 2)
-    on = (cell >= 0).all(axis=1) & (cell[:, 0] <= across) & (cell[:, 1] <= down)
-    dark = on & (cell.sum(axis=1) % 2 == 0)
-    return np.where(dark & squares, 0.15, 0.8)

@@ -275,7 +275,7 @@ class RigGeometry:
             lens = distortion(getattr(self, f"{device}_distortion"), device)
             shape = getattr(self, f"{device}_shape")
             check_sides(f"an image of the {device}", shape)
-            # Where the corners of the image lie on the plane of distance 1.
+            # The corners of the image meet the plane of distance 1 here.
             ends = [(col, row, 1) for row in (0, shape[0] - 1) for col in (0, shape[1] - 1)]
             plane = (np.array(ends) @ np.linalg.inv(decomposed(matrix)[0]).T)[:, :2]
             away = np.linalg.norm(distort(plane, lens) - plane, axis=1)

@@ -223,8 +223,8 @@ class BoardPose:
 class RigCalibration:
     """A calibrated rig, and how well it explains the board."""
 
-    # Of each camera, with each projector, all in the frame of the first camera; their `rms` holds
-    # "stereo" (both images), "camera" and "projector".
+    # Each camera has a geometry with each projector, all in the frame of the first camera; their
+    # `rms` holds "stereo" (both images), "camera" and "projector".
     geometries: tuple[tuple[RigGeometry, ...], ...]
     # The poses that were used, and why others were not.
     poses: tuple[BoardPose, ...]
@@ -400,7 +400,7 @@ def calibrate_rig(
         _check_count(len(corners), left_out)
         fit = fitted()
     seen_errors, lit_errors, used = fit.seen_errors, fit.lit_errors, fit.used
-    # By camera and pose.
+    # A corner of a camera counts if the match with some projector does, (cameras, poses, n).
     counted = np.asarray(used.any(axis=1))
     rms = fit.rms()
     # Good calibrations reach 0.1 to 0.5 pixels.

@@ -176,7 +176,7 @@ FIRST_REGULARIZATION = 0.32
 # The atoms of a projector of more pixels take more than 2.5 GB, so that they are not kept: those
 # that some rows may see are made, on a sheet, when these rows are solved.
 KEPT_PIXELS = 1 << 20
-# The side of the squares of such a projector that are searched one after the other.
+# The side in pixels of the squares of it that are searched in turn, each a quarter of that limit.
 _SQUARE = 512
 
 
