@@ -58,6 +58,14 @@ def test_accuses_no_crop(scene: str, patterns: str) -> None:
         assert relation(capture.crop(corner, (12, 12))) == []
 
 
+def test_halves_that_light_different_places_are_not_compared() -> None:
+    """Single pixels of the projector row by row, whose camera pixels see few of them each."""
+    scene = np.eye(256) + 0.3 * np.eye(256, k=1) + 0.2 * np.eye(256, k=16) + 0.001
+    patterns = lm.BlockPatterns((16, 16), (1, 1))
+    frames = np.rint(200 * scene.T / scene.max()).astype(np.uint8).reshape(256, 16, 16)
+    assert relation(lm.Capture.from_arrays(patterns, frames, lm.Decoder(255, 255))) == []
+
+
 def test_noise_alone_is_no_relation_to_judge() -> None:
     frames = np.random.default_rng(0).integers(90, 110, (32, 16, 16)).astype(np.uint8)
     assert (

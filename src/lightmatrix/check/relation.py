@@ -165,7 +165,8 @@ class Relation:
     (m, K). `features` are the cosines of the patterns through several blurs and in several parts of
     the projector, (F, K, K); `shown` some pixels of the patterns at each blur, (F', n, K),
     standardised. `patterns` are all, and `pixels` is the number of the projector's pixels once
-    binned. `contrasted` tells whether the usual camera pixel varies by far more than noise.
+    binned. `contrasted` tells whether the usual camera pixel varies by far more than noise, and
+    `overlap` how much of the light of either half of the frames the other one has, too.
     """
 
     patterns: PatternSet
@@ -174,6 +175,7 @@ class Relation:
     shown: tuple[Floats, ...]
     pixels: int
     contrasted: bool
+    overlap: float
     # The frames of each exposure, which are standardised by themselves; or none.
     groups: list[NDArray[np.int64]]
     first: int = 0
@@ -211,13 +213,16 @@ class Relation:
         for group in groups:
             values[:, group] = _standardised(values[:, group])
         samples = _standardised(values)
-        features, shown = _pattern_cosines(_binned(survey.patterns, frames, step))
+        images = _binned(survey.patterns, frames, step)
+        halves = [part.mean(axis=0) for part in np.array_split(images, 2)]
+        overlap = float(np.minimum(*halves).sum() / max(float(np.maximum(*halves).sum()), 1e-9))
+        features, shown = _pattern_cosines(images)
         if step > 1:
             # Camera pixels that see single projector pixels follow little of what bins show.
             features = np.concatenate([features, _sharp_cosines(survey.patterns, frames)])
         contrasted = bool(np.median(span - least) > 0)
         patterns = survey.patterns
-        return cls(patterns, samples, features, shown, pixels, contrasted, groups, first)
+        return cls(patterns, samples, features, shown, pixels, contrasted, overlap, groups, first)
 
     @cached_property
     def frames(self) -> NDArray[np.int64]:
@@ -241,29 +246,45 @@ class Relation:
         Frame k shows pattern `order[k]`, or none if that is out of range.
         """
         known = np.flatnonzero((order >= 0) & (order < len(self.frames)))
+        # Of frames that show the same pattern, the first counts.
+        shown, first = np.unique(order[known], return_index=True)
+        known = known[first]
         if len(known) < _LIMITS.frames - 1:
             return 0.0
         mean, deviation = self._chance
         # Fewer pairs of frames correlate more by chance.
         more = len(self.frames) / len(known)
-        return (self._matches(known, order[known]).max() - mean * more) / (deviation * more)
+        return (self._matches(known, shown).max() - mean * more) / (deviation * more)
 
-    def _matches(self, known: NDArray[np.int64], shown: NDArray[np.int64]) -> NDArray[np.float64]:
+    def _matches(self, known: NDArray[np.int64], shown: NDArray[np.int64]) -> Floats:
         """The correlations of the cosines of some frames with those of the patterns, (F, 2)."""
-        upper = np.triu_indices(len(known), 1)
-        if len(np.unique(shown)) == len(self.frames):
-            # The frames change places and not the patterns, of which there are more cosines.
-            known, features = np.argsort(shown), self._all_features
-        else:
-            features = _compared(self.features[:, shown[upper[0]], shown[upper[1]]])
-        own = np.stack([each[upper] for each in _cosines_of(self.cosines[np.ix_(known, known)])])
-        return np.asarray(features @ _compared(own).T)
+        own, theirs, squares = self._limited
+        placed = np.zeros((3, *own.shape[1:]), np.float32)
+        placed[:2, shown[:, None], shown] = own[:, known[:, None], known]
+        placed[2, shown[:, None], shown] = 1
+        np.fill_diagonal(placed[2], 0)
+        frames, weight = placed[:2].reshape(2, -1), placed[2].ravel() / placed[2].sum()
+        spread = np.sqrt(np.maximum(frames**2 @ weight - (frames @ weight) ** 2, 0))
+        mean = theirs @ weight
+        products = theirs @ (frames * weight).T - np.outer(mean, frames @ weight)
+        lengths = np.outer(np.sqrt(np.maximum(squares @ weight - mean**2, 0)), spread)
+        # Cosines that hardly differ, of which rounding is left, match nothing.
+        return np.asarray(np.where(lengths > 1e-7, products / np.maximum(lengths, 1e-7), 0))
 
     @cached_property
-    def _all_features(self) -> NDArray[np.float64]:
-        """The cosines of all pairs of patterns, of mean 0 and length 1, (F, pairs)."""
-        upper = np.triu_indices(len(self.frames), 1)
-        return _compared(self.features[:, upper[0], upper[1]])
+    def _limited(self) -> tuple[Floats, Floats, Floats]:
+        """The cosines of the frames, (2, K, K), those of the patterns, (F, K * K), and squared.
+
+        They are differences from the mean of all pairs. None counts too much, a frame's own is 0.
+        """
+        off = ~np.eye(len(self.frames), dtype=bool)
+        own, theirs = np.stack(_cosines_of(self.cosines)), self.features.copy()
+        for each in (own, theirs):
+            pairs = each[:, off].clip(*_limits(each[:, off]))
+            each[:] = 0
+            each[:, off] = pairs - pairs.mean(axis=1, keepdims=True)
+        theirs = theirs.reshape(len(theirs), -1)
+        return own, theirs, theirs**2
 
     @cached_property
     def _chance(self) -> tuple[float, float]:
@@ -345,8 +366,9 @@ class Relation:
     def parted(self) -> bool:
         """Whether each half of the frames follows its patterns, but not beside the other half."""
         late = self.frames >= self.patterns.count // 2
-        # At most 256 frames are compared: beyond 496 frames, too few lie in the later half.
-        if late.sum() < 8:
+        # At most 256 frames are compared: beyond 496 frames, too few lie in the later half. Halves
+        # that light different places, such as single pixels row by row, have little in common.
+        if late.sum() < 8 or self.overlap < 0.5:
             return False
         same = late[:, None] == late
         # A camera pixel that sees another place from there on has another brightness.
@@ -357,8 +379,9 @@ class Relation:
         plain = np.abs(self.features[0][upper]) < 0.5
         if not plain.any():
             return False
+        theirs = self._limited[1].reshape(self.features.shape)[:, *upper]
         within, across = (
-            _normalised(self._all_features[:, part]) @ _compared(own[:, part]).T
+            _normalised(theirs[:, part]) @ _normalised(own[:, part].clip(*_limits(own[:, part]))).T
             for part in (plain & same[upper], plain & ~same[upper])
         )
         # Pairs of different patterns are nearly independent.
@@ -514,12 +537,12 @@ def _normalised(values: NDArray[np.floating]) -> NDArray[np.float64]:
     return np.asarray(centred / np.maximum(length, 1e-9))
 
 
-def _compared(cosines: NDArray[np.floating]) -> NDArray[np.float64]:
-    """Cosines along the last axis, of mean 0 and length 1, in which no pair counts too much.
+def _limits(pairs: Floats) -> tuple[Floats, Floats]:
+    """Lowest and highest cosine along the last axis between which no pair counts too much.
 
     Two photographs of one pattern, by mistake, are more alike than any others are.
     """
-    middle = np.median(cosines, axis=-1, keepdims=True)
-    usual = np.median(np.abs(cosines - middle), axis=-1, keepdims=True)
-    most = 6 * np.maximum(usual, 0.1 * cosines.std(axis=-1, keepdims=True))
-    return _normalised(np.clip(cosines, middle - most, middle + most))
+    middle = np.median(pairs, axis=-1, keepdims=True)
+    usual = np.median(np.abs(pairs - middle), axis=-1, keepdims=True)
+    most = 6 * np.maximum(usual, 0.1 * pairs.std(axis=-1, keepdims=True))
+    return middle - most, middle + most

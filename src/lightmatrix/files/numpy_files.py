@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import zipfile
 from pathlib import Path
+from threading import Lock
 from typing import Any
 
 import numpy as np
@@ -14,10 +15,15 @@ from lightmatrix.errors import InputError
 from lightmatrix.files.reading import regular_file
 from lightmatrix.resources.memory import check_memory
 
+# NumPy parses headers as Python literals, which two threads must not do at once: until 3.11.7,
+# Python may raise a SystemError then, where its garbage collector calls Python code (gh-106905).
+_HEADERS = Lock()
+
 
 def map_npy(path: str | Path) -> NDArray[Any]:
     """The array of an npy file, of which only what is used is read; ValueError if it is damaged."""
-    mapped: NDArray[Any] = np.lib.format.open_memmap(regular_file(path), mode="r")
+    with _HEADERS:
+        mapped: NDArray[Any] = np.lib.format.open_memmap(regular_file(path), mode="r")
     return mapped
 
 
@@ -35,7 +41,7 @@ def read_npz(path: str | Path) -> dict[str, NDArray[Any]]:
         with zipfile.ZipFile(file) as archive:
             size = sum(member.file_size for member in archive.infolist())
             check_memory(file, size)
-        with np.load(file, allow_pickle=False) as opened:
+        with _HEADERS, np.load(file, allow_pickle=False) as opened:
             arrays = dict(opened)
         # NumPy returns the bytes of members that are no arrays.
         if other := [name for name, values in arrays.items() if isinstance(values, bytes)]:
