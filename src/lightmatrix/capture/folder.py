@@ -42,7 +42,6 @@ from lightmatrix.capture.settings import (
     read_description,
 )
 from lightmatrix.errors import InputError, warn
-from lightmatrix.files.colours import instead_of
 from lightmatrix.files.images import JPEG, READABLE, fill_image, is_grey, likely_white, read_image
 from lightmatrix.files.kinds import CAPTURE, read_object
 from lightmatrix.files.reading import errors_naming
@@ -80,10 +79,6 @@ def read_capture(
     if described:
         description = read_description(file, allow_outside=allow_outside)
     else:
-        for entry in sorted(place.iterdir()):
-            if entry.name.casefold() == NAME:
-                hint = f"rename it to {NAME}"
-                raise InputError(f"{entry}: is not read under this name", hint=hint)
         description = Description()
     settings = _with_files_beside(place, description, described)
     shown = read_patterns(pattern_images)
@@ -279,9 +274,11 @@ def _find_images(place: Path, name: str) -> Path:
         or (name == "images" and entry.name == PACKED)
     ]
     if not sources:
-        hint = "give a folder with patterns/ and images/ (or a stack of each, such as images.tif), "
-        hint = instead_of(place, f"{hint}or patterns and images by themselves")
-        raise InputError(f"{place}: has no folder {name}/", hint=hint)
+        raise InputError(
+            f"{place}: has no folder {name}/",
+            hint="give a folder with patterns/ and images/ (or a stack of each, such as "
+            "images.tif), or patterns and images by themselves",
+        )
     if len(sources) > 1:
         hint = "keep the one that is meant"
         raise InputError(f"{place}: holds {sources[0].name} and {sources[1].name}", hint=hint)
@@ -493,10 +490,9 @@ def read_mask(mask: str | Path | None, shape: tuple[int, ...]) -> NDArray[np.boo
 def read_white_frame(path: str | Path, settings: ReadSettings) -> Samples:
     """The M samples of a photograph that do not clip without light, (M, 1), at exposure 1."""
     file = as_path(path)
-    if not file.exists() or file.is_dir():
-        problem = "is a folder" if file.is_dir() else "no such file"
+    if not file.is_file():
         hint = "give a photograph of a white pattern, a scene, or a T.npz"
-        raise InputError(f"{file}: {problem}", hint=hint)
+        raise InputError(f"{file}: no such file", hint=hint)
     stack = ImageStack.open([file])
     decoder = make_decoder(stack, replace(settings, response=settings.response or Response()))
     check_depth(stack, decoder)
