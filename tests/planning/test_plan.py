@@ -274,7 +274,7 @@ def test_dark_and_clipped_white_frames_are_refused(
     ("words", "message"),
     [
         ("nowhere.png", "no such file"),
-        (".", "no such file"),
+        (".", "is a folder"),
         ("nowhere.npz", "nowhere.npz"),
         ("l_objects --size 0", "0"),
         ("l_objects --black 3", "black with a scene"),

@@ -490,7 +490,7 @@ def read_mask(mask: str | Path | None, shape: tuple[int, ...]) -> NDArray[np.boo
 def read_white_frame(path: str | Path, settings: ReadSettings) -> Samples:
     """The M samples of a photograph that do not clip without light, (M, 1), at exposure 1."""
     file = as_path(path)
-    if not file.is_file():
+    if not file.exists():
         hint = "give a photograph of a white pattern, a scene, or a T.npz"
         raise InputError(f"{file}: no such file", hint=hint)
     stack = ImageStack.open([file])
