@@ -12,7 +12,15 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
 from lightmatrix.solvers.fidelity import Fidelity
-from lightmatrix.solvers.problem import Problem, Result, Status, no_rows, objective, solved_rows
+from lightmatrix.solvers.problem import (
+    Floats,
+    Problem,
+    Result,
+    Status,
+    no_rows,
+    objective,
+    solved_rows,
+)
 from lightmatrix.transport.sparse_rows import SparseRows
 
 Progress = Callable[[int, int], None]
@@ -92,6 +100,10 @@ class IterativeSolver(ABC):
     def solution(self, problem: Problem, state: Any) -> tuple[NDArray[Any], NDArray[Any]]:
         """Coefficients (M, N), mostly exact zeros, and background (M,)."""
 
+    def penalty(self, problem: Problem, coefficients: csr_array) -> Floats | None:
+        """The penalty of each row, (M,), in place of the l1 norm."""
+        return None
+
     def solve(self, problem: Problem, progress: Progress | None = None) -> Result:
         """Solve all rows; `progress` is called with (finished, all) rows."""
         finished = _Finished(problem, self)
@@ -158,7 +170,9 @@ class _Finished:
         background = np.where(np.isfinite(background), background, 0)
         part = solved_rows(
             x, background, iterations=np.full(len(rows), iteration, np.int32), converged=converged,
-            objective=objective(problem, x, background, self.solver.fidelity),
+            objective=objective(
+                problem, x, background, self.solver.fidelity, self.solver.penalty(problem, x)
+            ),
         )  # fmt: skip
         self.order.append(rows)
         self.parts.append(part)

@@ -229,12 +229,17 @@ def predictions(problem: Problem, coefficients: csr_array, background: NDArray[A
 
 
 def objective(
-    problem: Problem, coefficients: csr_array, background: NDArray[Any], fidelity: Fidelity | str
+    problem: Problem,
+    coefficients: csr_array,
+    background: NDArray[Any],
+    fidelity: Fidelity | str,
+    penalty: Floats | None = None,
 ) -> Floats:
-    """The problem's objective for each row, (M,) float64."""
+    """The objective for each row, (M,) float64, with the problem's l1 norm or another penalty."""
     u = predictions(problem, coefficients, background)
     term, observed = Fidelity(fidelity).term, problem.observed.astype(np.float64)
-    return _norm(problem, coefficients) + _data_term(observed, u, term)
+    penalty = _norm(problem, coefficients) if penalty is None else penalty
+    return penalty + _data_term(observed, u, term)
 
 
 def _chunks(problem: Problem) -> Iterator[slice]:
