@@ -120,8 +120,8 @@ def test_a_board_and_a_scene_calibrate_diamonds(
     ones = np.ones((180, 240), np.float32)
     matches = lm.Correspondence(pixel, place.astype(np.float32), ones, projector_shape=SHAPE)
     given = rig.camera_intrinsics
-    lens = {"camera_distortion": rig.camera_distortion, "baseline": rig.baseline}
-    own = lm.self_calibrate(matches, given, stagger=0.5, **lens)
+    bent = rig.camera_distortion
+    own = lm.self_calibrate(matches, given, stagger=0.5, camera_distortion=bent)
     assert own.projector_intrinsics[1, 1] == pytest.approx(2 * own.projector_intrinsics[0, 0])
     assert own.projector_intrinsics[0, 0] == pytest.approx(here[0, 0], rel=0.05)
     wrong = main(["calibrate", "x", "--board", "9x7", "--square", "24mm", "--principal", "3,4"])

@@ -190,7 +190,7 @@ def on_diamonds(source: Correspondence, stagger: float) -> Correspondence:
     steps = np.abs(np.diff(source.place[..., 0], axis=0))
     known = steps[np.isfinite(steps)]
     height = 1.0 if known.size and np.median(known) < 1 else 2.0
-    place = staggered(source.place[..., ::-1], stagger, height)[..., ::-1]
+    place = staggered(source.place[..., ::-1].astype(np.float64), stagger, height)[..., ::-1]
     return replace(source, place=place.astype(np.float32)) if stagger else source
 
 
