@@ -511,8 +511,8 @@ def _mirror() -> Scene:
     return Scene("mirror", "a statue beside a dusty mirror that shows it", parts, 6)
 
 
-# Two projectors, left and right, each of which lights 44 % of what the other lights in a corner; the
-# second one hangs upside down. The second camera sees the scene from the side.
+# Two projectors, left and right. In a corner each lights 44 % of what the other does. The second
+# hangs upside down. The second camera sees the scene from the side.
 _LEFT = View((-1.1, 0.2, 4.0), target=(-0.45, 0.0, 0.0), roll=4.0, width=1.35)
 _RIGHT = View((0.9, -0.1, 3.6), target=(0.45, 0.0, 0.0), roll=175.0, width=1.35)
 _FRONT = View((-0.2, -0.3, 4.0), target=(0.0, 0.0, 0.0), width=2.3)
