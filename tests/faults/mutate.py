@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 Generator = np.random.Generator
 # A damage says in words what it did.
@@ -119,71 +118,3 @@ def _places(content: Any) -> Any:
         yield content, key
         if isinstance(value, (dict, list)):
             yield from _places(value)
-
-
-# ---- arrays
-
-_TYPES = ("f8", "f4", "f2", "i8", "i4", "i2", "u1", "u8", "?", "c8", "U3", "S2", ">f4", ">i8")
-
-
-def change_array(draw: Generator, values: NDArray[Any]) -> tuple[NDArray[Any], str]:
-    """An array with another type, another shape, or odd numbers in it."""
-    how = int(draw.integers(8))
-    if how == 0:
-        kind = _TYPES[int(draw.integers(len(_TYPES)))]
-        try:
-            with np.errstate(all="ignore"):
-                return values.astype(kind), f"of type {kind}"
-        except (ValueError, TypeError):
-            return values, "as it was"
-    if how == 1:
-        shapes: list[tuple[int, ...]] = [(), (-1, 1), (1, -1), (-1,), (1, 1, -1)]
-        shape = shapes[int(draw.integers(len(shapes)))]
-        shaped = (
-            values.ravel()[0].reshape(())
-            if shape == () and values.size
-            else values.reshape(shape or -1)
-        )
-        return np.asarray(shaped), f"of shape {shaped.shape}"
-    if how == 2 and values.ndim:
-        size = int(draw.integers(0, len(values) + 1))
-        return values[:size], f"cut to {size}"
-    if how == 3 and values.ndim:
-        return np.concatenate([values, values[-1:]]), "with its last item twice"
-    if how == 4:
-        return values.ravel()[::-1].reshape(values.shape).copy(), "turned round"
-    if values.dtype.kind not in "fiu" or not values.size:
-        return values, "as it was"
-    changed = values.copy()
-    odd: tuple[Any, ...] = (np.nan, np.inf, -np.inf, -1, 1e30, 0)
-    if values.dtype.kind in "iu":
-        top = np.iinfo(values.dtype)
-        odd = (-1 if top.min else top.max, 0, top.max, top.min, int(values.max()) + 1, 64)
-    value = odd[int(draw.integers(len(odd)))]
-    at = int(draw.integers(values.size))
-    with np.errstate(all="ignore"):
-        changed.ravel()[at] = value
-    return changed, f"with {value} at {at}"
-
-
-def change_archive(draw: Generator, file: Path) -> str:
-    """One array of an npz file changed, lost, renamed or exchanged."""
-    with np.load(file, allow_pickle=False) as held:
-        content: dict[str, Any] = {key: held[key] for key in held.files}
-    keys = list(content)
-    key = keys[int(draw.integers(len(keys)))]
-    how = int(draw.integers(10))
-    if how == 0:
-        del content[key]
-        words = "lost"
-    elif how == 1:
-        content[f"{key}s"] = content.pop(key)
-        words = "renamed"
-    elif how == 2:
-        other = keys[int(draw.integers(len(keys)))]
-        content[key] = content[other]
-        words = f"as {other}"
-    else:
-        content[key], words = change_array(draw, content[key])
-    np.savez(file, **content)
-    return f"{key} {words}"

@@ -17,7 +17,6 @@ from typing import Any
 import numpy as np
 import pytest
 import tifffile
-import zarr
 from scipy import sparse
 
 from lightmatrix.files.images import encode_image
@@ -29,12 +28,9 @@ from .mutate import (
     FILES,
     Damage,
     Generator,
-    change_archive,
-    change_array,
     change_json,
     flip_bit,
 )
-from .put import rewrite
 from .run import Limits, Ran, SkipError, run
 from .test_partial import PARTIAL, interrupted
 from .work import TILED, fresh_copy
@@ -155,17 +151,8 @@ def _same_picture(folder: Path, words: str) -> str | None:
 def _store(draw: Generator, folder: Path) -> str:
     place = folder / "scene.zarr"
     shutil.copytree(place, folder / "sound.zarr")
-    how = int(draw.integers(10))
-    if how < 4:
-        name = _pick(draw, ("data", "indices", "indptr", "background", "diagnostics/gap"))
-        held = zarr.open_group(place, mode="r", use_consolidated=False)[name]
-        assert isinstance(held, zarr.Array)
-        values, words = change_array(draw, np.asarray(held[...]))
-        if values.dtype.kind in "US":
-            return f"{name} as it was"
-        rewrite(place, name, values)
-        return f"{name} {words}"
-    if how < 7:
+    # tests/transport/test_untrusted_matrices.py has arrays that are stored well and are wrong.
+    if draw.random() < 0.5:
         file = _pick(draw, [place / "zarr.json", *place.rglob("zarr.json")])
         return f"{file.relative_to(folder)}: {change_json(draw, file)}"
     return _any_file(draw, place)
@@ -187,10 +174,7 @@ def _same_store(folder: Path, words: str) -> str | None:
 
 
 def _archive(draw: Generator, folder: Path) -> str:
-    file = folder / "T.npz"
-    if draw.random() < 0.6:
-        return change_archive(draw, file)
-    return f"T.npz: {BYTES[int(draw.integers(len(BYTES)))](draw, file)}"
+    return f"T.npz: {BYTES[int(draw.integers(len(BYTES)))](draw, folder / 'T.npz')}"
 
 
 # ---- partial runs
@@ -200,8 +184,6 @@ def _partial(draw: Generator, folder: Path) -> str:
     place = folder / PARTIAL
     interrupted(folder)
     file = _pick(draw, [f for f in place.iterdir() if f.is_file()])
-    if file.suffix == ".npz" and draw.random() < 0.5:
-        return f"{file.name}: {change_archive(draw, file)}"
     if file.suffix == ".json" and draw.random() < 0.5:
         return f"{file.name}: {change_json(draw, file)}"
     return _any_file(draw, place)

@@ -12,12 +12,9 @@ import pytest
 from .case import Case, Prepare, bear
 from .checks import prints
 from .put import (
-    DEEP,
     attribute,
     both,
     copy,
-    cut,
-    flip,
     folder_at,
     json_edit,
     link,
@@ -86,15 +83,10 @@ def _parts() -> list[Case]:
 
 
 def _header() -> list[Case]:
-    unknown = _bad(json_edit(INNER, lambda held: held.update(codecs=[{"name": "of-the-future"}])))
+    """tests/transport/test_untrusted_matrices.py damages headers and chunks of all kinds."""
     faults: dict[str, Prepare] = {
-        "zarr.json nested 100,000 deep": _bad(text(HEADER, DEEP)),
-        "zarr.json of null": _bad(text(HEADER, "null")),
-        "an array with an unknown codec": unknown,
-        "zarr.json is a pipe": _bad(pipe(HEADER)),
         "zarr.json is a folder": _bad(folder_at(HEADER)),
         "zarr.json is missing": _bad(remove(HEADER)),
-        "an array's zarr.json is a pipe": _bad(pipe(INNER)),
         "an array is missing": _bad(remove("bad.zarr/indices")),
         "a store that is a pipe": pipe("bad.zarr"),
         "a store that is a file": text("bad.zarr"),
@@ -114,35 +106,8 @@ def _chunk_of(folder: Path, array: str) -> str:
     return str(next(f for f in files if f.name != "zarr.json").relative_to(folder))
 
 
-def _chunks() -> list[Case]:
-    damages: dict[str, Any] = {
-        "flipped": lambda name: flip(name, 0.5, 3),
-        "empty": lambda name: cut(name, 0),
-        "of noise": lambda name: text(name, bytes(range(256))),
-        "a pipe": pipe,
-    }
-
-    def at_chunk(array: str, put: Any) -> Prepare:
-        return _bad(lambda folder: put(_chunk_of(folder, array))(folder))
-
-    return [
-        Case(f"a chunk of {array} {words}", INFO, "bad.zarr", at_chunk(array, put))
-        for array, words, put in (("data", *each) for each in damages.items())
-    ]
-
-
 def _foreign_parts() -> list[Case]:
     """Parts that are sound in themselves but were not written together."""
-
-    def of_another(folder: Path, what: str) -> None:
-        _bad(stored("bad.zarr", "data", lambda held: 2 * held))(folder)
-        if what == "chunk":
-            what = _chunk_of(folder, "data")
-        shutil.move(folder / what, folder / "other")
-        shutil.rmtree(folder / "bad.zarr")
-        both(_bad(remove(what)), lambda folder: shutil.move(folder / "other", folder / what))(
-            folder
-        )
 
     def indices_over_data(folder: Path) -> None:
         _bad()(folder)
@@ -155,11 +120,6 @@ def _foreign_parts() -> list[Case]:
     as_integers = json_edit(INNER, lambda held: held.update(data_type="uint32"))
     unsealed = json_edit(HEADER, lambda held: held["attributes"].pop("digest"))
     faults: dict[str, tuple[Prepare, tuple[str, ...]]] = {
-        "a chunk of another store": (lambda f: of_another(f, "chunk"), ("bad.zarr", "data/c/0")),
-        "an array of another store": (
-            lambda f: of_another(f, "bad.zarr/data"),
-            ("bad.zarr", "data/c/0"),
-        ),
         "the indices as data": (indices_over_data, ("bad.zarr", "data/c/0")),
         "data read as whole numbers": (_bad(as_integers), ("bad.zarr", "together")),
         "a camera of another shape": (_bad(json_edit(HEADER, turned)), ("bad.zarr",)),
@@ -191,7 +151,6 @@ def _old_format(folder: Path) -> None:
 CASES = [
     *_parts(),
     *_header(),
-    *_chunks(),
     *_foreign_parts(),
     Case("a store of format 2 beside the third", INFO, (), _old_format, code=(0, 2)),
     Case("a store of format 2 with pickles", INFO, "bad.zarr", both(_old_format, remove(HEADER))),

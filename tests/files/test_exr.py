@@ -73,7 +73,7 @@ def broken(how: str, file: Path) -> None:
     [
         ("cut", "damaged or truncated"),
         ("nan", r"the value at \(3, 4, 1\) is nan"),
-        ("integers", "values of uint32"),
+        ("integers", "channels of several kinds"),
         ("layers", r"has the channels left\.G, left\.R"),
         ("window", "only a part of its picture"),
         ("see-through", "partly transparent"),

@@ -130,8 +130,8 @@ def test_the_page_has_its_sections_and_numbers(written: Path, estimate: lm.Light
         "duality gap (largest)", "Estimated error per camera pixel", "Prediction minus photograph",
         "Projector row", "Projector column", "Confidence", "Footprint size", "Background",
         "Dual image", "Row of camera pixel", "Column of projector pixel", "The truth",
-        "Error against the truth", "Direct light", "Global light", "Without compensation",
-        "Compensated", "Recommendations", "pattern digest",
+        "Error against the truth", "Direct light", "Global light", "Recommendations",
+        "pattern digest",
         str(estimate.provenance["pattern_digest"]), "versions: numpy",
     ):  # fmt: skip
         assert phrase in words, phrase
@@ -154,9 +154,8 @@ def test_uses_of_large_and_of_dark_matrices_are_a_sentence(
     assert {element.kind for element in uses.uses(facts).elements} == {"text", "gallery"}
     dark = replace(estimate, sparse=0 * estimate.sparse, background=0 * estimate.background)
     texts = uses.uses(replace(facts, transport=dark)).elements
-    assert [element.kind for element in texts] == ["text", "text"]
+    assert [element.kind for element in texts] == ["text"]
     assert "cannot be separated: 0 of 480 camera pixels" in getattr(texts[0], "text", "")
-    assert "lights no camera pixel" in getattr(texts[1], "text", "")
     monkeypatch.setattr(uses, "_MOST_SAMPLES", 479)
     (only,) = uses.uses(facts).elements
     assert "lightmatrix separate" in getattr(only, "text", "")
@@ -344,9 +343,6 @@ def test_each_problem_has_a_recommendation(
     bounded = {**estimate.diagnostics, "only_bounded": np.ones(rows)}
     bright = replace(estimate, sparse=estimate.sparse * 3, diagnostics=bounded)
     assert "single projector pixel" in advice(bright)
-    stopped = {**estimate.diagnostics, "converged": np.arange(rows) % 2 == 0}
-    stopped_advice = advice(replace(estimate, diagnostics=stopped))
-    assert "50 % of the rows reached the iteration limit" in stopped_advice
     often = {"clipped_share": np.full(rows, 0.9, np.float32)}
     assert "more than half of their samples" in advice(replace(estimate, diagnostics=often))
     dim = lm.simulate(capture.truth, capture.patterns, exposure=0.05)
@@ -355,9 +351,7 @@ def test_each_problem_has_a_recommendation(
     assert isinstance(tested, report_facts.Validation)
     inaccurate = advice(estimate, validation=replace(tested, error=0.5))
     assert "unseen photographs: 50 %" in inaccurate
-    assert "(80)" in inaccurate
-    wide = {**estimate.diagnostics, "footprint": np.full(rows, 40, np.float32)}
-    assert "Footprints cover 40" in advice(replace(estimate, diagnostics=wide))
+    assert "(80 instead of 40)" in inaccurate
     diffuse = replace(estimate, background=100 * np.maximum(estimate.background, 0.01))
     assert "is in the faint background" in advice(diffuse)
 

@@ -106,19 +106,6 @@ def test_a_camera_in_use(picture: Picture, monkeypatch: pytest.MonkeyPatch) -> N
         open_camera("dslr")
 
 
-def test_a_full_memory_is_named(picture: Picture) -> None:
-    camera = open_camera("dslr")
-    with pytest.raises(DeviceError, match="its memory is full"):
-        _fill(camera)
-    camera.close()
-
-
-def _fill(camera: Camera) -> None:
-    # The virtual one has room for about fifty.
-    for _ in range(200):
-        camera.trigger()
-
-
 def test_files_that_are_no_photographs(picture: Picture) -> None:
     camera = open_dslr(Address("dslr"))
     with pytest.raises(DeviceError, match=r"\.mov files, which are not read"):

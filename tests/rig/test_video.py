@@ -91,7 +91,7 @@ def _take(camera: Camera, count: int) -> None:
 @pytest.mark.parametrize(
     ("address", "kind", "words"),
     [
-        ("video:/dev/video99,exposure=1", DeviceError, "no such device"),
+        ("video:/dev/video99,exposure=1", DeviceError, "cannot be opened.*video99"),
         ("video::99,format=x11grab,exposure=1", DeviceError, "cannot be opened"),
         ("video:/dev/video0,format=nonsense,exposure=1", DeviceError, "cannot be opened.*nonsense"),
         ("video:/dev/video0", InputError, "how long its frames are exposed"),
@@ -102,15 +102,3 @@ def _take(camera: Camera, count: int) -> None:
 def test_what_cannot_be_opened(address: str, kind: type[Exception], words: str) -> None:
     with pytest.raises(kind, match=words):
         open_camera(address)
-
-
-@pytest.mark.parametrize(
-    ("number", "words"), [(errno.EBUSY, "another program"), (errno.EACCES, "no permission")]
-)
-def test_devices_that_others_have(number: int, words: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    def refuse(*_: object, **__: object) -> None:
-        raise OSError(number, "refused")
-
-    monkeypatch.setattr(av, "open", refuse)
-    with pytest.raises(DeviceError, match=words):
-        open_camera("video:/dev/video0,exposure=1")

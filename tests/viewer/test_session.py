@@ -21,7 +21,6 @@ from lightmatrix.simulation.truth import binned
 from lightmatrix.transport import store as stores
 from lightmatrix.viewer import lights, packed, session
 from lightmatrix.viewer.layers import LayerSource
-from lightmatrix.viewer.lights import CoarseLight
 from lightmatrix.viewer.scene import Scene
 from lightmatrix.viewer.session import Kind, MessageError
 from tests.viewer import hostile, running
@@ -58,22 +57,7 @@ class Window:
     def receive(self, part: bytes) -> None:
         header, values = unpack(part)
         self.parts.append(header)
-        if header["kind"] == "coarse":
-            coarse = np.repeat(
-                np.repeat(
-                    values.reshape(
-                        -(-self.image.shape[0] // header["block"]),
-                        -(-self.image.shape[1] // header["block"]),
-                        self.image.shape[2],
-                    ),
-                    header["block"],
-                    axis=0,
-                ),
-                header["block"],
-                axis=1,
-            )
-            self.image += coarse[: self.image.shape[0], : self.image.shape[1]]
-        elif header["kind"] == "samples":
+        if header["kind"] == "samples":
             place = header["arrays"]["samples"]
             start = 12 + int.from_bytes(part[8:12], "little") + place["offset"]
             samples = np.frombuffer(part[start : start + 4 * place["count"]], np.uint32)
@@ -119,9 +103,6 @@ def _small_parts(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(lights, "_BLOCK_ENTRIES", 500)
     monkeypatch.setattr(lights, "_GROUP_ROWS", 16)
     monkeypatch.setattr(stores, "_BLOCK_ENTRIES", 500)
-    monkeypatch.setattr("lightmatrix.viewer.lights._SQUARES", 7)
-    monkeypatch.setattr("lightmatrix.viewer.lights._CELLS", 5)
-    monkeypatch.setattr("lightmatrix.viewer.lights._PART", 300)
 
 
 @pytest.fixture(scope="module", params=["grey", "colour"])
@@ -193,23 +174,6 @@ def test_a_stroke_within_a_pattern_that_is_still_relit(
     assert_shown(window, transport)
 
 
-def test_coarse_comes_first(scene: Scene, transport: lm.LightTransport) -> None:
-    window = Window(scene)
-    assert scene._coarse_maker is not None
-    scene._coarse_maker.join()
-    window.paint(0, 0, np.full((16, 18), 128, np.uint8), finish=False)
-    assert window.parts[0]["kind"] == "coarse"
-    expected = transport.relight(window.levels / 255).reshape(window.image.shape)
-    # A constant pattern gets exactly the means of its light.
-    assert window.image.mean() == pytest.approx(expected.mean(), rel=0.02)
-    block = window.parts[0]["block"]
-    assert block == 4
-    first = expected[:block, :block].mean(axis=(0, 1))
-    assert window.image[0, 0] == pytest.approx(first, rel=2e-3)
-    window.paint(0, 0, np.full((16, 18), 128, np.uint8))
-    assert_shown(window, transport)
-
-
 def test_only_what_changed_is_sent() -> None:
     """One lit pixel, which lights one camera pixel."""
     pixel = np.arange(16 * 18)
@@ -264,22 +228,6 @@ def test_the_white_level_is_estimated(scene: Scene, transport: lm.LightTransport
     assert scene._white == pytest.approx(np.quantile(white, 0.995), rel=0.2)
 
 
-def test_coarse_light_of_odd_sizes(transport: lm.LightTransport) -> None:
-    coarse = CoarseLight(lights.MemoryLight(transport))
-    pattern = np.random.default_rng(0).uniform(0, 1, (16, 18)).astype(np.float32)
-    image = coarse.image(pattern.ravel())
-    expected = transport.relight(pattern).reshape(24, 20, -1)
-    means = np.stack(
-        [
-            expected[4 * i : 4 * i + 4, 4 * j : 4 * j + 4].mean((0, 1))
-            for i in range(6)
-            for j in range(5)
-        ]
-    )
-    found = image.reshape(means.shape)
-    assert np.linalg.norm(found - means) < 0.1 * np.linalg.norm(means)
-
-
 def test_what_the_page_would_not_send_is_refused(scene: Scene) -> None:
     window = Window(scene)
     for message in hostile.nonsense((24, 20), (16, 18)):
@@ -298,12 +246,7 @@ def test_a_matrix_that_the_page_has_takes_no_messages(transport: lm.LightTranspo
             scene.session().answer(struct.pack("<4I", kind, 1, 2, 3))
 
 
-def test_a_store_that_changes_is_told(
-    transport: lm.LightTransport, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    # The thread that makes the coarse matrix reads all rows. If it is done before the store is
-    # replaced, painting goes on from memory, and nothing has to be told.
-    monkeypatch.setattr(Scene, "_make_coarse", lambda scene: None)
+def test_a_store_that_changes_is_told(transport: lm.LightTransport, tmp_path: Path) -> None:
     lm.save(tmp_path / "scene.zarr", transport)
     window = Window(Scene(tmp_path / "scene.zarr", page_bytes=0))
     window.paint(0, 0, np.full((2, 2), 255, np.uint8))

@@ -231,16 +231,10 @@ def _read_curve(file: Path) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         table = np.column_stack([np.arange(len(table)), table[:, 0]])
     levels, light = table[:, 0], table[:, -1]
     increasing = len(table) > 1 and (np.diff(levels) > 0).all() and (np.diff(light) >= 0).all()
-    positive = levels[-1] > 0 and light[-1] > 0
+    positive = 0 <= levels[0] < levels[-1] <= MOST_LEVEL and 0 <= light[0] < light[-1] <= 1e30
     if table.shape[1] != 2 or not np.isfinite(table).all() or not (increasing and positive):
         raise InputError(
-            f"{file}: {table.shape[0]} x {table.shape[1]} numbers that do not increase",
+            f"{file}: {table.shape[0]} x {table.shape[1]} numbers that do not increase from 0 on",
             hint="write two columns, level and light, from dark to bright",
-        )
-    if levels[0] < 0 or levels[-1] > MOST_LEVEL or light[0] < 0 or light[-1] > 1e30:
-        raise InputError(
-            f"{file}: a response curve from level {levels[0]:g} to {levels[-1]:g} and light "
-            f"{light[0]:g} to {light[-1]:g}",
-            hint=f"give levels from 0 to {MOST_LEVEL:g} and light from 0 to 1e30",
         )
     return levels / levels[-1], light / light[-1]

@@ -42,7 +42,6 @@ from lightmatrix.capture.settings import (
     read_description,
 )
 from lightmatrix.errors import InputError, warn
-from lightmatrix.files.colours import instead_of
 from lightmatrix.files.images import JPEG, READABLE, fill_image, is_grey, likely_white, read_image
 from lightmatrix.files.kinds import CAPTURE, read_object
 from lightmatrix.files.reading import errors_naming
@@ -80,10 +79,6 @@ def read_capture(
     if described:
         description = read_description(file, allow_outside=allow_outside)
     else:
-        for entry in sorted(place.iterdir()):
-            if entry.name.casefold() == NAME:
-                hint = f"rename it to {NAME}"
-                raise InputError(f"{entry}: is not read under this name", hint=hint)
         description = Description()
     settings = _with_files_beside(place, description, described)
     shown = read_patterns(pattern_images)
@@ -279,9 +274,11 @@ def _find_images(place: Path, name: str) -> Path:
         or (name == "images" and entry.name == PACKED)
     ]
     if not sources:
-        hint = "give a folder with patterns/ and images/ (or a stack of each, such as images.tif), "
-        hint = instead_of(place, f"{hint}or patterns and images by themselves")
-        raise InputError(f"{place}: has no folder {name}/", hint=hint)
+        raise InputError(
+            f"{place}: has no folder {name}/",
+            hint="give a folder with patterns/ and images/ (or a stack of each, such as "
+            "images.tif), or patterns and images by themselves",
+        )
     if len(sources) > 1:
         hint = "keep the one that is meant"
         raise InputError(f"{place}: holds {sources[0].name} and {sources[1].name}", hint=hint)
@@ -424,7 +421,7 @@ def _read_black(
 
 
 def check_depth(frames: Frames, decoder: Decoder) -> None:
-    """Refuse swapped bytes, negative levels, and 16-bit files of fewer bits without a clip level.
+    """Refuse negative levels, and 16-bit files of fewer bits without a clip level.
 
     A camera of 12 bits clips at 4095. With 65535 in its place no sample would count as clipped: the
     estimate would be wrong without any sign of it.
@@ -442,12 +439,6 @@ def check_depth(frames: Frames, decoder: Decoder) -> None:
     if dark < -0.05 * np.min(decoder.clip):
         hint = "scale the images so that 0 is no light"
         raise InputError(f"half of the levels that were looked at are below {dark:g}", hint=hint)
-    # One frame may lack some bits by chance, and a few levels without noise all may.
-    if len(np.unique(middle)) > 16 and _swapped([middle]) and _swapped(level_blocks(frames)):
-        raise InputError(
-            "the two bytes of each level are swapped: the bits that all levels use have a gap",
-            hint="write the images in the byte order that their format or header states",
-        )
     if not decoder.clip_assumed:
         return
     if frames.dtype.kind == "f":
@@ -477,18 +468,6 @@ def check_depth(frames: Frames, decoder: Decoder) -> None:
     )
 
 
-def _swapped(levels: Iterable[NDArray[Any]]) -> bool:
-    """Whether the bits that levels of 16 bits use have a gap, and none with their bytes swapped.
-
-    The bits of a camera are neighbours: those of 12 bits are 0x0fff or 0xfff0 in a file.
-    """
-    used = 0
-    for block in levels:
-        used |= int(np.bitwise_or.reduce(block, axis=None)) if block.dtype == np.uint16 else 0
-    gaps = ["0" in f"{bits:b}".strip("0") for bits in (used, used >> 8 | (used & 255) << 8)]
-    return gaps == [True, False]
-
-
 def read_mask(mask: str | Path | None, shape: tuple[int, ...]) -> NDArray[np.bool_] | None:
     """The camera samples where a mask image is not 0, like a frame; None without a mask."""
     if mask is None:
@@ -511,10 +490,9 @@ def read_mask(mask: str | Path | None, shape: tuple[int, ...]) -> NDArray[np.boo
 def read_white_frame(path: str | Path, settings: ReadSettings) -> Samples:
     """The M samples of a photograph that do not clip without light, (M, 1), at exposure 1."""
     file = as_path(path)
-    if not file.exists() or file.is_dir():
-        problem = "is a folder" if file.is_dir() else "no such file"
+    if not file.exists():
         hint = "give a photograph of a white pattern, a scene, or a T.npz"
-        raise InputError(f"{file}: {problem}", hint=hint)
+        raise InputError(f"{file}: no such file", hint=hint)
     stack = ImageStack.open([file])
     decoder = make_decoder(stack, replace(settings, response=settings.response or Response()))
     check_depth(stack, decoder)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from pathlib import Path
 
 from typer import Argument, Option
@@ -38,13 +37,7 @@ def relight(
         scene, pattern, exposure=exposure, gamma=gamma, resize=resize, output=output,
         overwrite=overwrite,
     )  # fmt: skip
-    clipped, peak = float((image > 1).mean()), float(image.max())
+    clipped = float((image > 1).mean())
     note = f"; {100 * clipped:.1f} % of it is above full scale" if clipped else ""
-    if clipped and output.suffix.lower() == ".png":
-        # Rounded down to two digits.
-        keeps = exposure / peak
-        unit = 10.0 ** (math.floor(math.log10(keeps)) - 1)
-        most = float(f"{math.floor(keeps / unit) * unit:.2g}")
-        note += f" and cut off; --exposure {most:g} keeps it all"
     result = {"output": output, "mean": float(image.mean()), "clipped_share": clipped}
     answer(as_json, result, f"{output}{note}")

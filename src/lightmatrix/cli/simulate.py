@@ -110,6 +110,5 @@ def _amounts(faults: list[str]) -> dict[str, float]:
         except ValueError:
             hint = "write NAME=AMOUNT, with a number such as 0.1"
             raise InputError(f"a fault of {text!r}", hint=hint) from None
-        if amounts.setdefault(name, number) != number:
-            raise InputError(f"{name} twice", hint="give each fault once")
+        amounts[name] = number
     return amounts

@@ -59,13 +59,9 @@ def read_exr(file: Path) -> NDArray[Any]:
         check_image_size(file, (rows, cols, len(names)))
     with library.File(str(file), separate_channels=True) as opened:
         pixels = [np.array(opened.channels()[name].pixels) for name in names]
-    for name, values in zip(names, pixels, strict=True):
-        if values.shape != (rows, cols) or values.dtype.kind != "f":
-            raise InputError(
-                f"{file}: channel {name} holds {values.shape[0]} x {values.shape[-1]} values of "
-                f"{values.dtype}, in a picture of {rows} x {cols}",
-                hint="save all channels as half or float, none of them reduced",
-            )
+    if any(values.shape != (rows, cols) or values.dtype.kind != "f" for values in pixels):
+        hint = "save all channels as half or float, none of them reduced"
+        raise InputError(f"{file}: has channels of several kinds", hint=hint)
     return pixels[0] if len(pixels) == 1 else np.stack(pixels, axis=-1)
 
 

@@ -270,8 +270,8 @@ class ImageStack:
             raise InputError(
                 f"{path}: is {_words(image.shape)}, but {self.paths[0].name} is "
                 f"{_words(self.shape)}",
-                hint="all images of a folder must have one size; move others elsewhere"
-                + _UPRIGHT * (image.shape[:2] == self.shape[1::-1] != self.shape[:2]),
+                hint="all images of a folder must have one size; move others elsewhere, or turn "
+                "the pixels, since EXIF orientation is not followed",
             )
         if image.dtype != self.dtype:
             raise InputError(
@@ -306,13 +306,6 @@ def _all_grey(paths: Sequence[Path | Page]) -> bool:
             return False
         varied += bool(np.ptp(image) > 0)
     return varied > len(samples) // 2
-
-
-# What may have happened where rows and columns of an image are interchanged.
-_UPRIGHT = (
-    ", or turn them: EXIF orientation, by which viewers do it, is not followed (apply it to the "
-    "pixels, such as by mogrify -auto-orient)"
-)
 
 
 def _words(shape: tuple[int, ...]) -> str:

@@ -52,10 +52,7 @@ class BlockPatterns(PatternSet):
         if self.selected is not None:
             selected = real_array("numbers of blocks", self.selected)
             if selected.ndim != 1 or selected.dtype.kind not in "iu":
-                raise InputError(
-                    f"numbers of blocks of shape {selected.shape} and type {selected.dtype}",
-                    hint="give a list of whole numbers",
-                )
+                raise InputError("numbers of blocks", hint="give a list of whole numbers")
             object.__setattr__(self, "selected", selected.astype(np.int64))
         check_geometry(self.shape, self.count)
         index = self.index

@@ -51,8 +51,6 @@ def parse_shares(text: str, what: str, example: str) -> list[tuple[str, float]]:
     if min(share for _, share in listed) <= 0 or not abs(total - 1) < 1e-3:
         hint = f"use positive shares that sum to 1, for example {example}"
         raise InputError(f"{what} of {text!r}: the shares sum to {total:g}", hint=hint)
-    if len({name for name, _ in listed}) < len(listed):
-        raise InputError(f"{what} of {text!r}: one is given twice", hint="give each once")
     return [(name, share / total) for name, share in listed]
 
 

@@ -21,7 +21,6 @@ from lightmatrix.files.kinds import REPORT
 from lightmatrix.files.writing import atomic_folder
 from lightmatrix.geometry.rig_geometry import RigGeometry
 from lightmatrix.judgement.judgement import (
-    FAIR,
     GOOD,
     SINGLY_CLIPPED,
     Verdicts,
@@ -29,7 +28,6 @@ from lightmatrix.judgement.judgement import (
     stored_findings,
 )
 from lightmatrix.judgement.metrics import check_same_rig
-from lightmatrix.pictures.maps import has_diagnostic
 from lightmatrix.report.elements import Section
 from lightmatrix.report.facts import Estimator, Facts, Validation, validate
 from lightmatrix.report.sections import (
@@ -53,9 +51,8 @@ from lightmatrix.viewer.export import export_viewer
 def recommendations(facts: Facts) -> tuple[str, ...]:
     """Recommendations for the next capture, the most urgent first. Limits were chosen by hand."""
     transport, frames, validation = facts.transport, facts.frames, facts.validation
-    diagnostics, count = transport.diagnostics, facts.capture.count
     sentences = list[str]()
-    often = float(np.mean(np.asarray(diagnostics.get("clipped_share", 0.0)) > 0.5))
+    often = float(np.mean(np.asarray(transport.diagnostics.get("clipped_share", 0.0)) > 0.5))
     if facts.own.singly_clipped > SINGLY_CLIPPED:
         sentences.append(
             f"{percent(facts.own.singly_clipped)} of the squared light is in rows that clip under "
@@ -76,19 +73,12 @@ def recommendations(facts: Facts) -> tuple[str, ...]:
             f"The brightest frame reaches {percent(brightest)} of the clip level on average, and "
             f"nothing clips. An exposure {factor:.2g} times as long would leave less noise."
         )
-    if not isinstance(validation, Validation):
+    if isinstance(validation, Validation) and validation.error > GOOD:
+        count = facts.capture.count
         sentences.append(
-            f"The estimate was not tested on unseen photographs: {validation}. A few more random "
-            "patterns would make a test possible."
-        )
-    elif validation.error > GOOD:
-        error = f"Prediction error on unseen photographs: {percent(validation.error)}."
-        sentences.append(
-            f"{error} More patterns ({2 * count} instead of {count}) would lower it."
-            if validation.error <= FAIR
-            else f"{error} Check that the frames follow the patterns, that they are linear in "
-            "light and that the camera did not move. If so, take twice the patterns "
-            f"({2 * count}), or average projector pixels (bin_projector=2)."
+            f"Prediction error on unseen photographs: {percent(validation.error)}. More patterns "
+            f"({2 * count} instead of {count}) would lower it, if the frames follow the patterns "
+            "and are linear in light, and the camera did not move."
         )
     mixed = bool(np.any(facts.capture.patterns.kinds))
     if facts.diffuse_error > 2 * GOOD and not mixed:
@@ -101,20 +91,6 @@ def recommendations(facts: Facts) -> tuple[str, ...]:
             f"{percent(transport.background_share)} of the light is in the faint background. A few "
             "coarse patterns among the fine ones resolve it (`lightmatrix patterns mix`)."
         )
-    unfinished = 1 - float(np.mean(diagnostics.get("converged", True)))
-    if unfinished > 0.01:
-        sentences.append(
-            f"{percent(unfinished)} of the rows reached the iteration limit. Raise the number of "
-            "iterations."
-        )
-    if has_diagnostic(transport, "footprint"):
-        size = float(np.nanmedian(diagnostics["footprint"]))
-        # Footprints of a projector in focus are smaller.
-        if size > 12:
-            sentences.append(
-                f"Footprints cover {size:.0f} projector pixels (median). Focus the projector, or "
-                "take more patterns."
-            )
     return tuple(sentences) or (
         "Nothing needs to change: use the same exposure, patterns and number of photographs.",
     )

@@ -43,7 +43,6 @@ from lightmatrix.rig_model.model import RigModel
 from lightmatrix.shape.shape import normal_colours
 from lightmatrix.shape.triangulation import triangulate
 from lightmatrix.transport.matrix import LightTransport
-from lightmatrix.uses.compensation import compensator
 from lightmatrix.uses.separation import separate
 
 
@@ -65,7 +64,7 @@ def _flat(values: Mapping[str, Any], before: str = "") -> Iterator[tuple[str, st
         yield name, text if len(text) <= 200 else f"{text[:200]} ..."
 
 
-# What this T can be used for: direct and global light, a compensated picture, the shape.
+# What this T can be used for: direct and global light, the shape.
 
 
 # Larger cameras are left out. This many camera samples (512 x 512) take 11 s of one processor core,
@@ -74,18 +73,17 @@ _MOST_SAMPLES = 1 << 18
 
 
 def uses(facts: Facts) -> Section:
-    """Direct and global light, a picture with and without compensation, depth and normals."""
+    """Direct and global light, depth and normals."""
     lead = "What this T is good for, under patterns that were never projected."
     transport = facts.transport
     if transport.shape[0] > _MOST_SAMPLES:
         words = (
-            "For a camera of this size, use `lightmatrix separate SCENE.zarr -o FOLDER`, "
-            "`lightmatrix compensate SCENE.zarr WANTED.png -o PATTERN.png` and "
+            "For a camera of this size, use `lightmatrix separate SCENE.zarr -o FOLDER` and "
             "`lightmatrix triangulate SCENE.zarr --geometry GEOMETRY.json -o CLOUD.ply`."
         )
         return Section("uses", "Uses", lead, (Text(words),))
     shape = _triangulated(transport, facts.geometry)
-    elements = (*_separated(transport), *_compensated(transport), *shape)
+    elements = (*_separated(transport), *shape)
     return Section("uses", "Uses", lead, elements)
 
 
@@ -107,45 +105,6 @@ def _separated(transport: LightTransport) -> tuple[Element, ...]:
     images = (
         photograph(direct, "Direct light under a white pattern", "Direct light", white=level),
         photograph(others, alternative, "Global light", "On the same scale.", white=level),
-    )
-    return Text(text), Gallery(images)
-
-
-def _compensated(transport: LightTransport) -> tuple[Element, ...]:
-    """A chart, what the camera sees without and with compensation, and the pattern for it."""
-    rows, cols = transport.camera_shape[:2]
-    # The camera is to see grey steps above a bright disc and a dark one.
-    down, right = np.meshgrid(np.linspace(0, 1, rows), np.linspace(0, 1, cols), indexing="ij")
-    image = np.where(down < 1 / 3, 0.25 + 0.75 * np.floor(right * 5.999) / 5, 0.5)
-    for centre, level in ((0.3, 1.0), (0.7, 0.25)):
-        image[(down - 0.67) ** 2 + (right - centre) ** 2 < 0.17**2] = level
-    channels = transport.camera_shape[2:] or (1,)
-    chart = np.repeat(image[..., None], channels[0], axis=2).reshape(transport.camera_shape)
-    chart = chart.astype(np.float32)
-    shared = compensator(transport)
-    try:
-        found = shared.solve(chart.ravel())
-    except InputError as error:
-        return (Text(f"No picture can be compensated: {error.message}."),)
-    plain = shared.uncompensated(found, chart.ravel())
-    level = float(np.quantile(found.target, 0.99))
-    reached = float(found.reachable.mean())
-    text = (
-        "The pattern that makes the scene look like a chart. Predicted PSNR where the projector's "
-        f"light arrives: {found.psnr:.0f} dB; {percent(reached)} of the camera pixels are within "
-        "5 % of wanted white. `lightmatrix compensate` takes a picture of your own."
-    )
-    images = (
-        photograph(found.target, "The wanted chart", "Wanted", white=level),
-        photograph(
-            plain,
-            "The chart projected onto the scene without compensation",
-            "Without compensation",
-            "The chart at its place, in the scene's own colours; as bright as the next image.",
-            white=level,
-        ),
-        photograph(found.predicted, "The compensated chart", "Compensated", white=level),
-        pattern_image(found.patterns[0], "The pattern of the compensated chart", "Its pattern"),
     )
     return Text(text), Gallery(images)
 

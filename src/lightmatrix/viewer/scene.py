@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import threading
-from contextlib import suppress
 from functools import cached_property
 from pathlib import Path
 
@@ -12,7 +11,7 @@ from numpy.typing import NDArray
 
 from lightmatrix.capture.capture import Capture
 from lightmatrix.defaults import PAGE_BYTES
-from lightmatrix.errors import InputError, LightMatrixError
+from lightmatrix.errors import InputError
 from lightmatrix.files.kinds import printable
 from lightmatrix.geometry.rig_geometry import RigGeometry
 from lightmatrix.paths import as_path
@@ -23,7 +22,7 @@ from lightmatrix.transport.matrix import LightTransport
 from lightmatrix.transport.store import StoredTransport
 from lightmatrix.uses.compensation import compensate
 from lightmatrix.viewer.layers import COMPUTED_ENTRIES, LayerSource, matrix_data, matrix_size
-from lightmatrix.viewer.lights import CoarseLight, Light, MemoryLight, Progress, StoredLight
+from lightmatrix.viewer.lights import Light, MemoryLight, Progress, StoredLight
 from lightmatrix.viewer.packed import packed
 from lightmatrix.viewer.session import HEADER_BYTES, Session
 
@@ -69,8 +68,6 @@ class Scene:
             opened_capture = capture if isinstance(capture, Capture) else Capture.open(capture)
             self._patterns = _binned(opened_capture.patterns, self.matrix.projector_shape)
         self._computing = threading.Lock()
-        self._coarse: CoarseLight | None = None
-        self._coarse_maker: threading.Thread | None = None
 
     @property
     def most_message(self) -> int:
@@ -120,13 +117,10 @@ class Scene:
 
     def session(self) -> Session:
         """What a window needs of a matrix that stays here."""
-        if self.light is not None and self._coarse_maker is None:
-            self._coarse_maker = threading.Thread(target=self._make_coarse, daemon=True)
-            self._coarse_maker.start()
         rows, cols = self.matrix.camera_shape[:2]
         projector = self.matrix.projector_shape
         return Session(
-            self.light, self._white or 1.0, lambda: self._coarse, (rows, cols), projector,
+            self.light, self._white or 1.0, (rows, cols), projector,
             self._compensated if self._compensates else None,
         )  # fmt: skip
 
@@ -145,12 +139,6 @@ class Scene:
         reached = 100 * float(found.reachable.mean())
         words = f"{reached:.0f} % of the camera pixels reach the picture, at {found.psnr:.0f} dB."
         return np.rint(255 * found.pattern).astype(np.uint8), words
-
-    def _make_coarse(self) -> None:
-        assert self.light is not None
-        # If the store is gone or damaged, the page learns it from what it asks next.
-        with suppress(LightMatrixError):
-            self._coarse = CoarseLight(self.light)
 
 
 def opened(

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from lightmatrix.errors import LightMatrixError
 from lightmatrix.transport.sparse_rows import SparseRows
-from lightmatrix.viewer.lights import CoarseLight, Light
+from lightmatrix.viewer.lights import Light
 from lightmatrix.viewer.packed import Tiles, halves, packed, tile_values, tiles_above
 
 # Messages of the page, as `line.js` writes them; nothing else is accepted.
@@ -96,22 +96,20 @@ Compensator = Callable[[NDArray[np.uint8]], tuple[NDArray[np.uint8], str]]
 class Session:
     """The pattern and the photograph of one window, and how much of it the window has.
 
-    `light` is T, None if the page has it; `white` is the light that is shown as white; `coarse`
-    gives the coarse T, or None while it is not ready.
+    `light` is T, None if the page has it; `white` is the light that is shown as white.
     """
 
     def __init__(
         self,
         light: Light | None,
         white: float,
-        coarse: Callable[[], CoarseLight | None],
         camera: tuple[int, int],
         projector: tuple[int, int],
         compensator: Compensator | None = None,
     ) -> None:
         self._camera, self._projector = camera, projector
         self._compensator = compensator
-        self._painting = None if light is None else _Painting(light, white, coarse)
+        self._painting = None if light is None else _Painting(light, white)
 
     @property
     def unfinished(self) -> bool:
@@ -158,11 +156,9 @@ class Session:
 class _Painting:
     """A pattern and its photograph."""
 
-    def __init__(
-        self, light: Light, white: float, coarse: Callable[[], CoarseLight | None]
-    ) -> None:
+    def __init__(self, light: Light, white: float) -> None:
         matrix = light.matrix
-        self._light, self._white, self._coarse = light, white, coarse
+        self._light, self._white = light, white
         self._levels = np.zeros(matrix.projector_shape, np.uint8)
         shape = (*matrix.camera_shape[:2], light.channels)
         # In double precision, as strokes are added for hours.
@@ -185,7 +181,9 @@ class _Painting:
         self.unfinished = True
         self.resting = False
         if len(down) > _WHOLE * self._levels.size:
-            return [self._begin_whole(asked, change)]
+            # All of the pattern is relit, block by block.
+            self.blocks = self._light.blocks()
+            return [self._part([], asked.number)]
         pixels = (asked.row + down) * self._levels.shape[1] + asked.col + across
         light = self._light.columns(pixels, change[down, across] / 255)
         return self._add(light.ravel(), asked.number)
@@ -210,23 +208,6 @@ class _Painting:
         sent[samples] = values.astype(np.float32) * np.float32(scale)
         header = {"kind": "samples", "answers": number, "scale": scale, "more": True}
         return [packed(header, {"samples": samples.astype(np.uint32), "values": values})]
-
-    def _begin_whole(self, asked: Message, change: NDArray[np.float32]) -> bytes:
-        """Relight the whole pattern, coarse now if possible; fine parts follow."""
-        self.blocks = self._light.blocks()
-        coarse = self._coarse()
-        if coarse is None:
-            return self._part([], asked.number)
-        whole = np.zeros(self._levels.shape, np.float32)
-        rows, cols = change.shape
-        whole[asked.row : asked.row + rows, asked.col : asked.col + cols] = change / 255
-        values, scale = halves(coarse.image(whole.ravel()))
-        shown = values.astype(np.float32) * np.float32(scale)
-        spread = coarse.spread(shown, *self._sent.shape[:2])
-        self._sent += spread
-        self._photograph += spread
-        header = {"kind": "coarse", "answers": asked.number, "block": coarse.block, "scale": scale}
-        return packed(header, {"values": values})
 
     def image(self, asked: Message) -> bytes:
         """A row or column of T."""

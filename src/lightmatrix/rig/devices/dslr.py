@@ -213,11 +213,6 @@ def _translated_errors(gphoto2: Any, address: Address, what: str) -> Iterator[No
         if error.code in (gphoto2.GP_ERROR_IO_USB_CLAIM, gphoto2.GP_ERROR_IO_LOCK):
             hint = "unmount it from the file manager: gio mount -s gphoto2"
             raise DeviceError(f"{address}: another program has the camera", hint=hint) from error
-        if error.code in (gphoto2.GP_ERROR_NO_MEMORY, gphoto2.GP_ERROR_NO_SPACE):
-            raise DeviceError(
-                f"{address}: the camera {what}, its memory is full",
-                hint=f"empty its card, or let it keep pictures in its memory: {_TARGET}={_MEMORY}",
-            ) from error
         hint = "check its cable, battery and focus, and that its USB mode is PTP"
         raise DeviceError(f"{address}: the camera {what} ({error.string})", hint=hint) from error
 

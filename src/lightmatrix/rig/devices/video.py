@@ -6,7 +6,6 @@ the time, so that no old frame waits in the driver.
 
 from __future__ import annotations
 
-import errno
 import re
 import sys
 import threading
@@ -151,7 +150,9 @@ def open_video(address: Address) -> VideoCamera:
     try:
         container = av.open(address.argument, format=kind, options=options)
     except (OSError, ValueError) as error:
-        raise _refusal(address, error) from error
+        hint = "does another program have it, and are you in the group video? check its name "
+        hint += "(`lightmatrix rig list`), size, fps and format"
+        raise DeviceError(f"{address}: cannot be opened ({error})", hint=hint) from error
     return VideoCamera(container, address, exposure)
 
 
@@ -167,16 +168,3 @@ def find_video() -> list[AvailableDevice]:
                 name = (entry / "name").read_text().strip()
                 devices.append(AvailableDevice(f"video:/dev/{entry.name}", name))
     return devices
-
-
-def _refusal(address: Address, error: OSError | ValueError) -> DeviceError:
-    number = getattr(error, "errno", None)
-    what, hint = f"cannot be opened ({error})", "check its name, size, fps and format"
-    if number == errno.EBUSY:
-        what, hint = "another program has the camera", "close it there"
-    elif number in (errno.EACCES, errno.EPERM):
-        what, hint = "no permission", "add yourself to the group video, and log in again"
-    elif number == errno.ENOENT:
-        what = "there is no such device"
-        hint = "`lightmatrix rig list` names those that are found"
-    return DeviceError(f"{address}: {what}", hint=hint)

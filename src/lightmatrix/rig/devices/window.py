@@ -1,7 +1,7 @@
 """A full-screen window on a monitor or projector, exact to the bit.
 
 Each screen pixel is one texel fetch at the monitor's own resolution: no scaling, no filter, no
-colour management, no dither. The graphics card's gamma ramp, which acts behind that, is reported.
+colour management, no dither. The graphics card's gamma ramp acts behind that.
 """
 
 from __future__ import annotations
@@ -83,7 +83,6 @@ class WindowProjector(Projector):
             # The monitor scales the image if its current mode is a smaller one.
             "largest_mode": (largest.height, largest.width),
             "refresh": float(mode.refresh_rate) or None,
-            "gamma_ramp": _gamma_ramp(glfw, monitor),
             "renderer": self._context.info["GL_RENDERER"],
         }
         self.black()
@@ -244,25 +243,6 @@ def _full_screen(glfw: Any, monitor: Any, mode: Any) -> Any:
     return glfw.create_window(
         mode.size.width, mode.size.height, "lightmatrix projector", monitor, None
     )
-
-
-def _gamma_ramp(glfw: Any, monitor: Any) -> dict[str, Any] | None:
-    """Whether the card's gamma ramp is linear, and its values at 0, 1/16, ... 1 if not."""
-    try:
-        ramp = glfw.get_gamma_ramp(monitor)
-    # Wayland does not give access to it.
-    except glfw.GLFWError:
-        return None
-    channels = {name: np.array(getattr(ramp, name)) for name in ("red", "green", "blue")}
-    # Virtual screens return an empty ramp, or zeros, although they show pictures.
-    if not any(values.any() for values in channels.values()):
-        return None
-    linear = np.linspace(0, 1, len(ramp.red))
-    if all(np.abs(values - linear).max() < 1 / 255 for values in channels.values()):
-        return {"linear": True}
-    steps = np.linspace(0, 1, 17)
-    bent = {name: np.interp(steps, linear, values) for name, values in channels.items()}
-    return {"linear": False, **{name: np.round(bent[name], 4).tolist() for name in bent}}
 
 
 def _name(glfw: Any, monitor: Any) -> str:

@@ -81,8 +81,7 @@ export class RemoteMatrix {
     } else if (header.kind === "samples") {
       arrays.samples.forEach((sample, k) => { this.photograph[sample] = header.scale * HALF[arrays.values[k]]; });
       this.#finishing = header.more;
-    } else if (header.kind === "coarse") this.#spread(header, arrays.values);
-    else placeTiles(this.photograph, this.camera[1], this.channels, header, arrays.values);
+    } else placeTiles(this.photograph, this.camera[1], this.channels, header, arrays.values);
     if (header.kind === "tiles") this.#finishing = header.more;
     let time = null;
     if (this.#sent?.number === header.answers) {
@@ -91,17 +90,6 @@ export class RemoteMatrix {
       if (this.levels) this.#paint();
     }
     this.onrelit(time);
-  }
-
-  /** Add a coarse image, each of whose values stands for a square of pixels; finer parts follow. */
-  #spread({ block, scale }, values) {
-    const [rows, cols] = this.camera, { channels } = this, across = Math.ceil(cols / block);
-    for (let row = 0, k = 0; row < rows; row++) {
-      for (let col = 0; col < cols; col++) {
-        const from = (Math.floor(row / block) * across + Math.floor(col / block)) * channels;
-        for (let channel = 0; channel < channels; channel++, k++) this.photograph[k] += scale * HALF[values[from + channel]];
-      }
-    }
   }
 
   /** Ask for a row or column, and show it unless another one was asked for meanwhile. */
