@@ -3,6 +3,11 @@
 The noise is measured from entries below 0, which are noise alone. An entry stays if it is likelier
 light than noise, by the share of the row that is dark: of a sparse row what exceeds about four
 standard deviations, of a picture (a bucket detector under complete Hadamard patterns) everything.
+
+These lose the share threshold / energy (the nonnegative garrote, Breiman 1995). Beside them,
+entries stay where the camera pixels around see light of the same projector pixel, less the share of
+noise in the mean energy of these (Wiener's filter). Of smooth scenes the error is then 1.0 to 1.1
+times that of an oracle that knows which entries exceed the noise.
 """
 
 from __future__ import annotations
@@ -12,6 +17,8 @@ from dataclasses import dataclass, replace
 from typing import ClassVar
 
 import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import convolve1d
 from scipy.sparse import csr_array
 
 from lightmatrix.capture.capture import Capture
@@ -21,7 +28,7 @@ from lightmatrix.estimators.base import Plan
 from lightmatrix.estimators.certainty import with_certainty
 from lightmatrix.estimators.plain import PlainEstimator, PlainRows
 from lightmatrix.estimators.work import TILE_BYTES, Work, cut_rows
-from lightmatrix.patterns.inverse import Inverse
+from lightmatrix.patterns.inverse import Floats, Inverse
 from lightmatrix.resources.threads import computed_once
 from lightmatrix.solvers import solve
 from lightmatrix.solvers.loop import Progress
@@ -50,6 +57,11 @@ class DirectEstimator(PlainEstimator):
         return _Inverted(capture, self, regularization)
 
 
+# Camera pixels at most so far apart count as neighbours: 5 x 5 of them. Of three bundled
+# scenes under 24 lights, single pixels and Hadamard patterns, 3 x 3 erred by up to 7 % more.
+_REACH = 2
+
+
 class _Inverted(PlainRows):
     @property
     def inverse(self) -> Inverse:
@@ -73,24 +85,61 @@ class _Inverted(PlainRows):
     def tiles(self, step: str, parts: int = 1) -> Iterator[Span]:
         patterns = self.capture.patterns
         most = TILE_BYTES // (40 * (patterns.count + patterns.pixels))
-        return cut_rows(self.capture.rows, self.estimator.tile_rows or max(1, most), parts)
+        # The neighbours of a tile are read with it.
+        least = 2 * _REACH * self._line
+        return cut_rows(self.capture.rows, self.estimator.tile_rows or max(least, most), parts)
+
+    @property
+    def _line(self) -> int:
+        """Camera samples of a line."""
+        return self.capture.rows // self.capture.camera_shape[0]
+
+    def _around(self, entries: Floats, variances: Floats) -> NDArray[np.float32]:
+        """Wiener's weights of entries, of whole lines, where the pixels around see light; else 0.
+
+        There, their mean energy exceeds the noise by four of its standard deviations, though each
+        counts up to three of them: one bright pixel does not make others light.
+        """
+        cols, side = self.capture.camera_shape[1], 2 * _REACH + 1
+
+        def mean(values: NDArray[np.float32]) -> NDArray[np.float32]:
+            image = values.reshape(-1, cols, self._line // cols, values.shape[1])
+            for axis in (0, 1):
+                image = convolve1d(image, np.full(side, 1 / side), axis, mode="constant")
+            return image.reshape(values.shape)
+
+        squares, noise = np.square(entries, dtype=np.float32), variances.astype(np.float32)
+        # Windows at the borders of the camera hold a smaller share of pixels.
+        inside = mean(np.ones((len(entries), 1), np.float32))
+        beyond = 1 + 4 * np.sqrt(2 / inside) / side
+        lit = mean(np.minimum(squares, 9 * noise)) > noise * beyond * inside
+        energy = np.maximum(mean(squares) / inside, np.finfo(np.float32).tiny)
+        return np.asarray(lit * np.maximum(1 - noise / energy, 0))
 
     def _solve(self, start: int, stop: int, progress: Progress) -> SparseRows:
-        samples, patterns = self.capture.samples(start, stop), self.capture.patterns
+        line, total, patterns = self._line, self.capture.rows, self.capture.patterns
+        first = max(0, start // line - _REACH) * line
+        last = min(total, (-(-stop // line) + _REACH) * line)
+        samples, own = self.capture.samples(first, last), slice(start - first, stop - first)
         entries, (noise, measured) = self.inverse.solve(samples.values), self.noise
         variances = np.square(noise * self.inverse.gains)
+        unread = ~samples.counted if self.inverse.lone else samples.clipped | ~samples.counted
+        entries[unread.any(axis=1)] = 0
+        weights = (self._around(entries, variances) * measured)[own]
+        samples, entries = samples.rows(own), entries[own]
         dark = 2 * np.mean(entries <= 0, axis=1, keepdims=True)
         dark = np.minimum(dark, 1 - 1 / entries.shape[1])
         # A dark pixel exceeds this many variances as seldom as a tenth of the pixels are light.
         least = 2 * np.log1p(10 * dark / (1 - dark)) * variances
-        kept = (entries > 0) & (np.square(entries) > least)
+        squares = np.square(entries)
+        garrote = np.maximum(1 - least / np.maximum(squares, np.finfo(float).tiny), 0)
+        weights = np.where(entries > 0, np.where(weights > 0, weights, garrote), 0)
         # What is missed of the light is what the dark entries have beyond their noise. Chance makes
         # this too much rather than too little.
-        beyond = (np.square(entries) - variances) * ~kept
-        missed = (kept * variances).sum(axis=1) + np.maximum(beyond.sum(axis=1), 0)
-        entries *= kept
-        clipped, known = samples.clipped.any(axis=1), samples.counted.all(axis=1)
-        lost = np.flatnonzero((clipped & (not self.inverse.lone)) | ~known)
+        beyond = (squares - variances) * (weights == 0)
+        missed = (weights * variances).sum(axis=1) + np.maximum(beyond.sum(axis=1), 0)
+        entries *= weights
+        lost = np.flatnonzero(unread[own].any(axis=1))
         background = np.zeros(len(entries), np.float32)
         if len(lost):
             # The penalty follows the noise alone, not the level of samples.
@@ -104,10 +153,10 @@ class _Inverted(PlainRows):
             error = np.where(measured & (length > 0), np.sqrt(missed) / length, np.nan)
         diagnostics = {
             "clipped_share": samples.clipped.mean(axis=1, dtype=np.float32),
-            "only_bounded": (clipped & self.inverse.lone).astype(np.float32),
+            "only_bounded": np.float32(samples.clipped.any(axis=1) & self.inverse.lone),
             "estimated_error": error.astype(np.float32),
         }
         coefficients = csr_array(entries.astype(np.float32))
         rows = SparseRows(coefficients, background[:, None], diagnostics)
         progress(len(entries), len(entries))
-        return with_certainty(rows, samples, patterns, start, self.capture.rows)
+        return with_certainty(rows, samples, patterns, start, total)
