@@ -87,6 +87,10 @@ def test_depth_of_diamonds_is_right_and_wrong_without_them(tmp_path: Path) -> No
         rig.save(tmp_path / "rig.yml")
     with pytest.raises(lm.InputError, match="a stagger of 5"):
         replace(rig, projector_stagger=5)
+    # How probably a depth is right is a view, too.
+    lm.show(sheet, "probability", geometry=rig, output=tmp_path / "sure.npy")
+    sure = np.load(tmp_path / "sure.npy")
+    assert np.median(sure) > 0.9
     # Points of the map lie on the sheet.
     angles, middle = POSES[0]
     normal = Rotation.from_euler("xyz", angles, degrees=True).as_matrix()[:, 2]
