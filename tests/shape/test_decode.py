@@ -17,6 +17,7 @@ from lightmatrix.check.all_checks import missing_places
 from lightmatrix.check.survey import Survey
 from lightmatrix.errors import InputError, LightMatrixWarning
 from lightmatrix.files.images import decode_image, encode_image
+from lightmatrix.patterns.making import make_patterns
 from lightmatrix.patterns.pattern_set import ImagePatterns, PatternSet
 
 PROJECTOR, CAMERA = (40, 52), (34, 30)
@@ -147,6 +148,8 @@ def order(count: int, fault: str) -> np.ndarray:
     return {
         "late": np.roll(frames, 1),
         "late from 8": np.where(frames < 8, frames, frames - 1),
+        "late from 4": np.where(frames < 4, frames, frames - 1),
+        "third lost": np.minimum(np.where(frames < 2, frames, frames + 1), count - 1),
         "by name": np.array(sorted(frames, key=str)),
         "backwards": frames[::-1],
     }.get(fault, frames)
@@ -162,6 +165,12 @@ def order(count: int, fault: str) -> np.ndarray:
         ("phase", "late from 8", "from frame 8 to frame 15, each image shows the pattern before"),
         ("microphase", "swapped", "frame 1 and frame 4 look swapped"),
         ("graycode", "backwards", "the opposite order"),
+        (
+            "graycode",
+            "late from 4",
+            "from frame 4 to frame 13, each image shows the pattern before",
+        ),
+        ("graycode", "third lost", "to frame 12, each image shows the pattern after its own"),
     ],
 )
 def test_frames_out_of_order_are_refused_by_name(name: str, fault: str, words: str) -> None:
@@ -172,6 +181,14 @@ def test_frames_out_of_order_are_refused_by_name(name: str, fault: str, words: s
         lm.decode(wrong)
     assert "check=False" in (refused.value.hint or "")
     assert [each.kind for each in lm.check(wrong) if each.kind == "order"] == ["order"]
+
+
+@pytest.mark.parametrize("exposure", [0.2, 1.5])
+def test_a_code_without_inverses_of_a_corner_is_in_order(exposure: float) -> None:
+    """White that takes the place of black makes all pixels see the same line."""
+    patterns = make_patterns("graycode", (64, 64))
+    taken = lm.simulate("corner", patterns, exposure=exposure, noise=0.003)
+    assert [each.kind for each in lm.check(taken) if each.kind != "light"] == ["stripes"]
 
 
 @pytest.mark.parametrize(

@@ -105,11 +105,12 @@ class CodeLattice:
             both.append(Codes((code,), **known).lines(code, samples, frames))
             if not missing.any():
                 break
-        pairs = [pair for pair in code.bits if pair[1] >= 0]
+        pairs = np.array([pair for pair in code.bits if pair[1] >= 0], np.int64).reshape(-1, 2)
+        paired = frames[code.frames[pairs]]
+        paired = paired[(paired >= 0).all(axis=1)]
         left = np.zeros(len(both[0]))
-        if pairs and not missing.any():
+        if len(paired):
             # A pattern and its inverse add up to white.
-            paired = frames[code.frames[np.array(pairs)]]
             sums = self.samples[paired].sum(axis=1)
             whole = sums.mean(axis=0)
             left = np.abs(sums - whole).mean(axis=0) / np.maximum(whole, 1e-6)
@@ -161,6 +162,37 @@ class CodeLattice:
                 result[pairs[differ < 0.02 * differ.max()]] = True
         return result
 
+    @cached_property
+    def shares(self) -> NDArray[np.float64]:
+        """Samples between the lowest of their pixel, 0, and the highest one, 1."""
+        low, high = self.samples.min(axis=0), self.samples.max(axis=0)
+        return np.asarray((self.samples - low) / np.maximum(high - low, 1e-9))
+
+    def possible(self, order: Order) -> NDArray[np.bool_]:
+        """Which patterns their frames can show: white is bright, and black dark, in most pixels."""
+        result = np.ones(len(order), bool)
+        for k, bright in ((self.codes.white, True), (self.codes.black, False)):
+            if k is not None and order[k] >= 0:
+                mean = self.shares[order[k]].mean()
+                result[k] = mean > 0.75 if bright else mean < 0.25
+        return result
+
+    @cached_property
+    def twins(self) -> list[int]:
+        """Frames that show the same as the next one, although their patterns differ."""
+        shares = self.shares
+        # Stripes that are too fine to be seen, or that lie beside what the camera sees, are alike.
+        dark, bright = (shares < 0.25).mean(axis=1), (shares > 0.75).mean(axis=1)
+        seen = np.minimum(dark, bright) > 0.1
+        ends = self.codes.white, self.codes.black
+        return [
+            k
+            for k in range(len(shares) - 1)
+            if ((seen[k] and seen[k + 1]) or {k, k + 1} == set(ends))
+            and np.abs(shares[k] - shares[k + 1]).mean() < 0.05
+            and np.abs(np.diff(self.patterns.images(k, k + 2), axis=0)).mean() > 0.05
+        ]
+
     def cost(self, code: Code, frames: Order) -> NDArray[np.float64]:
         """How far apart pairs see, from 0 to 1, and how badly the code fits each pixel."""
         apart, left = self.apart(code, frames)
@@ -203,19 +235,30 @@ def check_code_order(lattice: CodeLattice, name: Name) -> list[Finding]:
     count = lattice.patterns.count
     frames = np.arange(count)
     known: dict[bytes, NDArray[np.float64]] = {}
-    plain, read, invisible = lattice.costs(frames, known), lattice.readable, lattice.invisible
-    best, best_order, found = 0.0, frames, list[Finding]()
-    for order, findings in _orders(count, name):
+    read, invisible, twins = lattice.readable, lattice.invisible, bool(lattice.twins)
+    best, best_order, found = -np.inf if twins else 0.0, frames, list[Finding]()
+    own = np.where(lattice.possible(frames), frames, -1)
+    for shown, findings in _orders(lattice, name):
+        # Of frames that show the same pattern, the first counts. Some show none.
+        order = np.full(count, -1)
+        first = np.unique(shown, return_index=True)[1]
+        first = first[(shown[first] >= 0) & (shown[first] < count)]
+        order[shown[first]] = first
         # Any frames of coarser stripes fit better in the place of those that nobody can see.
         moved = order != frames
         if 2 * invisible[moved].sum() >= max(moved.sum(), 1):
             continue
+        if not lattice.possible(order).all():
+            continue
         # Pixels that cannot be read may lie beside the projector's image: they tell nothing.
+        # A pattern that no frame shows is not read from its own frame either, for comparison.
+        plain = lattice.costs(np.where(order < 0, -1, own), known)
         gain = np.where(read, plain - lattice.costs(order, known), 0)
         # Stray light differs a little from frame to frame, which many pixels show alike.
         gain[np.abs(gain) < 0.05] = 0
         total = float(gain.sum())
-        if total > best and total > _CERTAIN * float(np.sqrt((gain**2).sum())):
+        certain = _CERTAIN * float(np.sqrt((gain**2).sum()))
+        if total > best and (twins or total > certain):
             best, best_order, found = total, order, findings
     if lattice.unrelated(best_order):
         message = (
@@ -233,11 +276,9 @@ def check_white(lattice: CodeLattice, name: Name) -> list[Finding]:
     without the frame, more so than without another. A camera that sees only the white part of a
     pattern shows the first alone.
     """
-    count, samples = lattice.patterns.count, lattice.samples
-    lowest = samples.min(axis=0)
-    share = (samples - lowest) / np.maximum(samples.max(axis=0) - lowest, 1e-9)
+    count = lattice.patterns.count
     used = np.unique(np.concatenate([each.frames for each in lattice.codes.codes]))
-    bright = np.quantile(share[used], 0.1, axis=1) > 0.8
+    bright = np.quantile(lattice.shares[used], 0.1, axis=1) > 0.8
     if not bright.any():
         return []
     frames = np.arange(count)
@@ -253,26 +294,37 @@ def check_white(lattice: CodeLattice, name: Name) -> list[Finding]:
     return [Finding("frame", (int(used[best]),), message, advice)]
 
 
-def _orders(count: int, name: Name) -> Iterator[tuple[Order, list[Finding]]]:
-    """The frame that shows each pattern, in likely wrong orders, and the findings of each."""
+def _orders(lattice: CodeLattice, name: Name) -> Iterator[tuple[Order, list[Finding]]]:
+    """The pattern that each frame shows, in likely wrong orders, and the findings of each."""
+    count = lattice.patterns.count
     frames = np.arange(count)
+
+    def displaced(first: int, last: int, step: int) -> tuple[Order, list[Finding]]:
+        shown = frames + step * ((frames >= first) & (frames <= last))
+        if first == last:
+            return shown, order_findings({first: first + step}, name)
+        message = (
+            f"from {name(first)} to {name(last)}, each image shows the pattern "
+            f"{'after' if step > 0 else 'before'} its own"
+        )
+        return shown, [Finding("order", tuple(range(first, last + 1)), message, WRONG_ORDER)]
+
+    if twins := lattice.twins:
+        # One of the two is wrong: the first if a frame before it was lost, else the second.
+        for start in range(twins[0] + 1):
+            yield displaced(start, twins[0], 1)
+        yield displaced(twins[0] + 1, twins[0] + 1, -1)
+        yield displaced(twins[0] + 1, count - 1, -1)
+        return
     for message, shown in likely_orders(count):
-        yield np.argsort(shown % count), [Finding("order", (), message, WRONG_ORDER)]
+        yield shown, [Finding("order", (), message, WRONG_ORDER)]
     for a, b in itertools.combinations(range(count), 2):
-        order = frames.copy()
-        order[[a, b]] = b, a
-        yield order, order_findings({a: b, b: a}, name)
+        shown = frames.copy()
+        shown[[a, b]] = b, a
+        yield shown, order_findings({a: b, b: a}, name)
     for start in range(1, count - 2):
-        # A frame is lost, and the last one is there twice; or a frame is there twice.
-        # The one that is there twice shows its own pattern; those after it do not.
-        for step, first, which in ((1, start, "after"), (-1, start + 1, "before")):
-            order = frames.copy()
-            order[start:] = np.clip(frames[start:] - step, start, count - 1)
-            message = (
-                f"from {name(first)} to {name(count - 1)}, each image shows the pattern {which} "
-                "its own"
-            )
-            yield order, [Finding("order", tuple(range(first, count)), message, WRONG_ORDER)]
+        yield displaced(start, count - 1, 1)
+        yield displaced(start + 1, count - 1, -1)
 
 
 def missing_of_code(lattice: CodeLattice) -> tuple[int, ...]:
