@@ -17,10 +17,10 @@ import numpy as np
 from scipy.sparse import csr_array
 from skimage import data
 from skimage.restoration import denoise_nl_means, denoise_tv_chambolle
-from skimage.transform import resize
 
 from lightmatrix.estimators.estimate import estimate
 from lightmatrix.patterns.hadamard import HadamardPatterns
+from lightmatrix.patterns.pattern_set import block_mean
 from lightmatrix.simulation.simulate import simulate
 from lightmatrix.simulation.truth import Truth
 
@@ -32,10 +32,10 @@ DENOISERS: dict[str, Callable[..., Any]] = {
 
 
 def fista(samples: np.ndarray, signs: np.ndarray, denoise: Callable[..., Any]) -> np.ndarray:
-    """The picture after 100 accelerated steps from least squares; rows of `signs` are +-1."""
+    """The picture after 300 accelerated steps from least squares; rows of `signs` are +-1."""
     x = ahead = samples @ signs / SIDE**2
     unit, momentum = float(np.abs(x).max()), 1.0
-    for _ in range(100):
+    for _ in range(300):
         moved = ahead + (samples - signs @ ahead) @ signs / SIDE**2
         new = np.maximum(denoise(moved.reshape(SIDE, SIDE) / unit).ravel() * unit, 0)
         later = (1 + np.sqrt(1 + 4 * momentum**2)) / 2
@@ -46,9 +46,11 @@ def fista(samples: np.ndarray, signs: np.ndarray, denoise: Callable[..., Any]) -
 def main() -> None:
     print("picture, order: lightmatrix (stated) | least squares, total variation, non-local means")
     for name in ("camera", "coins", "moon"):
-        image = resize(getattr(data, name)().astype(float), (SIDE, SIDE), anti_aliasing=True)
+        photograph = getattr(data, name)()
+        block = min(photograph.shape) // SIDE
+        image = block_mean(photograph[: SIDE * block, : SIDE * block], (block, block))
         row = (image / image.sum()).reshape(1, -1)
-        truth = Truth(csr_array(row.astype(np.float32)), np.float32(row[0]), (1, 1), (SIDE, SIDE))
+        truth = Truth(csr_array(row.astype(np.float32)), row[0].astype(np.float32), (1, 1), (SIDE, SIDE))
         for order in ("sequency", "random"):
             patterns = HadamardPatterns((SIDE, SIDE), SIDE**2 // 4, order=order)
             exposure = 0.9 / float(np.sort(patterns.forward(row).ravel())[-2])

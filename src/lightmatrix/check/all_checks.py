@@ -255,9 +255,7 @@ def check_distinguishable(patterns: PatternSet) -> list[Finding]:
     advice = "project more patterns, or finer ones, or bin the projector"
     # Of random patterns no pair of neighbours in a hundred differs by less than a quarter of what
     # independent pixels do, of the 256 coarsest of 1,024 Hadamard patterns half of them.
-    near = 0.0
-    if min(patterns.shape) > 1:
-        near = float(np.mean(_neighbour_contrasts(patterns) < 0.25))
+    near = min(patterns.shape) > 1 and float(np.mean(_neighbour_contrasts(patterns) < 0.25))
     if near > 0.2:
         message = (
             f"{100 * near:.0f} % of the neighbouring projector pixels look nearly alike: the "
@@ -280,20 +278,13 @@ def check_distinguishable(patterns: PatternSet) -> list[Finding]:
 
 
 def _neighbour_contrasts(patterns: PatternSet) -> NDArray[np.float64]:
-    """Squared differences of neighbouring pixels, relative to those of independent ones, (n,)."""
-    # 1,024 pairs know the share of alike ones to 2 %, and suffice for patterns of any size.
+    """Squared differences of neighbouring pixels, relative to independent ones, (1024,)."""
     random, (rows, cols) = np.random.default_rng(0), patterns.shape
     pixels = random.integers(rows - 1, size=512) * cols + random.integers(cols - 1, size=512)
-    here, right, below = (
-        patterns.columns(pixels + step) - patterns.means[:, None] for step in (0, 1, cols)
-    )
-    return np.concatenate(
-        [
-            np.square(here - other).sum(axis=0)
-            / np.maximum(np.square(here).sum(axis=0) + np.square(other).sum(axis=0), 1e-12)
-            for other in (right, below)
-        ]
-    )
+    pairs = np.stack([np.tile(pixels, 2), np.append(pixels + 1, pixels + cols)])
+    values = patterns.at(pairs) - patterns.means[:, None, None]
+    independent = np.square(values).sum(axis=(0, 1))
+    return np.square(values[:, 0] - values[:, 1]).sum(axis=0) / np.maximum(independent, 1e-12)
 
 
 def check_interchanged(survey: Survey) -> list[Finding]:

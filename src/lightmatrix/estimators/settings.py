@@ -11,15 +11,8 @@ from lightmatrix.defaults import COHERENT_UP_TO
 from lightmatrix.errors import InputError
 from lightmatrix.ranges import check_at_least_one, check_number, check_whole
 from lightmatrix.resources.memory import memory_bytes
-from lightmatrix.solvers import (
-    ADMM,
-    ROMP,
-    ActiveSet,
-    Fidelity,
-    SaturationADMM,
-    Solver,
-    TotalVariation,
-)
+from lightmatrix.solvers import ADMM, ROMP, ActiveSet, Fidelity, SaturationADMM, Solver
+from lightmatrix.solvers.total_variation import TotalVariation
 
 # The solvers by name, each with the fidelity that it has unless the user asks for another, and with
 # the parameter that limits its iterations.

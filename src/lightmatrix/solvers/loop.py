@@ -12,15 +12,7 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
 from lightmatrix.solvers.fidelity import Fidelity
-from lightmatrix.solvers.problem import (
-    Floats,
-    Problem,
-    Result,
-    Status,
-    no_rows,
-    objective,
-    solved_rows,
-)
+from lightmatrix.solvers.problem import Problem, Result, Status, no_rows, objective, solved_rows
 from lightmatrix.transport.sparse_rows import SparseRows
 
 Progress = Callable[[int, int], None]
@@ -100,7 +92,7 @@ class IterativeSolver(ABC):
     def solution(self, problem: Problem, state: Any) -> tuple[NDArray[Any], NDArray[Any]]:
         """Coefficients (M, N), mostly exact zeros, and background (M,)."""
 
-    def penalty(self, problem: Problem, coefficients: csr_array) -> Floats | None:
+    def penalty(self, problem: Problem, coefficients: csr_array) -> NDArray[Any] | None:
         """The penalty of each row, (M,), in place of the l1 norm."""
         return None
 
