@@ -26,16 +26,18 @@ from lightmatrix.simulation.truth import Truth
 
 SIDE = 64
 DENOISERS: dict[str, Callable[..., Any]] = {
-    "total variation": lambda image, weight: denoise_tv_chambolle(image, weight, max_num_iter=50),
+    "total variation": lambda image, weight: denoise_tv_chambolle(  # type: ignore[no-untyped-call]
+        image, weight, max_num_iter=50
+    ),
     "non-local means": lambda image, weight: denoise_nl_means(image, 5, 7, h=weight),
 }
 
 
 def fista(samples: np.ndarray, signs: np.ndarray, denoise: Callable[..., Any]) -> np.ndarray:
-    """The picture after 300 accelerated steps from least squares; rows of `signs` are +-1."""
+    """The picture after 100 accelerated steps from least squares; rows of `signs` are +-1."""
     x = ahead = samples @ signs / SIDE**2
     unit, momentum = float(np.abs(x).max()), 1.0
-    for _ in range(300):
+    for _ in range(100):
         moved = ahead + (samples - signs @ ahead) @ signs / SIDE**2
         new = np.maximum(denoise(moved.reshape(SIDE, SIDE) / unit).ravel() * unit, 0)
         later = (1 + np.sqrt(1 + 4 * momentum**2)) / 2
@@ -49,8 +51,8 @@ def main() -> None:
         photograph = getattr(data, name)()
         block = min(photograph.shape) // SIDE
         image = block_mean(photograph[: SIDE * block, : SIDE * block], (block, block))
-        row = (image / image.sum()).reshape(1, -1)
-        truth = Truth(csr_array(row.astype(np.float32)), row[0].astype(np.float32), (1, 1), (SIDE, SIDE))
+        row = (image / image.sum()).reshape(1, -1).astype(np.float32)
+        truth = Truth(csr_array(row), row[0], (1, 1), (SIDE, SIDE))
         for order in ("sequency", "random"):
             patterns = HadamardPatterns((SIDE, SIDE), SIDE**2 // 4, order=order)
             exposure = 0.9 / float(np.sort(patterns.forward(row).ravel())[-2])
