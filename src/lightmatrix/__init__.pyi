@@ -70,7 +70,6 @@ from .solvers import (
     Problem as Problem,
     Result as Result,
     SaturationADMM as SaturationADMM,
-    TotalVariation as TotalVariation,
     solve as solve,
 )
 

@@ -9,6 +9,7 @@ import pytest
 from scipy.optimize import minimize
 
 import lightmatrix as lm
+from lightmatrix.solvers.total_variation import TotalVariation
 
 SHAPE = (6, 7)
 
@@ -39,7 +40,7 @@ def test_the_objective_is_as_low_as_that_of_another_solver(clips: bool) -> None:
     limit = float(np.quantile(values, 0.8 if clips else 1)) + (not clips)
     samples = lm.Samples(np.minimum(values, limit), values >= limit, np.full(20, limit))
     problem = lm.Problem(patterns, samples, 0.5, background=False)
-    result = lm.solve(problem, lm.TotalVariation(tolerance=1e-7, max_iterations=20_000))
+    result = lm.solve(problem, TotalVariation(tolerance=1e-7, max_iterations=20_000))
     assert result.converged.all()
     parts = patterns.dense().astype(float), samples.values[0], samples.clipped[0]
     x = np.ones(patterns.pixels)
@@ -62,7 +63,7 @@ def test_rows_do_not_depend_on_each_other_much() -> None:
     pictures = np.random.default_rng(0).random((3, patterns.pixels))
     values = patterns.forward(pictures)
     samples = lm.Samples(values, values > 99, np.full(30, 99.0))
-    solver = lm.TotalVariation(tolerance=1e-7, max_iterations=20_000)
+    solver = TotalVariation(tolerance=1e-7, max_iterations=20_000)
     together = lm.solve(lm.Problem(patterns, samples, 0.1), solver).coefficients.toarray()
     alone = lm.solve(lm.Problem(patterns, samples.rows(slice(1, 2)), 0.1), solver)
     np.testing.assert_allclose(together[1], alone.coefficients.toarray()[0], atol=1e-3)

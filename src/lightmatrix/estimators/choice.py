@@ -24,8 +24,9 @@ from lightmatrix.estimators.multiscale import MultiScaleEstimator
 from lightmatrix.estimators.plain import PlainEstimator
 from lightmatrix.estimators.resource_estimate import ResourceEstimate, estimate_resources
 from lightmatrix.estimators.settings import EstimateSettings
-from lightmatrix.estimators.total_variation import PictureEstimator, few_rows, missed_by
-from lightmatrix.solvers import ActiveSet, TotalVariation
+from lightmatrix.estimators.total_variation import PictureEstimator, missed_by
+from lightmatrix.solvers import ActiveSet
+from lightmatrix.solvers.total_variation import TotalVariation
 
 # Both ways are tried on about this many camera samples around the middle of the light: a square of
 # 24 x 24 takes a thirtieth of the time of all 128 x 128 pixels.
@@ -60,13 +61,13 @@ def choose_estimator(
     if may_be_direct and capture.patterns.inverted is not None:
         return DirectEstimator(solver, tile_rows=tile_rows)
     if isinstance(solver, TotalVariation):
-        return PictureEstimator(solver, regularization, nonnegative, False, tile_rows)
+        picture = PictureEstimator(solver, regularization, nonnegative, False, tile_rows)
+        return picture.fitted(capture)
     if may_be_direct and capture.rows <= _HANDFUL:
         picture = PictureEstimator(TotalVariation(), background=False).fitted(capture)
         sparse = PlainEstimator(solver, automatic_regularization(capture))
-        rows = few_rows(capture)
-        missed = [missed_by(each, capture.patterns, rows).sum() for each in (picture, sparse)]
-        if missed[0] < missed[1]:
+        known = capture.patterns, capture.samples()
+        if missed_by(picture, *known).sum() < missed_by(sparse, *known).sum():
             return picture
     row_by_row = PlainEstimator(solver, regularization, nonnegative, settings.background, tile_rows)
     if not (resources.coherent and isinstance(solver, ActiveSet)):

@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 from lightmatrix.capture.capture import Capture
 from lightmatrix.capture.samples import Samples
 from lightmatrix.estimators.automatic_regularization import column_length
-from lightmatrix.estimators.base import Plan
 from lightmatrix.estimators.coherent.row_errors import (
     held_out_frames,
     squared_misfit,
@@ -37,19 +36,18 @@ class PictureEstimator(PlainEstimator):
 
     name: ClassVar[str] = "pictures"
 
-    def plan(self, capture: Capture) -> Plan:
-        """The estimate before it is made."""
-        if self.regularization is None:
-            return super(PictureEstimator, self.fitted(capture)).plan(capture)
-        return super().plan(capture)
-
     def work(self, capture: Capture, regularization: float) -> Work:
         """The rows of a capture, in tiles."""
         return _Pictures(capture, self, regularization)
 
     def fitted(self, capture: Capture) -> PictureEstimator:
         """The same with the regularization that predicts frames held out best."""
-        patterns, some = capture.patterns, few_rows(capture)
+        if self.regularization is not None:
+            return self
+        # Sixteen rows, evenly spread, tell how strong the penalty should be.
+        rows = np.linspace(0, capture.rows - 1, min(capture.rows, 16)).astype(int)
+        some = Samples.joined([capture.samples(int(row), int(row) + 1) for row in rows])
+        patterns = capture.patterns
         unit = float(some.values.std()) * column_length(patterns)
         unit = max(unit * np.sqrt(patterns.pixels / patterns.count), 1e-12)
         # On four pictures of 64 x 64 under a quarter of the Hadamard patterns, 0.003 to 0.03 of
@@ -57,12 +55,6 @@ class PictureEstimator(PlainEstimator):
         tried = [replace(self, regularization=unit * share) for share in np.geomspace(0.1, 1e-3, 5)]
         missed = [float(np.nan_to_num(missed_by(each, patterns, some)).sum()) for each in tried]
         return tried[int(np.argmin(missed))] if any(missed) else tried[2]
-
-
-def few_rows(capture: Capture) -> Samples:
-    """The samples of at most sixteen rows, which tell how strong a penalty should be."""
-    rows = np.linspace(0, capture.rows - 1, min(capture.rows, 16)).astype(int)
-    return Samples.joined([capture.samples(int(row), int(row) + 1) for row in rows])
 
 
 def missed_by(

@@ -92,9 +92,9 @@ class IterativeSolver(ABC):
     def solution(self, problem: Problem, state: Any) -> tuple[NDArray[Any], NDArray[Any]]:
         """Coefficients (M, N), mostly exact zeros, and background (M,)."""
 
-    def penalty(self, problem: Problem, coefficients: csr_array) -> NDArray[Any] | None:
-        """The penalty of each row, (M,), in place of the l1 norm."""
-        return None
+    def objective(self, problem: Problem, x: csr_array, background: NDArray[Any]) -> NDArray[Any]:
+        """What is minimised, (M,)."""
+        return objective(problem, x, background, self.fidelity)
 
     def solve(self, problem: Problem, progress: Progress | None = None) -> Result:
         """Solve all rows; `progress` is called with (finished, all) rows."""
@@ -162,9 +162,7 @@ class _Finished:
         background = np.where(np.isfinite(background), background, 0)
         part = solved_rows(
             x, background, iterations=np.full(len(rows), iteration, np.int32), converged=converged,
-            objective=objective(
-                problem, x, background, self.solver.fidelity, self.solver.penalty(problem, x)
-            ),
+            objective=self.solver.objective(problem, x, background),
         )  # fmt: skip
         self.order.append(rows)
         self.parts.append(part)

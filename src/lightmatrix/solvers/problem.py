@@ -229,17 +229,12 @@ def predictions(problem: Problem, coefficients: csr_array, background: NDArray[A
 
 
 def objective(
-    problem: Problem,
-    coefficients: csr_array,
-    background: NDArray[Any],
-    fidelity: Fidelity | str,
-    penalty: Floats | None = None,
+    problem: Problem, coefficients: csr_array, background: NDArray[Any], fidelity: Fidelity | str
 ) -> Floats:
-    """The objective for each row, (M,) float64, with the problem's l1 norm or another penalty."""
+    """The problem's objective for each row, (M,) float64."""
     u = predictions(problem, coefficients, background)
     term, observed = Fidelity(fidelity).term, problem.observed.astype(np.float64)
-    penalty = _norm(problem, coefficients) if penalty is None else penalty
-    return penalty + _data_term(observed, u, term)
+    return _norm(problem, coefficients) + _data_term(observed, u, term)
 
 
 def _chunks(problem: Problem) -> Iterator[slice]:

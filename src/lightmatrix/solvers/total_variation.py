@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -14,7 +14,7 @@ from lightmatrix.ranges import check_at_least_one, check_positive
 from lightmatrix.solvers.admm import System, relative
 from lightmatrix.solvers.fidelity import Fidelity
 from lightmatrix.solvers.loop import IterativeSolver
-from lightmatrix.solvers.problem import Floats, Problem
+from lightmatrix.solvers.problem import Floats, Problem, objective
 
 
 @dataclass(frozen=True)
@@ -41,26 +41,6 @@ class TotalVariation(IterativeSolver):
     (Rudin, Osher and Fatemi 1992). It leaves an even background free, so that the problem's has no
     coefficient of its own. ADMM with u = P x, x = z, s = D z and v = z, v >= 0 alternates between
     (x, s, v) and (z, u) (Afonso, Bioucas-Dias and Figueiredo 2011).
-
-    Parameters
-    ----------
-    fidelity : Fidelity
-        How samples are compared with predictions; clipped ones are lower bounds by default.
-    max_iterations : int
-        Limit of iterations.
-    tolerance : float
-        A row stops when its relative residuals are at most this.
-
-    Examples
-    --------
-    >>> import lightmatrix as lm
-    >>> patterns = lm.BernoulliPatterns((8, 8), 40)
-    >>> picture = np.kron(np.eye(2), np.ones((4, 4))).reshape(1, -1)
-    >>> values = patterns.forward(picture)
-    >>> samples = lm.Samples(values, values > 99, np.full(40, 99.0))
-    >>> result = lm.solve(lm.Problem(patterns, samples, 0.01), lm.TotalVariation())
-    >>> bool(np.abs(result.coefficients.toarray() - picture).max() < 0.05)
-    True
     """
 
     fidelity: Fidelity | str = Fidelity.ONE_SIDED
@@ -95,18 +75,10 @@ class TotalVariation(IterativeSolver):
         z = x + state.x_dual + light - state.light_dual
         z = _solve(z + _adjoint(slopes - state.slopes_dual), shape)
         u = Fidelity(self.fidelity).term.update(samples + state.u_dual, observed, 1.0)
-        return _State(
-            z,
-            x,
-            light,
-            slopes,
-            u,
-            state.x_dual + x - z,
-            state.light_dual + z - light,
-            state.slopes_dual + _slopes(z, shape) - slopes,
-            state.u_dual + samples - u,
-            state.system,
-        )
+        x_dual, light_dual = state.x_dual + x - z, state.light_dual + z - light
+        u_dual, slopes_dual = state.u_dual + samples - u, state.slopes_dual - slopes
+        slopes_dual += _slopes(z, shape)
+        return _State(z, x, light, slopes, u, x_dual, light_dual, slopes_dual, u_dual, state.system)
 
     def residuals(
         self, problem: Problem, before: _State, after: _State
@@ -119,11 +91,12 @@ class TotalVariation(IterativeSolver):
         dtype = problem.samples.values.dtype
         return state.light.astype(dtype), np.zeros(len(state.light), dtype)
 
-    def penalty(self, problem: Problem, coefficients: csr_array) -> Floats:
-        """The total variation of rows times the regularization, (M,)."""
-        slopes = _slopes(coefficients.toarray().astype(np.float64), problem.patterns.shape)
+    def objective(self, problem: Problem, x: csr_array, background: NDArray[Any]) -> Floats:
+        """What is minimised, (M,): the data term, beside which this l1 norm is nothing."""
+        data = objective(replace(problem, regularization=1e-300), x, background, self.fidelity)
+        slopes = _slopes(x.toarray().astype(np.float64), problem.patterns.shape)
         lengths = np.sqrt(np.square(slopes).sum(axis=1))
-        return np.asarray(problem.regularization * lengths.sum(axis=(1, 2)))
+        return np.asarray(data + problem.regularization * lengths.sum(axis=(1, 2)))
 
     def row_bytes(self, patterns: int, pixels: int) -> int:
         """Bytes of one row: two states and a step, in double precision."""
