@@ -77,7 +77,7 @@ def board_capture(
         on = (cell >= 0).all(axis=1) & (cell <= board).all(axis=1)
         light[on & (cell.sum(axis=1) % 2 == 0)] = 0.15
     light /= fine**2
-    lit = np.rint(rig.project_projector(points))
+    lit = rig.projector_pixels(rig.project_projector(points))
     inside = ((lit >= 0) & (lit < rig.projector_shape[::-1])).all(axis=1)
     column = (lit[inside, 1] * rig.projector_shape[1] + lit[inside, 0]).astype(np.int32)
     owner = np.repeat(np.arange(rows * cols), fine**2)[inside]

@@ -62,10 +62,10 @@ def cases(quick: bool) -> Iterator[Case]:
     for seed in range(1 if quick else 3):
         for scene in ("corner",) if quick else ("mirror_balls", "metal"):
             yield Case("maps", scene, 64, seed)
-        for scene in ("l_objects", "corner") + (() if quick else ("stage", "statues")):
+        for scene in ("l_objects", "corner") + (() if quick else ("stage", "statues", "dome")):
             yield Case("projectors", scene, 64, seed)
     yield Case("picture", "l_objects", 64 if quick else 128, 0)
-    for scene in () if quick else ("stage", "statues"):
+    for scene in () if quick else ("stage", "statues", "dome"):
         yield Case("two", scene, 128, 0)
 
 

@@ -618,3 +618,17 @@ def test_a_file_larger_than_any_image_is_not_read(
         stream.truncate(2**20 + 1)
     with pytest.raises(InputError, match="is larger than 1 MiB"):
         read_image(file)
+
+
+@pytest.mark.parametrize("transfer", [16, 18, 13])
+def test_a_picture_in_hdr_is_named(tmp_path: Path, transfer: int) -> None:
+    file = tmp_path / "wide.png"
+    write_image(file, np.full((4, 4), 9, np.uint8))
+    plain, chunk = file.read_bytes(), b"cICP" + bytes([9, transfer, 0, 1])
+    whole = struct.pack(">I", 4) + chunk + struct.pack(">I", zlib.crc32(chunk))
+    file.write_bytes(plain[:33] + whole + plain[33:])
+    with warnings.catch_warnings(record=True) as said:
+        warnings.simplefilter("always")
+        np.testing.assert_array_equal(read_image(file), np.full((4, 4), 9))
+    # 13 is sRGB.
+    assert ["is in HDR" in str(each.message) for each in said] == [True] * (transfer != 13)

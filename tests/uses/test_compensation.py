@@ -558,6 +558,13 @@ def test_the_pattern_is_encoded_for_the_projector(
         missed("gamma:20")
     with pytest.raises(lm.InputError, match=r"nowhere\.json"):
         missed("nowhere.json")
+    for wrong in ("2.2", "gamma:2,2", "linear:3"):
+        with pytest.raises(lm.InputError, match="projector's response") as refused:
+            missed(wrong)
+        assert "gamma:2.2, linear, or a file" in (refused.value.hint or "")
+    arguments = ["compensate", "scene.zarr", "wanted.png", "-o", "r.png", "--rig", "virtual:metal"]
+    assert main([*arguments, "--projector-response", "gamma:2.2"]) == 2
+    assert "`lightmatrix rig response` measures" in capsys.readouterr().err
 
 
 def test_a_capture_tells_the_response_of_its_projector(tmp_path: Path) -> None:

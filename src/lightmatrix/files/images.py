@@ -22,7 +22,7 @@ import tifffile
 from numpy.typing import NDArray
 from PIL import Image, UnidentifiedImageError
 
-from lightmatrix.errors import InputError, LightMatrixError
+from lightmatrix.errors import InputError, LightMatrixError, warn
 from lightmatrix.files.colours import COLOURS
 from lightmatrix.files.extras import RAW, read_exr, read_raw, write_exr
 from lightmatrix.files.kinds import IMAGE
@@ -277,6 +277,12 @@ def _read_png(file: Path) -> NDArray[Any]:
         raise ValueError("not a PNG file")
     cols, rows, _, colour = struct.unpack_from(">IIBB", data, 16)
     check_image_size(file, (rows, cols, _PNG_CHANNELS.get(colour, 1)))
+    # The second number of this chunk (PNG, third edition) is how levels follow light: 16 is PQ, 18
+    # HLG.
+    described = data.find(b"cICP", 0, data.find(b"IDAT"))
+    if described > 0 and data[described + 5 : described + 6] in (b"\x10", b"\x12"):
+        what = "its levels are read as those of an ordinary picture, which they are not"
+        warn(f"{file}: is in HDR: {what}\n  export it in SDR (sRGB), or as light (.exr)")
     image: NDArray[Any] = imagecodecs.png_decode(data)
     # libpng adds an alpha channel where one colour stands for transparent pixels, whose levels
     # are in the file all the same.
