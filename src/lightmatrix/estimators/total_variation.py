@@ -15,10 +15,7 @@ from numpy.typing import NDArray
 from lightmatrix.capture.capture import Capture
 from lightmatrix.capture.samples import Samples
 from lightmatrix.estimators.automatic_regularization import column_length
-from lightmatrix.estimators.coherent.row_errors import (
-    held_out_frames,
-    squared_misfit,
-)
+from lightmatrix.estimators.coherent.row_errors import held_out_frames, squared_misfit
 from lightmatrix.estimators.plain import PlainEstimator, PlainRows
 from lightmatrix.estimators.work import Work
 from lightmatrix.patterns.pattern_set import PatternSet

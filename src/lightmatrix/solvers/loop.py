@@ -92,10 +92,6 @@ class IterativeSolver(ABC):
     def solution(self, problem: Problem, state: Any) -> tuple[NDArray[Any], NDArray[Any]]:
         """Coefficients (M, N), mostly exact zeros, and background (M,)."""
 
-    def objective(self, problem: Problem, x: csr_array, background: NDArray[Any]) -> NDArray[Any]:
-        """What is minimised, (M,)."""
-        return objective(problem, x, background, self.fidelity)
-
     def solve(self, problem: Problem, progress: Progress | None = None) -> Result:
         """Solve all rows; `progress` is called with (finished, all) rows."""
         finished = _Finished(problem, self)
@@ -162,7 +158,7 @@ class _Finished:
         background = np.where(np.isfinite(background), background, 0)
         part = solved_rows(
             x, background, iterations=np.full(len(rows), iteration, np.int32), converged=converged,
-            objective=self.solver.objective(problem, x, background),
+            objective=objective(problem, x, background, self.solver.fidelity),
         )  # fmt: skip
         self.order.append(rows)
         self.parts.append(part)
