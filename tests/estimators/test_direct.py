@@ -104,31 +104,6 @@ def test_a_dome_of_lights_comes_near_the_noise_of_its_photographs() -> None:
     assert 0.9 * least < error < 1.12 * least
 
 
-def bucket(solver: str = "active-set") -> tuple[lm.LightTransport, float]:
-    """A picture of two discs in front of a slope, by one camera pixel and half of the patterns."""
-    y, x = np.indices((32, 32)) / 32
-    picture = 1 + x + 2 * (np.hypot(x - 0.3, y - 0.4) < 0.2) + (np.hypot(x - 0.7, y - 0.6) < 0.25)
-    row = csr_array((picture / picture.sum()).reshape(1, -1), dtype=np.float32)
-    known = Truth(row, row.data.copy(), (1, 1), (32, 32))
-    capture = lm.simulate(
-        known, lm.BernoulliPatterns((32, 32), 300), exposure=1.6, bits=12, noise=0.0005
-    )
-    transport = lm.estimate(capture, progress=False, solver=solver)
-    return transport, lm.evaluate(transport, known).relative_error
-
-
-def test_a_bucket_detector_takes_total_variation_by_itself() -> None:
-    transport, error = bucket()
-    assert transport.provenance["estimator"] == "pictures"
-    # The estimate of sparse rows errs by 0.9.
-    assert error < 0.12
-    verdict = lm.verdicts(transport).transport
-    assert verdict.error is not None
-    assert error / 1.5 < verdict.error < 2.5 * error
-    asked, _ = bucket("total-variation")
-    np.testing.assert_array_equal(asked.sparse.toarray(), transport.sparse.toarray())
-
-
 def test_what_is_asked_for_is_done() -> None:
     capture = lm.simulate("metal", lm.make_patterns("onepixel", (8, 8)), noise=0.001)
     for setting in ({"regularization": 0.1}, {"solver": "romp"}, {"signed": True}):

@@ -38,7 +38,7 @@ if TYPE_CHECKING:
 # What is written where no other name is given.
 _OUTPUT = Path("scene.zarr")
 
-SolverName = Literal["active-set", "saturation-admm", "admm", "romp", "total-variation"]
+SolverName = Literal["active-set", "saturation-admm", "admm", "romp"]
 FidelityName = Literal["linear", "one-sided", "clipped", "rejection"]
 # Options under the headings of `--help-all`.
 _solving = functools.partial(Option, rich_help_panel="How to solve")
@@ -53,8 +53,7 @@ _reporting = functools.partial(Option, rich_help_panel="Check and report")
     solver=_solving(
         help="active-set (one-sided, rejection, linear; certifies a duality gap), "
         "saturation-admm (clipped, one-sided, rejection, linear), admm (linear), "
-        "romp (linear, rejection), total-variation (all four; for rows that are pictures, as of a "
-        "bucket detector)."
+        "romp (linear, rejection)."
     ),
     fidelity=_solving(
         help="How clipped samples count: one-sided (a lower bound, convex), clipped (the paper's "

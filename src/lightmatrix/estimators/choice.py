@@ -13,7 +13,6 @@ from dataclasses import replace
 import numpy as np
 
 from lightmatrix.capture.capture import Capture
-from lightmatrix.estimators.automatic_regularization import automatic_regularization
 from lightmatrix.estimators.base import Estimator
 from lightmatrix.estimators.camera_window import window_of_light
 from lightmatrix.estimators.coherent.estimator import CoherentEstimator
@@ -24,16 +23,11 @@ from lightmatrix.estimators.multiscale import MultiScaleEstimator
 from lightmatrix.estimators.plain import PlainEstimator
 from lightmatrix.estimators.resource_estimate import ResourceEstimate, estimate_resources
 from lightmatrix.estimators.settings import EstimateSettings
-from lightmatrix.estimators.total_variation import PictureEstimator, missed_by
 from lightmatrix.solvers import ActiveSet
-from lightmatrix.solvers.total_variation import TotalVariation
 
 # Both ways are tried on about this many camera samples around the middle of the light: a square of
 # 24 x 24 takes a thirtieth of the time of all 128 x 128 pixels.
 _TRIED = 576
-# So few camera samples may be bucket detectors, whose rows are pictures: total variation is tried,
-# too, and chosen if it predicts frames held out better.
-_HANDFUL = 4
 
 
 def choose_estimator(
@@ -60,15 +54,6 @@ def choose_estimator(
     may_be_direct = isinstance(solver, ActiveSet) and settings.may_be_direct
     if may_be_direct and capture.patterns.inverted is not None:
         return DirectEstimator(solver, tile_rows=tile_rows)
-    if isinstance(solver, TotalVariation):
-        picture = PictureEstimator(solver, regularization, nonnegative, False, tile_rows)
-        return picture.fitted(capture)
-    if may_be_direct and capture.rows <= _HANDFUL:
-        picture = PictureEstimator(TotalVariation(), background=False).fitted(capture)
-        sparse = PlainEstimator(solver, automatic_regularization(capture))
-        known = capture.patterns, capture.samples()
-        if missed_by(picture, *known).sum() < missed_by(sparse, *known).sum():
-            return picture
     row_by_row = PlainEstimator(solver, regularization, nonnegative, settings.background, tile_rows)
     if not (resources.coherent and isinstance(solver, ActiveSet)):
         return row_by_row

@@ -12,7 +12,6 @@ from lightmatrix.errors import InputError
 from lightmatrix.ranges import check_at_least_one, check_number, check_whole
 from lightmatrix.resources.memory import memory_bytes
 from lightmatrix.solvers import ADMM, ROMP, ActiveSet, Fidelity, SaturationADMM, Solver
-from lightmatrix.solvers.total_variation import TotalVariation
 
 # The solvers by name, each with the fidelity that it has unless the user asks for another, and with
 # the parameter that limits its iterations.
@@ -21,7 +20,6 @@ SOLVERS: dict[str, tuple[Callable[..., Solver], Fidelity, str]] = {
     "saturation-admm": (SaturationADMM, Fidelity.ONE_SIDED, "max_iterations"),
     "admm": (ADMM, Fidelity.LINEAR, "max_iterations"),
     "romp": (ROMP, Fidelity.REJECTION, "max_iterations"),
-    "total-variation": (TotalVariation, Fidelity.ONE_SIDED, "max_iterations"),
 }
 # The largest number of iterations that an estimate accepts. It is beyond what anybody can wait for
 # and fits into 32 bits.
@@ -75,8 +73,6 @@ class EstimateSettings:
         # The multi-scale estimate solves strips of camera blocks.
         given["the multi-scale estimate"] = self.multi_scale or None
         names = [name for name, value in given.items() if value is not None]
-        if self.multi_scale and self.solver == "total-variation":
-            names = ["the multi-scale estimate", "total variation, which needs all pixels"]
         if len(names) > 1:
             raise InputError(" and ".join(names), hint="leave out one of the two")
         limit = self.memory_limit

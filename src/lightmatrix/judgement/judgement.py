@@ -212,9 +212,6 @@ def verdicts(transport: LightTransport) -> Verdicts:
     """
     check_type("a light transport matrix", transport, TransportOperator, hint=HOW_TO_GIVE)
     kinds = stored_findings(transport)
-    if transport.provenance.get("estimator") == "pictures":
-        # Smooth pictures need no patterns that tell each pixel from the next.
-        kinds = tuple(kind for kind in kinds if kind != "patterns")
     return Verdicts(
         correspondence_verdict(transport, kinds),
         relighting_verdict(transport, kinds),
