@@ -281,8 +281,7 @@ def _read_png(file: Path) -> NDArray[Any]:
     # HLG.
     described = data.find(b"cICP", 0, data.find(b"IDAT"))
     if described > 0 and data[described + 5 : described + 6] in (b"\x10", b"\x12"):
-        what = "its levels are read as those of an ordinary picture, which they are not"
-        warn(f"{file}: is in HDR: {what}\n  export it in SDR (sRGB), or as light (.exr)")
+        warn(f"{file}: is in HDR, but read as SDR\n  export it in SDR, or as light (.exr)")
     image: NDArray[Any] = imagecodecs.png_decode(data)
     # libpng adds an alpha channel where one colour stands for transparent pixels, whose levels
     # are in the file all the same.

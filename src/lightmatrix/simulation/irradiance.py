@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,6 +10,7 @@ from scipy.sparse import csr_array
 
 from lightmatrix.errors import InputError
 from lightmatrix.patterns.pattern_set import PatternSet
+from lightmatrix.resources.threads import work_ahead
 from lightmatrix.transport.sparse_rows import row_blocks
 
 # One task of a thread multiplies rows with about this many stored entries. Chosen by hand: enough
@@ -51,8 +50,7 @@ def irradiance(
         for k, block in zip(firsts, blocks, strict=True):
             light[start:stop, k : k + size] = some_rows @ block
 
-    with ThreadPoolExecutor(os.cpu_count()) as pool:
-        for task, _ in enumerate(pool.map(multiply, range(len(cuts) - 1))):
-            if progress is not None:
-                progress(int(cuts[task + 1]), rows)
+    for task, _ in enumerate(work_ahead(multiply, range(len(cuts) - 1))):
+        if progress is not None:
+            progress(int(cuts[task + 1]), rows)
     return light
