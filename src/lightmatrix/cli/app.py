@@ -22,33 +22,23 @@ from typer.core import TyperGroup
 import lightmatrix as lm
 from lightmatrix.cli.calibrate import calibrate
 from lightmatrix.cli.capture import capture
-from lightmatrix.cli.check import check
+from lightmatrix.cli.captures import check, convert, pack
 from lightmatrix.cli.compensate import compensate
-from lightmatrix.cli.convert import convert
-from lightmatrix.cli.decode import decode
 from lightmatrix.cli.demo import demo
 from lightmatrix.cli.estimate import estimate
-from lightmatrix.cli.evaluate import evaluate
-from lightmatrix.cli.export import export
 from lightmatrix.cli.help import Command
-from lightmatrix.cli.info import info
-from lightmatrix.cli.layers import layers
 from lightmatrix.cli.map import map
-from lightmatrix.cli.pack import pack
 from lightmatrix.cli.patterns import patterns
 from lightmatrix.cli.plan import plan
 from lightmatrix.cli.project import project
-from lightmatrix.cli.relight import relight
-from lightmatrix.cli.render import render
 from lightmatrix.cli.response import response
 from lightmatrix.cli.rig import app as rig
-from lightmatrix.cli.scenes import scenes
-from lightmatrix.cli.separate import separate
+from lightmatrix.cli.shape import decode, layers, triangulate
 from lightmatrix.cli.show import show
-from lightmatrix.cli.simulate import simulate
+from lightmatrix.cli.simulate import render, scenes, simulate
 from lightmatrix.cli.terminal import as_options, say, warn
 from lightmatrix.cli.track import track
-from lightmatrix.cli.triangulate import triangulate
+from lightmatrix.cli.use import evaluate, export, info, relight, separate
 from lightmatrix.cli.view import view
 from lightmatrix.errors import LightMatrixError, LightMatrixWarning
 
