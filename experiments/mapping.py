@@ -63,10 +63,10 @@ def cases(quick: bool) -> Iterator[Case]:
     for seed in range(1 if quick else 3):
         for scene in ("corner",) if quick else ("mirror_balls", "metal"):
             yield Case("maps", scene, 64, seed)
-        for scene in ("l_objects", "corner") + (() if quick else ("stage", "statues", "dome")):
+        for scene in ("l_objects", "corner") + (() if quick else ("dome", "stage", "statues")):
             yield Case("projectors", scene, 64, seed)
     yield Case("picture", "l_objects", 64 if quick else 128, 0)
-    for scene in () if quick else ("stage", "statues", "dome"):
+    for scene in () if quick else ("dome", "stage", "statues"):
         yield Case("two", scene, 128, 0)
 
 
@@ -315,8 +315,8 @@ def _draw(out: Path, results: list[tuple[Case, Measured]]) -> None:
     for case, measured in results:
         if case.kind == "picture":
             images = [measured.arrays[name] for name in ("wanted", "as_it_is", "compensated")]
-            shown = [Image.fromarray(display(one, 1.0).astype(np.float32)) for one in images]
-            large = [np.asarray(one.resize((512, 512), Image.Resampling.LANCZOS)) for one in shown]
+            small = [Image.fromarray(display(one, 1.0).astype(np.float32)) for one in images]
+            large = [np.asarray(one.resize((512, 512), Image.Resampling.LANCZOS)) for one in small]
             gap = np.ones((512, 16), np.float32)
             panels = np.hstack([large[0], gap, large[1], gap, large[2]]).clip(0, 1)
             write_image(out / "mapping.png", panels, overwrite=True)
