@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import Any, Self
 
 import numpy as np
+import scipy
 from numpy.typing import ArrayLike, NDArray
-from scipy.linalg import rq
 
 from lightmatrix.errors import InputError
 from lightmatrix.files.kinds import FolderKind, geometry_kind
@@ -168,7 +168,7 @@ def normalised(matrix: ArrayLike, device: str) -> Array:
 
 def decomposed(matrix: Array) -> tuple[Array, Array, Array]:
     """K (3, 3), R (3, 3) and t (3,) of a normalised projection matrix K [R | t]."""
-    intrinsics, rotation = rq(matrix[:, :3])
+    intrinsics, rotation = scipy.linalg.rq(matrix[:, :3])
     signs = np.where(np.diag(intrinsics) < 0, -1.0, 1.0)
     intrinsics, rotation = intrinsics * signs, rotation * signs[:, None]
     translation = np.linalg.solve(intrinsics, matrix[:, 3])
