@@ -17,8 +17,8 @@ from pathlib import Path
 from typing import Any
 
 import imagecodecs
+import lazy_loader
 import numpy as np
-import tifffile
 from numpy.typing import NDArray
 from PIL import Image, UnidentifiedImageError
 
@@ -31,6 +31,8 @@ from lightmatrix.files.reading import MOST_VALUES, check_image_size, read_bytes,
 from lightmatrix.files.writing import atomic_file
 from lightmatrix.paths import as_path
 from lightmatrix.ranges import real_array
+
+tifffile = lazy_loader.load("tifffile")
 
 # The endings of files that are read, and their formats in words.
 JPEG = (".jpg", ".jpeg")
@@ -294,8 +296,7 @@ def _read_png(file: Path) -> NDArray[Any]:
     # HLG.
     described = data.find(b"cICP", 0, data.find(b"IDAT"))
     if described > 0 and data[described + 5 : described + 6] in (b"\x10", b"\x12"):
-        what = "its levels are read as those of an ordinary picture, which they are not"
-        warn(f"{file}: is in HDR: {what}\n  export it in SDR (sRGB), or as light (.exr)")
+        warn(f"{file}: is in HDR, but read as SDR\n  export it in SDR, or as light (.exr)")
     image: NDArray[Any] = imagecodecs.png_decode(data)
     # libpng adds an alpha channel where one colour stands for transparent pixels, whose levels
     # are in the file all the same.
@@ -351,7 +352,7 @@ def _read_tiff(file: Path) -> NDArray[Any]:
         return read_page(file, page)
 
 
-def read_page(file: Path, page: tifffile.TiffPage) -> NDArray[Any]:
+def read_page(file: Path, page: Any) -> NDArray[Any]:
     """Read a page of an open TIFF file as it lies there (see `orientation`)."""
     check_page(file, page)
     # Frames are read by several threads already.
@@ -361,7 +362,7 @@ def read_page(file: Path, page: tifffile.TiffPage) -> NDArray[Any]:
     return image
 
 
-def check_page(file: Path, page: tifffile.TiffPage) -> None:
+def check_page(file: Path, page: Any) -> None:
     """Refuse a page whose size, colours, axes or depth are not read, or which is not whole.
 
     Where strips or tiles are missing, tifffile would return zeros.
