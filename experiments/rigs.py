@@ -162,8 +162,8 @@ PHOTOGRAPHED: dict[str, dict[str, Any]] = {
     "noise 0.01": {"noise": 0.01},
     "noise 0.03": {"noise": 0.03},
     "12 bits, shot noise": {"bits": 12, "noise": 0.001, "shot_noise": 0.005},
-    "full well of 10,500": {"shot_noise": 10_500**-0.5},
-    "full well of 2,000": {"shot_noise": 2_000**-0.5},
+    "full well of 10,500": {"full_well": 10_500},
+    "full well of 2,000": {"full_well": 2_000},
     "response off by 5 %": {},
 }
 # Cameras, and projectors of random grey patterns, that are not linear: the camera's response, and

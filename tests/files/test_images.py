@@ -285,8 +285,8 @@ def test_what_tiff_may_hold_besides(tmp_path: Path) -> None:
     palette = np.arange(3 * 256, dtype=np.uint16).reshape(3, 256) * 80
     grey, file = picture((9, 8), np.uint8), tmp_path / "a.tif"
     cases: list[tuple[str, Any, dict[str, Any]]] = [
-        ("has colours of kind 3", grey, {"photometric": "palette", "colormap": palette}),
-        ("has colours of kind 0", grey, {"photometric": "miniswhite"}),
+        ("has a palette", grey, {"photometric": "palette", "colormap": palette}),
+        ("has white as 0", grey, {"photometric": "miniswhite"}),
         ("has colours of kind 5", picture((9, 8, 4), np.uint8), {"photometric": "separated"}),
         ("compression 34933 is not read", grey, {"compression": "png"}),
         ("has 4 bits a value", grey % 16, {"bitspersample": 4, "photometric": "minisblack"}),
@@ -491,6 +491,12 @@ def test_a_store_that_may_not_be_read(tmp_path: Path, forbid: Any, name: str) ->
 
 
 # ---- meaning
+
+
+def test_a_single_pattern_of_fewer_bits_is_warned_of(tmp_path: Path) -> None:
+    lm.write_image(tmp_path / "a.png", np.arange(35, 256, 20, dtype=np.uint16).reshape(3, 4))
+    with pytest.warns(lm.LightMatrixWarning, match="16 bits, but no level above 255"):
+        read_grey(tmp_path / "a.png")
 
 
 def photographs(folder: Path, count: int = 8) -> lm.Capture:

@@ -10,6 +10,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import lightmatrix as lm
+from benchmarks.calibration import nearest_pixels
 from lightmatrix.cli import main
 from lightmatrix.files.images import read_image
 
@@ -41,9 +42,9 @@ def test_pixels_and_their_places_are_each_others_inverse(stagger: float) -> None
     places = rig.projector_places(pixels)
     np.testing.assert_array_equal(places[1], [1, 0])
     np.testing.assert_array_equal(places[SHAPE[1]], [stagger, 1])
-    np.testing.assert_array_equal(rig.projector_pixels(places), pixels)
+    np.testing.assert_array_equal(nearest_pixels(rig, places), pixels)
     anywhere = np.random.default_rng(0).uniform(0, 100, (2000, 2))
-    around = np.abs(rig.projector_places(rig.projector_pixels(anywhere)) - anywhere)
+    around = np.abs(rig.projector_places(nearest_pixels(rig, anywhere)) - anywhere)
     # No other pixel's diamond holds the place.
     assert (around[:, 0] + around[:, 1] / 2 <= 0.5 + 1e-9).all()
 
@@ -117,7 +118,7 @@ def test_a_board_and_a_scene_calibrate_diamonds(
     assert there[1, 1] / there[0, 0] == pytest.approx(here[1, 1] / here[0, 0], rel=2e-3)
     waves = 900 + 60 * np.sin(np.arange(240) / 15) + 50 * np.cos(np.arange(180) / 11)[:, None]
     rays = rig.camera_rays(np.indices(rig.camera_shape).reshape(2, -1).T[:, ::-1])
-    lit = rig.projector_pixels(rig.project_projector(waves.reshape(-1, 1) * rays))
+    lit = nearest_pixels(rig, rig.project_projector(waves.reshape(-1, 1) * rays))
     place = lit[:, ::-1].reshape(180, 240, 2)
     place[~((place >= 0) & (place < SHAPE)).all(axis=2)] = np.nan
     pixel = np.nan_to_num(place, nan=-1).astype(np.int32)

@@ -9,11 +9,13 @@ import errno
 import functools
 import io
 import os
+import re
 import sys
 import traceback
 import warnings
 from collections.abc import Callable
 from contextlib import suppress
+from difflib import get_close_matches
 from typing import Annotated, Any, TextIO
 
 import typer
@@ -228,6 +230,12 @@ def _usage_error(error: typer.TyperException) -> tuple[str, str]:
     # What is required is among the usual options.
     rare = isinstance(getattr(context, "command", None), Command) and "Missing" not in message
     hint = f"see `{path} --help{'-all' if rare else ''}`"
+    if path.endswith(" simulate") and message.startswith("No such option: --size"):
+        hint = "the size is that of the patterns: `lightmatrix patterns KIND --size ...`"
+    choice = re.search(r"'([^']*)' is not one of (.*)", message)
+    if choice:
+        near = get_close_matches(choice[1], re.findall(r"'([^']*)'", choice[2]), n=1)
+        hint = f"did you mean {near[0]}? {hint}" if near else hint
     return message, hint
 
 

@@ -91,6 +91,10 @@ def render(
     bits="Bit depth: 8, 10, 12 or 16.",
     noise="Read noise, standard deviation as a share of the clip level.",
     shot_noise="Shot noise at the clip level, standard deviation as a share of it.",
+    full_well=typer.Option(
+        help="Electrons at the clip level, in place of --shot-noise, such as 10500.",
+        show_default="--shot-noise counts",
+    ),
     black_level="Raw level without light.",
     blur="Defocus of the projector, standard deviation in pixels.",
     camera_blur="Defocus of the camera, standard deviation in its pixels.",
@@ -116,6 +120,7 @@ def simulate(
     bits: int = 8,
     noise: float = USUAL_NOISE,
     shot_noise: float = 0.0,
+    full_well: float | None = None,
     black_level: float = 0.0,
     blur: float = 0.0,
     camera_blur: float = 0.0,
@@ -145,7 +150,7 @@ def simulate(
         with progress("simulating", "rows") as report:
             capture = lm.simulate(
                 scene, patterns, camera=camera, exposure=exposure, bits=bits, noise=noise,
-                shot_noise=shot_noise, black_level=black_level, blur=blur,
+                shot_noise=shot_noise, full_well=full_well, black_level=black_level, blur=blur,
                 camera_blur=camera_blur, leak=leak, ambient=ambient, vignetting=vignetting,
                 primary=primary, faults=_amounts(fault or []), seed=seed, progress=report,
             )  # fmt: skip
@@ -168,5 +173,6 @@ def _amounts(faults: list[str]) -> dict[str, float]:
         except ValueError:
             hint = "write NAME=AMOUNT, with a number such as 0.1"
             raise InputError(f"a fault of {text!r}", hint=hint) from None
-        amounts[name] = number
+        if amounts.setdefault(name, number) != number:
+            raise InputError(f"{name} twice", hint="give each fault once")
     return amounts

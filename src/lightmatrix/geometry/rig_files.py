@@ -268,9 +268,8 @@ def write_rig(part: Path, rig: Any) -> None:
         part.write_text(json.dumps(content, indent=2) + "\n", encoding="utf-8")
         return
     skew = max(abs(rig.camera_intrinsics[0, 1]), abs(rig.projector_intrinsics[0, 1]))
-    diamond = bool(rig.projector_stagger)
-    if rig.projector_mirrored or diamond or (part.is_dir() and skew > 1e-6):
-        what = "skewed pixels" if not diamond else "diamond pixels"
+    if rig.projector_mirrored or rig.projector_stagger or (part.is_dir() and skew > 1e-6):
+        what = "diamond pixels" if rig.projector_stagger else "skewed pixels"
         what = "a mirrored projector" if rig.projector_mirrored else what
         raise OutputError(f"this format cannot state {what}", hint="save it as .json")
     (_write_colmap if part.is_dir() else _write_opencv)(part, rig)

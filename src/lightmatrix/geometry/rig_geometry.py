@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Self
@@ -180,9 +180,7 @@ def centre_of(matrix: Array) -> Array:
     return np.asarray(np.linalg.solve(matrix[:, :3], -matrix[:, 3]))
 
 
-def binned_matrix(
-    matrix: Array, block: tuple[float, float], corner: tuple[float, float] = (0, 0)
-) -> Array:
+def binned_matrix(matrix: Array, block: Sequence[float], corner: Sequence[float] = (0, 0)) -> Array:
     """The matrix (3, ...) for pixels cut from a corner (row, col), then binned by a block.
 
     The centre of the first block of b pixels lies at (b - 1) / 2, so that pixel centres stay at
@@ -410,19 +408,6 @@ class RigGeometry:
     def projector_places(self, pixels: ArrayLike) -> Array:
         """Where projector pixels (n, 2) as (col, row) lie: the same, but for diamond pixels."""
         return staggered(points_of(pixels, 2), self.projector_stagger)
-
-    def projector_pixels(self, places: ArrayLike) -> Array:
-        """The pixels (n, 2), whole numbers as (col, row), that are nearest to projector places."""
-        col, row = points_of(places, 2).T
-        found = []
-        for near in (np.rint(row), np.rint(row) + np.where(row < np.rint(row), -1, 1)):
-            own = np.rint(col - self.projector_stagger * (near % 2))
-            # A diamond is as wide as a column, and as high as two rows.
-            away = np.abs(own + self.projector_stagger * (near % 2) - col) + np.abs(near - row) / 2
-            found.append((own, near, away))
-        (own, near, away), (other, beside, of_other) = found
-        better = (self.projector_stagger != 0) & (of_other < away)
-        return np.column_stack([np.where(better, other, own), np.where(better, beside, near)])
 
     def _unmirrored(self, points: Array) -> Array:
         """Projector pixels (n, 2) counted from the side of `projector_matrix`, or back."""

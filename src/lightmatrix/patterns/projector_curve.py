@@ -100,16 +100,13 @@ class ProjectorResponse:
         """
         kind, _, gamma = str(text).partition(":")
         hint = "give gamma:2.2, linear, or a file of `lightmatrix response --projector`"
-        if str(text) == "linear":
-            return cls.of_gamma(1.0)
-        if kind != "gamma":
-            if not as_path(text).is_file():
-                raise InputError(f"{text}: no such file, and no projector's response", hint=hint)
+        power = 1.0 if str(text) == "linear" else as_float(gamma) if kind == "gamma" else math.nan
+        if not math.isnan(power):
+            check_number("a gamma", power, least=0.1, most=10, hint="use 0.1 to 10, such as 2.2")
+            return cls.of_gamma(power)
+        if as_path(text).is_file():
             return cls.load(text)
-        if math.isnan(power := as_float(gamma)):
-            raise InputError(f"a projector's response of {text}", hint=hint)
-        check_number("a gamma", power, least=0.1, most=10, hint="use 0.1 to 10, such as 2.2")
-        return cls.of_gamma(power)
+        raise InputError(f"{text}: no such file, and no projector's response", hint=hint)
 
     @classmethod
     def of_provenance(cls, provenance: Mapping[str, Any]) -> ProjectorResponse | None:

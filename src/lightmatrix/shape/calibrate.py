@@ -431,9 +431,8 @@ def calibrate_rig(
         }
         own["stereo"] = float(np.sqrt((own["camera"] ** 2 + own["projector"] ** 2) / 2))
         found = fit.geometry(camera, projector, (cameras[camera], projectors[projector]))
-        seen_from_behind = bool(mirrored[projector])
-        found = replace(found, units=units, rms=own, projector_mirrored=seen_from_behind)
-        return replace(found, projector_stagger=stagger)
+        found = replace(found, units=units, rms=own, projector_stagger=stagger)
+        return replace(found, projector_mirrored=bool(mirrored[projector]))
 
     geometries = tuple(
         tuple(geometry(c, p) for p in range(len(projectors))) for c in range(len(cameras))

@@ -25,7 +25,7 @@ from lightmatrix.paths import as_path
 from lightmatrix.patterns.colour import ColourPatterns
 from lightmatrix.patterns.folder import read_patterns
 from lightmatrix.patterns.pattern_set import PatternSet
-from lightmatrix.ranges import as_float, check_seed
+from lightmatrix.ranges import as_float, check_number, check_seed
 from lightmatrix.regions import Region
 from lightmatrix.simulation import library, realism
 from lightmatrix.simulation.colour import in_all_primaries, in_primary, is_of_all_primaries
@@ -133,6 +133,7 @@ def simulate(
     bits: int | None = 8,
     noise: float = USUAL_NOISE,
     shot_noise: float = 0.0,
+    full_well: float | None = None,
     black_level: float = 0.0,
     blur: float = 0.0,
     camera_blur: float = 0.0,
@@ -167,6 +168,9 @@ def simulate(
         Read noise, standard deviation as a share of the clip level, in [0, 1].
     shot_noise : float
         Shot noise at the clip level, standard deviation as a share of it, in [0, 1].
+    full_well : float, optional
+        Electrons at the clip level, whose root is the shot noise: 10,500 give 0.0098 of the clip
+        level, as `shot_noise` would say. None: `shot_noise` counts.
     black_level : float
         Raw level of a sample without light.
     blur : float
@@ -219,6 +223,12 @@ def simulate(
         hint = "leave out one of the two"
         raise InputError(f"the primary {primary} for patterns in colour", hint=hint)
     exposures = parse_exposures(exposure if isinstance(exposure, str) else repr(as_float(exposure)))
+    if full_well is not None:
+        if shot_noise:
+            raise InputError("a shot noise and a full well", hint="leave out one of the two")
+        hint = "use electrons, such as 10500"
+        check_number("a full well", full_well, least=1, most=1e12, hint=hint)
+        shot_noise = full_well**-0.5
     sensor = Sensor(
         exposure_sequence(exposures, patterns), as_float(black_level), noise, shot_noise, bits
     )
