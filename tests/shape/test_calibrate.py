@@ -421,6 +421,8 @@ def calibrated_from(
 
 def test_the_real_board_calibrates_flipped_as_it_is(monkeypatch: pytest.MonkeyPatch) -> None:
     seen, lit = real_corners()
+    # Where the board stands, from the geometry of what is not flipped.
+    points = fitted(seen, lit)[1].triangulate(seen[0], lit[0])
     lit[..., 0] = PROJECTOR[1] - 1 - lit[..., 0]
     with pytest.warns(lm.LightMatrixWarning, match="image mirrored"):
         measured = calibrated_from(
@@ -429,6 +431,8 @@ def test_the_real_board_calibrates_flipped_as_it_is(monkeypatch: pytest.MonkeyPa
     assert measured.geometry.projector_mirrored
     assert measured.geometry.rms["stereo"] < 0.2
     assert measured.geometry.baseline == pytest.approx(674, abs=3)
+    # The board lies before the projector, not behind it.
+    np.testing.assert_allclose(measured.geometry.project_projector(points), lit[0], atol=0.5)
 
 
 @pytest.mark.parametrize("exchanged", [False, True])
