@@ -765,6 +765,8 @@ def test_the_command_without_a_board(tmp_path: Path, capsys: pytest.CaptureFixtu
     assert json.loads(capsys.readouterr().out)["rms_epipolar"] < 0.5
     rig = lm.RigGeometry.load(tmp_path / "rig.json")
     assert (round(rig.baseline, 6), rig.units) == (360, "mm")
+    assert main([*words, *focal, "--overwrite"]) == 0
+    assert "if its axis passes the middle column" in capsys.readouterr().out
     for more, message in (
         (["--focal", "0"], "a focal length of 0"),
         (["--focal", "9", "--principal", "5"], "--principal 5"),
