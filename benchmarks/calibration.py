@@ -46,6 +46,23 @@ def devices(rows: int) -> list[tuple[NDArray[np.float64], NDArray[np.float64], l
     return found
 
 
+def nearest_pixels(rig: RigGeometry, places: NDArray[np.float64]) -> NDArray[np.float64]:
+    """The projector pixels (n, 2), whole numbers as (col, row), nearest to places."""
+    near = np.rint(places)
+    if not rig.projector_stagger:
+        return near
+    # A diamond is as wide as a column, and as high as two rows.
+    found = []
+    for down in (-1, 0, 1):
+        row = near[:, 1] + down
+        col = np.rint(places[:, 0] - rig.projector_stagger * (row % 2))
+        pixels = np.column_stack([col, row])
+        away = np.abs(rig.projector_places(pixels) - places) @ [1, 0.5]
+        found.append(np.column_stack([pixels, away]))
+    best = np.argmin([each[:, 2] for each in found], axis=0)
+    return np.take_along_axis(np.stack(found), best[None, :, None], axis=0)[0, :, :2]
+
+
 def board_capture(
     rig: RigGeometry,
     turn: NDArray[np.float64],
@@ -77,7 +94,7 @@ def board_capture(
         on = (cell >= 0).all(axis=1) & (cell <= board).all(axis=1)
         light[on & (cell.sum(axis=1) % 2 == 0)] = 0.15
     light /= fine**2
-    lit = np.rint(rig.project_projector(points))
+    lit = nearest_pixels(rig, rig.project_projector(points))
     inside = ((lit >= 0) & (lit < rig.projector_shape[::-1])).all(axis=1)
     column = (lit[inside, 1] * rig.projector_shape[1] + lit[inside, 0]).astype(np.int32)
     owner = np.repeat(np.arange(rows * cols), fine**2)[inside]

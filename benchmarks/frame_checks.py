@@ -32,7 +32,7 @@ from lightmatrix.files.images import decode_image, encode_image
 from lightmatrix.patterns.bits import BernoulliPatterns
 from lightmatrix.patterns.pattern_set import PatternSet
 from lightmatrix.simulation import library
-from lightmatrix.simulation.irradiance import irradiance
+from lightmatrix.simulation.simulate import irradiance
 
 COUNTS = (32, 48, 64, 96, 128)
 SHIFT = 2

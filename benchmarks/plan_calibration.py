@@ -38,8 +38,8 @@ from lightmatrix.patterns.grey import grey_patterns
 from lightmatrix.patterns.mix import MixedPatterns, default_mix
 from lightmatrix.patterns.pattern_set import PatternSet
 from lightmatrix.planning.exposure_advice import WhiteFrame, advise_exposures
-from lightmatrix.simulation.irradiance import irradiance
 from lightmatrix.simulation.library import truth
+from lightmatrix.simulation.simulate import irradiance
 from lightmatrix.simulation.truth import Truth
 from lightmatrix.solvers import ActiveSet
 

@@ -15,7 +15,7 @@ from lightmatrix.capture.capture import Capture
 from lightmatrix.capture.packing import pack
 from lightmatrix.capture.sensor import Sensor
 from lightmatrix.patterns.pattern_set import PatternSet
-from lightmatrix.simulation.irradiance import irradiance
+from lightmatrix.simulation.simulate import irradiance
 from lightmatrix.transport.sparse_rows import stack_rows
 
 

@@ -19,7 +19,7 @@ from lightmatrix.patterns.bits import BernoulliPatterns
 from lightmatrix.patterns.hadamard import HadamardPatterns
 from lightmatrix.patterns.pattern_set import PatternSet
 from lightmatrix.simulation import library
-from lightmatrix.simulation.irradiance import irradiance
+from lightmatrix.simulation.simulate import irradiance
 from lightmatrix.simulation.truth import Truth
 from lightmatrix.solvers import ActiveSet, Fidelity, Problem, Result, SaturationADMM, solve
 from lightmatrix.solvers.active_set import prepared

@@ -18,9 +18,9 @@ from lightmatrix.judgement.metrics import diffuse_rows
 from lightmatrix.patterns.bits import BernoulliPatterns
 from lightmatrix.pictures.style import display, figure, mark_clipped, panel, save
 from lightmatrix.simulation import library
-from lightmatrix.simulation.irradiance import irradiance
 from lightmatrix.simulation.renderer import load_mitsuba, mitsuba_scene
 from lightmatrix.simulation.scenes import scene
+from lightmatrix.simulation.simulate import irradiance
 from lightmatrix.simulation.thinning import ascending_in_rows
 from lightmatrix.simulation.truth import Truth
 

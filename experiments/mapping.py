@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from PIL import Image
 from scipy.ndimage import binary_dilation
 from scipy.sparse import csr_array
 from scipy.spatial import cKDTree
@@ -62,10 +63,10 @@ def cases(quick: bool) -> Iterator[Case]:
     for seed in range(1 if quick else 3):
         for scene in ("corner",) if quick else ("mirror_balls", "metal"):
             yield Case("maps", scene, 64, seed)
-        for scene in ("l_objects", "corner") + (() if quick else ("stage", "statues")):
+        for scene in ("l_objects", "corner") + (() if quick else ("dome", "stage", "statues")):
             yield Case("projectors", scene, 64, seed)
     yield Case("picture", "l_objects", 64 if quick else 128, 0)
-    for scene in () if quick else ("stage", "statues"):
+    for scene in () if quick else ("dome", "stage", "statues"):
         yield Case("two", scene, 128, 0)
 
 
@@ -199,7 +200,7 @@ def _two(truth: Truth, seed: int) -> Measured:
     lit = shared.lit.reshape(shape)
     # The rows and the columns of which as much is lit as of most.
     shares = (lit.mean(axis=axis) for axis in (1, 0))
-    ends = (np.flatnonzero(share > 0.85 * np.median(share))[[0, -1]] for share in shares)
+    ends = (np.flatnonzero(share > 0.97 * np.median(share))[[0, -1]] for share in shares)
     box = tuple(slice(first, last + 1) for first, last in ends)
     mask = np.zeros(shape, np.float32)
     mask[box] = 1
@@ -308,15 +309,17 @@ def _draw(out: Path, results: list[tuple[Case, Measured]]) -> None:
                     axes.imshow(shown, "gray", vmin=0, vmax=1, interpolation="lanczos")
                     axes.set_title(title if scene == two[0][0] else "")
                     axes.set(xticks=[], yticks=[])
+                    axes.spines[:].set_visible(False)
                 row[0].set_ylabel(scene)
             save(drawing, out, "two-projectors")
     for case, measured in results:
         if case.kind == "picture":
             images = [measured.arrays[name] for name in ("wanted", "as_it_is", "compensated")]
-            gap = np.ones((len(images[0]), max(2, len(images[0]) // 32)), np.float32)
-            panels = np.hstack([images[0], gap, images[1], gap, images[2]])
-            larger = np.kron(panels.clip(0, 1) ** (1 / 2.2), np.ones((512 // case.side,) * 2))
-            write_image(out / "mapping.png", larger, overwrite=True)
+            small = [Image.fromarray(display(one, 1.0).astype(np.float32)) for one in images]
+            large = [np.asarray(one.resize((512, 512), Image.Resampling.LANCZOS)) for one in small]
+            gap = np.ones((512, 16), np.float32)
+            panels = np.hstack([large[0], gap, large[1], gap, large[2]]).clip(0, 1)
+            write_image(out / "mapping.png", panels, overwrite=True)
 
 
 def _summary(rows: list[Row]) -> list[Row]:

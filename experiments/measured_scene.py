@@ -25,7 +25,7 @@ from lightmatrix.judgement.metrics import (
 from lightmatrix.patterns.bits import BernoulliPatterns
 from lightmatrix.patterns.pattern_set import PatternSet
 from lightmatrix.simulation import library
-from lightmatrix.simulation.irradiance import irradiance
+from lightmatrix.simulation.simulate import irradiance
 from lightmatrix.simulation.truth import Truth
 from lightmatrix.transport.matrix import LightTransport
 

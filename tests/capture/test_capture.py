@@ -318,6 +318,17 @@ def test_files_with_unused_bits_are_refused(tmp_path: Path, bits: int) -> None:
     judge(ReadSettings(clip=65535))
 
 
+def test_swapped_bytes_are_named() -> None:
+    smooth = np.add.outer(np.linspace(0, 2000, 24), np.linspace(0, 2000, 32))
+    raw = (smooth + np.random.default_rng(0).normal(60, 20, (5, 24, 32))).astype(np.uint16)
+    # Levels of 12 bits, shifted to 16, without low bytes, without high ones, and two levels.
+    for frames in (raw, raw * 16, (raw // 16) * 256, raw // 16, (raw > 2000) * np.uint16(0xFF01)):
+        check_depth(in_memory(frames, None)[0], Decoder(4095, 65535))
+    for frames in (raw, raw * 16):
+        with pytest.raises(InputError, match="bytes of each level are swapped"):
+            check_depth(in_memory(frames.byteswap(), None)[0], Decoder(4095, 65535))
+
+
 def test_levels_below_black_are_named() -> None:
     frames = np.full((5, 24, 32), -0.5, np.float32)
     with pytest.raises(InputError, match="half of the levels that were looked at are below -0"):

@@ -28,9 +28,9 @@ from lightmatrix.judgement.metrics import relative_error, unclipped_rows
 from lightmatrix.patterns.bits import BernoulliPatterns
 from lightmatrix.patterns.mix import MixedPatterns, default_mix, interleave
 from lightmatrix.patterns.pattern_set import PatternSet
-from lightmatrix.simulation.irradiance import irradiance
 from lightmatrix.simulation.library import truth
 from lightmatrix.simulation.procedural import ProceduralScene
+from lightmatrix.simulation.simulate import irradiance
 from lightmatrix.simulation.truth import Truth
 from lightmatrix.solvers import ActiveSet
 

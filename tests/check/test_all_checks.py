@@ -28,6 +28,7 @@ from lightmatrix.cli import main
 from lightmatrix.files.images import decode_image, encode_image
 from lightmatrix.patterns.bits import BernoulliPatterns
 from lightmatrix.patterns.hadamard import HadamardPatterns
+from lightmatrix.patterns.making import make_patterns
 from lightmatrix.patterns.pattern_set import ImagePatterns
 from lightmatrix.patterns.stripes import MicroPhasePatterns
 from tests.helpers.surface import CAMERA, PROJECTOR, photographs
@@ -252,6 +253,16 @@ def test_stripes_in_both_directions_do_not() -> None:
     assert "along rows or along columns only" not in message(both)
 
 
+def test_patterns_too_coarse_to_tell_neighbours_apart_are_named() -> None:
+    """T of 32 x 32 pixels from 256 of these errs by 0.15, and no photograph shows it."""
+    coarse = HadamardPatterns((32, 32), 256, "sequency")
+    assert "nearly alike" in check_distinguishable(coarse)[0].message
+    for kind, count in (("bernoulli", 16), ("random", 8), ("mix", 64), ("onepixel", 1024)):
+        assert not check_distinguishable(make_patterns(kind, (32, 32), count))
+    assert not check_distinguishable(HadamardPatterns((32, 32), 512, "sequency"))
+    assert not check_distinguishable(HadamardPatterns((32, 32), 256, "random"))
+
+
 def test_a_fifth_of_the_pixels_may_be_alike() -> None:
     for alike, fault in ((18, False), (24, True)):
         images = RANDOM.copy().reshape(12, -1)
@@ -333,6 +344,7 @@ def test_files_that_do_not_fit_together_are_findings(
         (lambda frames: frames.astype(np.float32), "float with levels up to 255"),
         (lambda frames: (frames / 127.5 - 1).astype(np.float32), "half of the levels"),
         (lambda frames: 9 * frames.astype(np.uint16), "16 bits, but no level above"),
+        (lambda frames: (frames * np.uint16(16)).byteswap(), "two bytes of each level are swapped"),
     ],
 )
 def test_levels_that_estimate_refuses_are_findings(

@@ -168,7 +168,7 @@ def test_usage_errors_end_with_code_2(capsys: pytest.CaptureFixture[str]) -> Non
     shown = capsys.readouterr().err
     assert "Traceback" not in shown
     assert "Value error" not in shown
-    assert "see `lightmatrix patterns --help-all`" in shown
+    assert "did you mean bernoulli? see `lightmatrix patterns --help-all`" in shown
     # What is required is in the short help.
     for words in ("rig", "plan"):
         assert main([words]) == 2

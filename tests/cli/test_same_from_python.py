@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
+from collections.abc import Callable
 from pathlib import Path
-from typing import Any, get_args
+from typing import Any, TypeVar, get_args
 
 import numpy as np
 import pytest
@@ -23,6 +25,9 @@ from lightmatrix.rig.rig_measurements import PARTS
 from lightmatrix.simulation.procedural import ProceduralScene
 from lightmatrix.simulation.truth import binned
 
+T = TypeVar("T")
+RIG = "virtual:procedural,size=16,real=0"
+
 
 @pytest.fixture(scope="module")
 def work(tmp_path_factory: pytest.TempPathFactory) -> Path:
@@ -35,6 +40,9 @@ def work(tmp_path_factory: pytest.TempPathFactory) -> Path:
         "estimate {}/capture -o {}/scene.zarr",
     ):
         assert main(line.replace("{}", str(folder)).split()) == 0
+    rows, cols = lm.open(folder / "scene.zarr").camera_shape
+    ramp = np.rint(np.tile(np.linspace(60, 255, cols), (rows, 1))).astype(np.uint8)
+    lm.write_image(folder / "wanted.png", ramp)
     return folder
 
 
@@ -42,6 +50,44 @@ def _run(line: str, capsys: pytest.CaptureFixture[str]) -> dict[str, Any]:
     assert main([*line.split(), "--json"]) == 0
     printed: dict[str, Any] = json.loads(capsys.readouterr().out)
     return printed
+
+
+class Both:
+    """Runs a command and its function, each in a folder of its own, and compares their files."""
+
+    def __init__(self, folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+        self.shown, self.made, self._capsys = folder / "shown", folder / "made", capsys
+        self.shown.mkdir()
+        self.made.mkdir()
+
+    def __call__(self, line: str, function: Callable[[], T]) -> tuple[dict[str, Any], T]:
+        with contextlib.chdir(self.shown):
+            printed = _run(line, self._capsys)
+        with contextlib.chdir(self.made):
+            result = function()
+        self._compare()
+        return printed, result
+
+    def _compare(self) -> None:
+        names = sorted(p.relative_to(self.shown) for p in self.shown.rglob("*") if p.is_file())
+        assert names
+        assert names == sorted(
+            p.relative_to(self.made) for p in self.made.rglob("*") if p.is_file()
+        )
+        for name in names:
+            one, other = self.shown / name, self.made / name
+            if name.suffix == ".npz":  # Archives keep times.
+                with np.load(one) as a, np.load(other) as b:
+                    assert set(a.files) == set(b.files)
+                    for key in a.files:
+                        np.testing.assert_array_equal(a[key], b[key])
+            elif ".zarr" not in str(name):  # Its provenance names the files.
+                assert one.read_bytes() == other.read_bytes(), name
+
+
+@pytest.fixture
+def both(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Both:
+    return Both(tmp_path, capsys)
 
 
 def _same_matrix(one: csr_array, other: csr_array) -> None:
@@ -58,31 +104,16 @@ def _same_transport(one: lm.LightTransport, other: lm.LightTransport) -> None:
         np.testing.assert_array_equal(values, other.diagnostics[name])
 
 
-def _same_files(one: Path, other: Path) -> None:
-    """Whether two folders hold the same files, but for the times within archives."""
-    names = sorted(str(path.relative_to(one)) for path in one.rglob("*") if path.is_file())
-    assert names
-    assert names == sorted(str(p.relative_to(other)) for p in other.rglob("*") if p.is_file())
-    for name in names:
-        if name.endswith(".npz"):
-            with np.load(one / name) as a, np.load(other / name) as b:
-                assert set(a.files) == set(b.files)
-                for key in a.files:
-                    np.testing.assert_array_equal(a[key], b[key])
-        else:
-            assert (one / name).read_bytes() == (other / name).read_bytes(), name
-
-
 @pytest.mark.parametrize("kind", making.KINDS)
-def test_patterns(kind: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_patterns(kind: str, both: Both) -> None:
     # Gray code has as many patterns as it needs, with and without sinusoids.
     count = None if kind in ("graycode", "phase") else 12
     words = "" if count is None else f"-k {count} "
-    line = f"patterns {kind} {words}--size 16x8 --block 4x2 --seed 3 -o {tmp_path}/shown"
-    printed = _run(line, capsys)
     made = lm.make_patterns(kind, (16, 8), count, block=(4, 2), seed=3)
-    lm.write_patterns(tmp_path / "written", made)
-    _same_files(tmp_path / "shown", tmp_path / "written")
+    printed, _ = both(
+        f"patterns {kind} {words}--size 16x8 --block 4x2 --seed 3 -o out",
+        lambda: lm.write_patterns("out", made),
+    )
     assert printed["digest"] == made.digest
 
 
@@ -114,23 +145,18 @@ def test_render(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
         ),
     ],
 )  # fmt: skip
-def test_simulate(
-    words: str, settings: dict[str, Any], work: Path, tmp_path: Path,
-    capsys: pytest.CaptureFixture[str],
-) -> None:  # fmt: skip
-    line = f"simulate {work}/T.npz --patterns {work}/patterns {words} -o {tmp_path}/shown"
-    printed = _run(line, capsys)
+def test_simulate(words: str, settings: dict[str, Any], work: Path, both: Both) -> None:
     capture = lm.simulate(f"{work}/T.npz", lm.read_patterns(work / "patterns"), **settings)
-    capture.save(tmp_path / "saved")
-    _same_files(tmp_path / "shown", tmp_path / "saved")
+    printed, _ = both(
+        f"simulate {work}/T.npz --patterns {work}/patterns {words} -o out",
+        lambda: capture.save("out"),
+    )
     # The capture in memory equals the one that is read back, so that an estimate needs no folder.
-    read = lm.Capture.open(tmp_path / "shown")
+    read = lm.Capture.open(both.shown / "out")
     assert read.digest == capture.digest
     assert read.description == capture.description
-    assert printed["frames"] == 48
-    assert sum(printed["exposures"].values()) == 48
-    known = lm.truth(str(tmp_path / "shown" / "truth.npz"))
-    _same_matrix(known.matrix, capture.truth.matrix)
+    assert printed["frames"] == sum(printed["exposures"].values()) == 48
+    _same_matrix(lm.truth(f"{both.shown}/out/truth.npz").matrix, capture.truth.matrix)
 
 
 @pytest.mark.parametrize(
@@ -151,35 +177,32 @@ def test_simulate(
         ("--regularization 0.07 --coherent", {"regularization": 0.07, "coherent": True}),
     ],
 )  # fmt: skip
-def test_estimate(
-    words: str, settings: dict[str, Any], work: Path, tmp_path: Path,
-    capsys: pytest.CaptureFixture[str],
-) -> None:  # fmt: skip
+def test_estimate(words: str, settings: dict[str, Any], work: Path, both: Both) -> None:
     # The checks, which take longest, with the first settings only.
     unchecked = "--no-check" if words else ""
-    printed = _run(f"estimate {work}/capture {words} {unchecked} -o {tmp_path}/shown.zarr", capsys)
-    made = lm.estimate(
-        work / "capture", output=tmp_path / "made.zarr", check=not unchecked, **settings
+    printed, made = both(
+        f"estimate {work}/capture {words} {unchecked} -o out.zarr",
+        lambda: lm.estimate(work / "capture", output="out.zarr", check=not unchecked, **settings),
     )
-    shown = lm.open(tmp_path / "shown.zarr")
+    shown, kept = (lm.open(folder / "out.zarr") for folder in (both.shown, both.made))
     _same_transport(shown, made)
-    _same_transport(shown, lm.open(tmp_path / "made.zarr"))
-    assert shown.provenance == lm.open(tmp_path / "made.zarr").provenance
+    _same_transport(shown, kept)
+    assert shown.provenance == kept.provenance
     summary = shown.summary()
     assert {name: printed[name] for name in summary} == summary
 
 
-def test_estimate_from_two_binned_folders(
-    work: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_estimate_from_two_binned_folders(work: Path, both: Both) -> None:
     images = work / "capture" / "images"
-    bins = "--bin-camera 2 --bin-projector 2x1 --clip 250"
-    line = f"estimate --patterns {work}/patterns --images {images} {bins} -o {tmp_path}/shown.zarr"
-    _run(f"{line} --no-check", capsys)
+    bins = "--bin-camera 2 --bin-projector 2x1 --clip 250 --no-check"
     capture = lm.Capture.from_folders(
         work / "patterns", images, lm.ReadSettings(clip=250), bin_camera=2, bin_projector=(2, 1)
     )
-    _same_transport(lm.open(tmp_path / "shown.zarr"), lm.estimate(capture, check=False))
+    _, made = both(
+        f"estimate --patterns {work}/patterns --images {images} {bins} -o out.zarr",
+        lambda: lm.estimate(capture, output="out.zarr", check=False),
+    )
+    _same_transport(lm.open(both.shown / "out.zarr"), made)
 
 
 def test_info(work: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -203,53 +226,38 @@ def test_info(work: Path, capsys: pytest.CaptureFixture[str]) -> None:
     ],
 )
 def test_show(
-    words: str, view: str, index: tuple[int, ...], work: Path, tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str],
-) -> None:  # fmt: skip
-    for folder in ("shown", "made"):
-        (tmp_path / folder).mkdir()
-    monkeypatch.chdir(tmp_path / "shown")
+    words: str, view: str, index: tuple[int, ...], work: Path, tmp_path: Path, both: Both
+) -> None:
     camera = np.array([[10.0, 0, 5, 0], [0, 10, 5, 0], [0, 0, 1, 0]])
     projector = np.array([[10.0, 0, 4, 5], [0, 10, 4, 0], [0, 0, 1, 0]])
     rig = lm.RigGeometry(camera, projector, (12, 11), (8, 8))
-    rig.save("../rig.json")
-    printed = _run(f"show {work}/scene.zarr {words}", capsys)
-    assert printed == {"output": words.split()[-1], "view": view}
-    made = tmp_path / "made" / words.split()[-1]
+    rig.save(tmp_path / "rig.json")
+    name = words.split()[-1]
     geometry = rig if "--geometry" in words else None
-    lm.show(work / "scene.zarr", view, *index, geometry=geometry, output=made)
-    _same_files(tmp_path / "shown", tmp_path / "made")
+    printed, _ = both(
+        f"show {work}/scene.zarr {words}",
+        lambda: lm.show(work / "scene.zarr", view, *index, geometry=geometry, output=name),
+    )
+    assert printed == {"output": name, "view": view}
 
 
 @pytest.mark.parametrize("name", ["out.PNG", "out.npy", "out.exr"])
-def test_relight(name: str, work: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_relight(name: str, work: Path, both: Both) -> None:
     if name.endswith("exr"):
         pytest.importorskip("OpenEXR")
     pattern = work / "patterns" / "pattern_0003.png"
     gamma = 2.2 if name.lower().endswith("png") else 1.0
-    (tmp_path / "shown").mkdir()
-    line = f"relight {work}/scene.zarr {pattern} --exposure 0.7 --gamma {gamma}"
-    printed = _run(f"{line} -o {tmp_path}/shown/{name}", capsys)
-    output = tmp_path / "made" / name
-    image = lm.relight(work / "scene.zarr", pattern, exposure=0.7, gamma=gamma, output=output)
-    _same_files(tmp_path / "shown", tmp_path / "made")
+    printed, image = both(
+        f"relight {work}/scene.zarr {pattern} --exposure 0.7 --gamma {gamma} -o {name}",
+        lambda: lm.relight(work / "scene.zarr", pattern, exposure=0.7, gamma=gamma, output=name),
+    )
     assert printed["mean"] == float(image.mean())
-    written = lm.read_image(output)
+    written = lm.read_image(both.made / name)
     if gamma == 2.2:
         expected = np.rint(255 * np.clip(image, 0, 1) ** (1 / 2.2))
         np.testing.assert_allclose(written, expected, atol=1)
     else:
         np.testing.assert_array_equal(written, image)
-
-
-def _wanted(work: Path) -> Path:
-    """A picture of the camera's size."""
-    picture = work / "wanted.png"
-    if not picture.exists():
-        rows, cols = lm.open(work / "scene.zarr").camera_shape
-        ramp = np.rint(np.tile(np.linspace(60, 255, cols), (rows, 1))).astype(np.uint8)
-        lm.write_image(picture, ramp)
-    return picture
 
 
 @pytest.mark.parametrize(
@@ -261,88 +269,67 @@ def _wanted(work: Path) -> Path:
     ],
 )
 def test_compensate(
-    words: str, settings: dict[str, Any], work: Path, tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str],
-) -> None:  # fmt: skip
-    wanted = _wanted(work)
-    black = tmp_path / "black.png"
-    lm.write_image(black, np.full(lm.open(work / "scene.zarr").camera_shape, 3, np.uint8))
-    names = {"wanted": wanted, "black": black}
-    for folder in ("shown", "made"):
-        (tmp_path / folder).mkdir()
-    monkeypatch.chdir(tmp_path / "shown")
-    told = _run(f"compensate {work}/scene.zarr {wanted} {words.format(**names)}", capsys)
-    settings = {k: v.format(**names) if isinstance(v, str) else v for k, v in settings.items()}
-    output = tmp_path / "made" / words.split()[1]
-    found = lm.compensate(work / "scene.zarr", wanted, output=output, **settings)
-    _same_files(tmp_path / "shown", tmp_path / "made")
-    assert told == {"output": output.name, **found.as_dict()}
-
-
-def test_compensate_with_two_projectors(
-    work: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    words: str, settings: dict[str, Any], work: Path, tmp_path: Path, both: Both
 ) -> None:
-    scene, wanted = work / "scene.zarr", _wanted(work)
-    for folder in ("shown", "made"):
-        (tmp_path / folder).mkdir()
-    _run(f"compensate {scene} {wanted} --beside {scene} -o {tmp_path}/shown/x.png", capsys)
-    lm.compensate([scene, scene], wanted, output=tmp_path / "made" / "x.png")
-    _same_files(tmp_path / "shown", tmp_path / "made")
-    assert (tmp_path / "made" / "x-2.png").exists()
+    names = {"wanted": work / "wanted.png", "black": tmp_path / "black.png"}
+    lm.write_image(names["black"], np.full((12, 11), 3, np.uint8))
+    scene, output = work / "scene.zarr", words.split()[1]
+    settings = {k: v.format(**names) if isinstance(v, str) else v for k, v in settings.items()}
+    told, found = both(
+        f"compensate {scene} {names['wanted']} {words.format(**names)}",
+        lambda: lm.compensate(scene, names["wanted"], output=output, **settings),
+    )
+    assert told == {"output": output, **found.as_dict()}
 
 
-def test_compensate_a_video(work: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_compensate_with_two_projectors(work: Path, both: Both) -> None:
+    scene, wanted = work / "scene.zarr", work / "wanted.png"
+    both(
+        f"compensate {scene} {wanted} --beside {scene} -o x.png",
+        lambda: lm.compensate([scene, scene], wanted, output="x.png"),
+    )
+    assert (both.made / "x-2.png").exists()
+
+
+def test_compensate_a_video(work: Path, tmp_path: Path, both: Both) -> None:
     scene, frames = work / "scene.zarr", tmp_path / "frames"
     frames.mkdir()
-    picture = lm.read_image(_wanted(work))
+    picture = lm.read_image(work / "wanted.png")
     for k in range(3):
         lm.write_image(frames / f"{k}.png", np.roll(picture, k, axis=1))
-    told = _run(f"compensate {scene} {frames} -o {tmp_path}/shown", capsys)
-    video = lm.compensate_video(scene, frames, output=tmp_path / "made")
-    _same_files(tmp_path / "shown", tmp_path / "made")
-    assert told == {"output": f"{tmp_path}/shown", **video.as_dict()}
+    told, video = both(
+        f"compensate {scene} {frames} -o out",
+        lambda: lm.compensate_video(scene, frames, output="out"),
+    )
+    assert told == {"output": "out", **video.as_dict()}
 
 
-def test_compensate_cancels_global_light(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_compensate_cancels_global_light(tmp_path: Path, both: Both) -> None:
     scene = tmp_path / "scene.zarr"
     lm.save(scene, binned(lm.truth("l_objects"), 4).transport())
-    for folder in ("shown", "made"):
-        (tmp_path / folder).mkdir()
-    told = _run(f"compensate {scene} --cancel-global -o {tmp_path}/shown/x.png", capsys)
-    found = lm.cancel_global(scene, output=tmp_path / "made" / "x.png")
-    _same_files(tmp_path / "shown", tmp_path / "made")
-    assert told == {"output": f"{tmp_path}/shown/x.png", **found.as_dict()}
-
-
-def test_compensate_on_a_rig(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:  # fmt: skip
-    rig = "virtual:procedural,size=16,real=0"
-    known = lm.ProceduralScene((16, 16), (16, 16), 0).truth().transport()
-    lm.save(tmp_path / "scene.zarr", known)
-    lm.write_image(tmp_path / "wanted.png", np.full((16, 16), 150, np.uint8))
-    for folder in ("shown", "made"):
-        (tmp_path / folder).mkdir()
-    told = _run(
-        f"compensate {tmp_path}/scene.zarr {tmp_path}/wanted.png --rig {rig} --refine 2 "
-        f"--settle 0.2 --rig-file {tmp_path}/rig.json -o {tmp_path}/shown/x.png",
-        capsys,
+    told, found = both(
+        f"compensate {scene} --cancel-global -o x.png",
+        lambda: lm.cancel_global(scene, output="x.png"),
     )
-    with lm.open_rig(rig) as opened:
-        found = lm.refine_compensation(
-            opened,
-            known,
-            tmp_path / "wanted.png",
-            steps=2,
-            settle=0.2,
-            output=tmp_path / "made" / "x.png",
+    assert told == {"output": "x.png", **found.as_dict()}
+
+
+def test_compensate_on_a_rig(tmp_path: Path, both: Both) -> None:
+    known = lm.ProceduralScene((16, 16), (16, 16), 0).truth().transport()
+    scene, wanted = tmp_path / "scene.zarr", tmp_path / "wanted.png"
+    lm.save(scene, known)
+    lm.write_image(wanted, np.full((16, 16), 150, np.uint8))
+    with lm.open_rig(RIG) as opened:
+        told, found = both(
+            f"compensate {scene} {wanted} --rig {RIG} --refine 2 --settle 0.2 "
+            "--rig-file ../rig.json -o x.png",
+            lambda: lm.refine_compensation(
+                opened, known, wanted, steps=2, settle=0.2, output="x.png"
+            ),
         )
     kept = lm.RigMeasurements.load(tmp_path / "rig.json").settle
     assert kept is not None
     assert kept.seconds == 0.2
-    _same_files(tmp_path / "shown", tmp_path / "made")
     assert told["photographed_psnr"] == found.as_dict()["photographed_psnr"]
     assert len(told["photographed_psnr"]) == 3
 
@@ -369,7 +356,7 @@ def test_what_compensate_refuses(
     words: str, reason: str, work: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     line = f"compensate {work}/scene.zarr {words} -o {tmp_path}/new.png"
-    assert main(line.format(wanted=_wanted(work)).split()) == 2
+    assert main(line.format(wanted=work / "wanted.png").split()) == 2
     assert reason in capsys.readouterr().err
 
 
@@ -381,17 +368,14 @@ def test_evaluate(work: Path, capsys: pytest.CaptureFixture[str]) -> None:
 
 
 @pytest.mark.parametrize("words", ["", "--dense-background"])
-def test_export(words: str, work: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    (tmp_path / "shown").mkdir()
-    _run(f"export {work}/scene.zarr {tmp_path}/shown/X.npz {words}", capsys)
-    lm.export(
-        tmp_path / "made" / "X.npz", lm.open(work / "scene.zarr"), dense_background=bool(words)
+def test_export(words: str, work: Path, both: Both) -> None:
+    scene = lm.open(work / "scene.zarr")
+    both(
+        f"export {work}/scene.zarr X.npz {words}",
+        lambda: lm.export("X.npz", scene, dense_background=bool(words)),
     )
-    _same_files(tmp_path / "shown", tmp_path / "made")
     if not words:
-        _same_matrix(
-            lm.open(tmp_path / "made" / "X.npz").sparse, lm.open(work / "scene.zarr").sparse
-        )
+        _same_matrix(lm.open(both.made / "X.npz").sparse, scene.sparse)
 
 
 def _as_json(advice: Advice) -> dict[str, Any]:
@@ -399,7 +383,7 @@ def _as_json(advice: Advice) -> dict[str, Any]:
     return read
 
 
-def test_plan(work: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_plan(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     printed = _run("plan metal --size 64 -k 40", capsys)
     assert printed == _as_json(lm.plan("metal", size=(64, 64), frames=40))
     by_truth = _as_json(lm.plan(lm.truth("metal"), frames=40))
@@ -414,9 +398,7 @@ def test_plan(work: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) ->
     assert made.make_patterns().count == made.frames
 
 
-def test_the_advised_patterns_are_those_of_the_advised_command(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_advised_patterns_are_those_of_the_advised_command(tmp_path: Path) -> None:
     advice = lm.plan("metal", size=(64, 64), frames=80)
     words = advice.commands[0].split()[1:-1]
     assert main([*words, str(tmp_path / "patterns")]) == 0
@@ -443,55 +425,47 @@ def test_the_advised_patterns_are_those_of_the_advised_command(
         ),
     ],
 )  # fmt: skip
-def test_capture(
-    words: str, arguments: dict[str, Any], tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    rig = "virtual:procedural,size=16,real=0"
-    printed = _run(
-        f"capture --rig {rig} {words} --rig-file {tmp_path}/shown.json -o {tmp_path}/shown", capsys
-    )
-    with lm.open_rig(rig) as opened:
-        capture = lm.take_capture(
-            tmp_path / "made", opened, keep=tmp_path / "made.json", **arguments
+def test_capture(words: str, arguments: dict[str, Any], both: Both) -> None:
+    with lm.open_rig(RIG) as opened:
+        printed, capture = both(
+            f"capture --rig {RIG} {words} --rig-file ../shown.json -o out",
+            lambda: lm.take_capture("out", opened, keep="../made.json", **arguments),
         )
-    _same_files(tmp_path / "shown", tmp_path / "made")
     assert printed["frames"] == arguments["count"] == capture.count
 
 
 @pytest.mark.parametrize("part", PARTS)
 def test_rig(part: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    rig = "virtual:procedural,size=16,real=0"
-    printed = _run(f"rig {part} --rig {rig} --rig-file {tmp_path}/rig.json", capsys)
-    with lm.open_rig(rig) as opened:
+    printed = _run(f"rig {part} --rig {RIG} --rig-file {tmp_path}/rig.json", capsys)
+    with lm.open_rig(RIG) as opened:
         made = lm.measure_rig(opened, [part], keep=tmp_path / "made.json")
     assert printed[part] == json.loads(json.dumps(made.as_dict()[part]))
-    shown = lm.RigMeasurements.load(tmp_path / "rig.json")
-    assert {**shown.as_dict(), "measured": ""} == {
-        **lm.RigMeasurements.load(tmp_path / "made.json").as_dict(), "measured": ""
-    }  # fmt: skip
+    shown, kept = (
+        lm.RigMeasurements.load(tmp_path / f"{x}.json").as_dict() for x in ("rig", "made")
+    )
+    assert shown | {"measured": ""} == kept | {"measured": ""}
 
 
 @pytest.mark.parametrize("device", ["camera", "projector"])
-def test_response(device: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    if device == "camera":
-        pytest.importorskip("cv2")
+def test_response(device: str, tmp_path: Path, both: Both) -> None:
     light = np.geomspace(0.002, 1, 4000).reshape(50, 80)
     times = [0.125, 0.25, 0.5, 1, 2, 4] if device == "camera" else np.linspace(0, 1, 6) ** 2
     levels = np.array([np.rint(200 * np.clip(time * light, 0, 1)) for time in times])
     np.save(tmp_path / "s.npy", levels.astype(np.uint8))
-    for name in ("shown", "made"):
-        (tmp_path / name).mkdir()
-    options = "--exposure 0.125,0.25,0.5,1,2,4 --clip 200" if device == "camera" else "--projector"
-    made, shown = tmp_path / "made", tmp_path / "shown"
-    line = f"response {tmp_path}/s.npy {options} -o {shown}/c.json --picture {shown}/c.png"
-    printed = _run(line, capsys)
-    files: dict[str, Any] = {"output": made / "c.json", "picture": made / "c.png"}
+    line = f"response {tmp_path}/s.npy -o c.json --picture c.png"
+    files: dict[str, Any] = {"output": "c.json", "picture": "c.png"}
     if device == "camera":
-        curve = lm.camera_response(tmp_path / "s.npy", np.array(times), clip=200, **files)
+        pytest.importorskip("cv2")
+        printed, curve = both(
+            f"{line} --exposure 0.125,0.25,0.5,1,2,4 --clip 200",
+            lambda: lm.camera_response(tmp_path / "s.npy", np.array(times), clip=200, **files),
+        )
         assert printed["misfit"] == curve.as_dict()["misfit"]
     else:
-        assert printed["gamma"] == lm.projector_response(tmp_path / "s.npy", **files).gamma
-    _same_files(shown, made)
+        printed, found = both(
+            f"{line} --projector", lambda: lm.projector_response(tmp_path / "s.npy", **files)
+        )
+        assert printed["gamma"] == found.gamma
 
 
 def test_every_command_is_compared_with_its_function() -> None:
@@ -511,68 +485,44 @@ def test_choices_of_options_are_those_of_the_code() -> None:
     assert set(get_args(patterns_command.Kind)) == set(making.KINDS)
 
 
-def test_separate(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_separate(tmp_path: Path, both: Both) -> None:
     binned(lm.truth("l_objects"), 4).save(tmp_path / "T.npz")
     lm.write_image(tmp_path / "p.png", np.tile(np.eye(8), (2, 2)))
-    words = f"separate {tmp_path}/T.npz --pattern {tmp_path}/p.png -o {tmp_path}/shown"
-    _run(words, capsys)
-    parts = lm.separate(tmp_path / "T.npz", pattern=tmp_path / "p.png", output=tmp_path / "made")
-    written = {"direct": parts.direct, "global": parts.global_}
-    for name, part in written.items():
-        _same_transport(lm.open(tmp_path / "shown" / f"{name}.zarr"), part)
-    for name in ("separation.png", *(f"{name}.npy" for name in written)):
-        one, other = (tmp_path / folder / name for folder in ("shown", "made"))
-        assert one.read_bytes() == other.read_bytes()
+    _, parts = both(
+        f"separate {tmp_path}/T.npz --pattern {tmp_path}/p.png -o out",
+        lambda: lm.separate(tmp_path / "T.npz", pattern=tmp_path / "p.png", output="out"),
+    )
+    for name, part in (("direct", parts.direct), ("global", parts.global_)):
+        _same_transport(lm.open(both.shown / "out" / f"{name}.zarr"), part)
 
 
-def test_decode(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_decode(tmp_path: Path, both: Both) -> None:
     code = lm.make_patterns("graycode", (32, 32), inverse=True)
     lm.simulate(binned(lm.truth("metal"), 2), code, exposure=0.2).save(tmp_path / "capture")
-    shown = _run(f"decode {tmp_path}/capture -o {tmp_path}/shown.npz", capsys)
-    made = lm.decode(tmp_path / "capture", output=tmp_path / "made.npz")
+    shown, made = both(
+        f"decode {tmp_path}/capture -o c.npz",
+        lambda: lm.decode(tmp_path / "capture", output="c.npz"),
+    )
     assert shown["decoded_share"] == made.valid.mean()
-    for name in ("shown", "made"):
-        (tmp_path / f"{name}s").mkdir()
-        (tmp_path / f"{name}.npz").rename(tmp_path / f"{name}s" / "c.npz")
-    _same_files(tmp_path / "showns", tmp_path / "mades")
 
 
-def test_triangulate(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_triangulate(tmp_path: Path, both: Both) -> None:
     known = binned(lm.truth("l_objects"), 4)
     known.save(tmp_path / "T.npz")
     assert known.geometry is not None
     known.geometry.save(tmp_path / "rig.json")
-    for name in ("shown", "made"):
-        (tmp_path / name).mkdir()
-    files = (
-        f"-o {tmp_path}/shown/c.ply --depth {tmp_path}/shown/d.tif --picture {tmp_path}/shown/p.png"
-    )
-    scene = f"{tmp_path}/T.npz --geometry {tmp_path}/rig.json"
-    limits = "--least-probability 0.9 --tolerance 0.02"
-    shown = _run(f"triangulate {scene} {limits} --mesh {files}", capsys)
-    made = lm.triangulate(
-        tmp_path / "T.npz",
-        tmp_path / "rig.json",
-        least_probability=0.9,
-        tolerance=0.02,
-        mesh=True,
-        output=tmp_path / "made" / "c.ply",
-        depth=tmp_path / "made" / "d.tif",
-        picture=tmp_path / "made" / "p.png",
+    files = (tmp_path / "T.npz", tmp_path / "rig.json")
+    scene = f"{files[0]} --geometry {files[1]} --least-probability 0.9 --tolerance 0.02"
+    limits: dict[str, Any] = {"least_probability": 0.9, "tolerance": 0.02}
+    shown, made = both(
+        f"triangulate {scene} --mesh -o c.ply --depth d.tif --picture p.png",
+        lambda: lm.triangulate(
+            *files, **limits, mesh=True, output="c.ply", depth="d.tif", picture="p.png"
+        ),
     )
     assert shown["points"] == made.kept.sum()
-    _same_files(tmp_path / "shown", tmp_path / "made")
-    shown = _run(
-        f"layers {scene} {limits} -o {tmp_path}/shown/l.ply --picture {tmp_path}/shown/l.png",
-        capsys,
-    )
-    layers = lm.layers(
-        tmp_path / "T.npz",
-        tmp_path / "rig.json",
-        least_probability=0.9,
-        tolerance=0.02,
-        output=tmp_path / "made" / "l.ply",
-        picture=tmp_path / "made" / "l.png",
+    shown, layers = both(
+        f"layers {scene} -o l.ply --picture l.png",
+        lambda: lm.layers(*files, **limits, output="l.ply", picture="l.png"),
     )
     assert shown.items() >= layers.summary().items()
-    _same_files(tmp_path / "shown", tmp_path / "made")

@@ -18,8 +18,8 @@ from lightmatrix.estimators.plain import PlainEstimator
 from lightmatrix.judgement.metrics import relative_error
 from lightmatrix.patterns.bits import BernoulliPatterns
 from lightmatrix.patterns.pattern_set import PatternSet
-from lightmatrix.simulation.irradiance import irradiance
 from lightmatrix.simulation.procedural import ProceduralScene
+from lightmatrix.simulation.simulate import irradiance
 from lightmatrix.solvers import ActiveSet
 
 TRUTH = ProceduralScene((24, 24), (16, 16), seed=4, background=0.02, bounces=6).truth()

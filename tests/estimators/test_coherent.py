@@ -21,9 +21,9 @@ from lightmatrix.estimators.plain import PlainEstimator
 from lightmatrix.judgement.metrics import relative_error, unclipped_rows
 from lightmatrix.patterns.bits import BernoulliPatterns
 from lightmatrix.simulation import library
-from lightmatrix.simulation.irradiance import irradiance
 from lightmatrix.simulation.procedural import ProceduralScene
 from lightmatrix.simulation.realism import defocus
+from lightmatrix.simulation.simulate import irradiance
 from lightmatrix.simulation.truth import Truth
 from lightmatrix.solvers import ActiveSet
 from lightmatrix.transport import store

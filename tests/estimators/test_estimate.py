@@ -24,8 +24,8 @@ from lightmatrix.estimators.base import solver_provenance
 from lightmatrix.estimators.plain import PlainEstimator
 from lightmatrix.judgement.metrics import relative_error, unclipped_rows
 from lightmatrix.patterns.bits import BernoulliPatterns
-from lightmatrix.simulation.irradiance import irradiance
 from lightmatrix.simulation.procedural import ProceduralScene
+from lightmatrix.simulation.simulate import irradiance
 from lightmatrix.simulation.truth import Truth
 from lightmatrix.solvers import ADMM, ROMP, ActiveSet, Fidelity, SaturationADMM, Solver, solve
 from lightmatrix.transport import store

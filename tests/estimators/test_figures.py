@@ -12,7 +12,7 @@ import pytest
 
 import lightmatrix as lm
 from lightmatrix.estimators.coherent import schedule
-from lightmatrix.simulation.irradiance import irradiance
+from lightmatrix.simulation.simulate import irradiance
 from tests.estimators.test_growth import LARGE_FRAMES
 
 # Each case with its light, pattern, background, entries, clipped share and footprint.

@@ -18,8 +18,8 @@ from lightmatrix.estimators.coherent.rounds import SEARCHED
 from lightmatrix.judgement.metrics import relative_error
 from lightmatrix.patterns.atoms import AtomPatterns
 from lightmatrix.patterns.bits import BernoulliPatterns
-from lightmatrix.simulation.irradiance import irradiance
 from lightmatrix.simulation.procedural import ProceduralScene
+from lightmatrix.simulation.simulate import irradiance
 from lightmatrix.simulation.truth import Truth
 from lightmatrix.transport.matrix import LightTransport
 from lightmatrix.transport.sparse_rows import SparseRows

@@ -20,8 +20,8 @@ from lightmatrix.judgement.metrics import relative_error
 from lightmatrix.patterns.bits import BernoulliPatterns
 from lightmatrix.patterns.hadamard import HadamardPatterns
 from lightmatrix.patterns.pattern_set import ImagePatterns
-from lightmatrix.simulation.irradiance import irradiance
 from lightmatrix.simulation.procedural import ProceduralScene
+from lightmatrix.simulation.simulate import irradiance
 from lightmatrix.simulation.truth import Truth
 from lightmatrix.solvers import (
     ADMM,

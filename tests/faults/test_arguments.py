@@ -33,14 +33,14 @@ FOLDERS = "estimate --patterns projected --images photos --no-coherent -o new.za
 # Command -> option -> values that make no sense. Each is refused, and the option is named.
 VALUES: dict[str, dict[str, tuple[str, ...]]] = {
     SIMULATE: {
-        "--leak": ("nan", "1.5"),
+        "--leak": ("nan", "1", "-1"),
         "--ambient": ("inf", "nan", "-1"),
-        "--vignetting": ("nan", "-1", "2"),
+        "--vignetting": ("nan", "-1", "1"),
         "--noise": ("1e308", "nan"),
         "--shot-noise": ("1e308", "nan", "-1"),
-        "--blur": ("inf", "-1", "1e308"),
+        "--blur": ("inf", "nan", "-1", "1e308"),
         "--black-level": ("nan", "-1", "255", "1e308"),
-        "--exposure": ("inf", "0", "1:nan", "1:2", "a", "''"),
+        "--exposure": ("inf", "0", "1e300", "1:nan", "1:2", "a", "''"),
         "--bits": ("0", "7", "-8", "4294967296"),
         "--seed": ("-1", "18446744073709551616", "1.5"),
     },

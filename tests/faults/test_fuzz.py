@@ -6,10 +6,11 @@
 from __future__ import annotations
 
 import io
+import json
 import os
 import shutil
 import zlib
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -23,17 +24,85 @@ from lightmatrix.files.images import encode_image
 
 from .case import Case, complaint_of
 from .checks import if_accepted, whole_matrix
-from .mutate import (
-    BYTES,
-    FILES,
-    Damage,
-    Generator,
-    change_json,
-    flip_bit,
-)
 from .run import Limits, Ran, SkipError, run
 from .test_partial import PARTIAL, interrupted
 from .work import TILED, fresh_copy
+
+Generator = np.random.Generator
+# A damage says in words what it did.
+Damage = Callable[[Generator, Path], str]
+
+
+# ---- ways to damage a file: by its bytes, as a whole, or by what it means
+
+
+def in_bytes(draw: Generator, file: Path) -> str:
+    """A bit turned round, the end lost, bytes too many, or zeros, as a bad sector leaves."""
+    data = file.read_bytes()
+    at, count = int(draw.integers(max(1, len(data)))), int(draw.integers(1, 9))
+    before, after = data[:at], data[at:]
+    how = str(draw.choice(["flip", "flip", "cut", "insert", "blank"]))
+    changed = {
+        "flip": bytes([byte ^ 1 << (count - 1) for byte in after[:1]]) + after[1:],
+        "cut": b"",
+        "insert": draw.bytes(count) + after,
+        "blank": bytes(min(8 * count, len(after))) + after[8 * count :],
+    }
+    file.write_bytes(before + changed[how])
+    return f"{how} ({count}) at byte {at} of {len(data)}"
+
+
+def as_a_whole(draw: Generator, file: Path) -> str:
+    """It is gone, or another thing than a file."""
+    file.unlink()
+    how = str(draw.choice(["lost", "lost", "folder", "pipe", "link to nowhere", "link to itself"]))
+    if how == "folder":
+        file.mkdir()
+    elif how == "pipe":
+        os.mkfifo(file)
+    elif how != "lost":
+        file.symlink_to("nowhere" if "nowhere" in how else file.name)
+    return how
+
+
+ODD: tuple[Any, ...] = (
+    *(None, True, False, 0, -1, 1, 0.5, 1e300, -1e300, 2**31, 2**63, 2**64, 10**30),
+    *(float("nan"), float("inf"), "", "text", "[/red]", ":x:", "2", "../x.png", "\0", "é" * 50),
+    *([], {}, [1], [0, 0], [8, 8], [-8, 8], [2**40, 2**40], [[8], [8]], {"a": 1}, [None], ["8", 8]),
+)
+
+
+def in_json(draw: Generator, file: Path) -> str:
+    """One value, somewhere, becomes another; or a key is renamed or lost."""
+    content = json.loads(file.read_text())
+    places = list(_places(content))
+    holder, key = places[int(draw.integers(len(places)))]
+    how = int(draw.integers(8))
+    value = ODD[int(draw.integers(len(ODD)))]
+    if how > 5 and isinstance(holder, dict):
+        value = holder.pop(key)
+        if how == 6:
+            holder[f"{key}s"] = value
+        words = f"{key} lost or renamed"
+    else:
+        if how == 5:
+            other, place = places[int(draw.integers(len(places)))]
+            value = json.loads(json.dumps(other[place]))
+        holder[key] = value
+        words = f"{key} = {str(value)[:30]}"
+    file.write_text(json.dumps(content))
+    return words
+
+
+def _places(content: Any) -> Iterator[tuple[Any, Any]]:
+    items = content.items() if isinstance(content, dict) else enumerate(content)
+    for key, value in list(items):
+        yield content, key
+        if isinstance(value, (dict, list)):
+            yield from _places(value)
+
+
+# ---- what is damaged
 
 
 @dataclass(frozen=True)
@@ -52,16 +121,14 @@ class Subject:
     leaves: tuple[str, ...] = ()
 
 
-def _pick(draw: Generator, items: Any) -> Any:
-    ordered = sorted(items)
-    return ordered[int(draw.integers(len(ordered)))]
-
-
 def _any_file(draw: Generator, place: Path) -> str:
     """One file of a folder damaged in any way."""
-    file = _pick(draw, [f for f in place.rglob("*") if f.is_file()])
-    damages = (*BYTES, *FILES)
-    damage = damages[int(draw.integers(len(damages)))]
+    files = sorted(file for file in place.rglob("*") if file.is_file())
+    file = files[int(draw.integers(len(files)))]
+    if file.suffix == ".json" and draw.random() < 0.5:
+        damage: Damage = in_json
+    else:
+        damage = in_bytes if draw.random() < 0.7 else as_a_whole
     return f"{file.relative_to(place.parent)}: {damage(draw, file)}"
 
 
@@ -88,15 +155,11 @@ def _finite(folder: Path, words: str) -> str | None:
 
 
 def _capture(draw: Generator, folder: Path) -> str:
-    place = folder / "capture"
-    how = int(draw.integers(10))
-    if how < 5:
-        file = place / "capture.json"
-    elif how < 7:
-        file = place / "patterns" / "patterns.json"
-    else:
-        return _any_file(draw, place)
-    return f"{file.relative_to(folder)}: {change_json(draw, file)}"
+    names = ("capture.json", "capture.json", "patterns/patterns.json", "")
+    name = names[int(draw.integers(len(names)))]
+    if not name:
+        return _any_file(draw, folder / "capture")
+    return f"{name}: {in_json(draw, folder / 'capture' / name)}"
 
 
 # ---- images
@@ -126,8 +189,7 @@ def _images(draw: Generator, folder: Path) -> str:
     file = folder / "picture"
     file.write_bytes(stream.getvalue())
     (folder / f"sound{suffix}").write_bytes(stream.getvalue())
-    damages = (*BYTES, flip_bit, flip_bit)
-    words = damages[int(draw.integers(len(damages)))](draw, file)
+    words = in_bytes(draw, file)
     # The command names picture.png; the reader goes by what is in the file, or refuses.
     file.rename(folder / f"picture{suffix}")
     return f"picture{suffix}: {words}"
@@ -152,9 +214,6 @@ def _store(draw: Generator, folder: Path) -> str:
     place = folder / "scene.zarr"
     shutil.copytree(place, folder / "sound.zarr")
     # tests/transport/test_untrusted_matrices.py has arrays that are stored well and are wrong.
-    if draw.random() < 0.5:
-        file = _pick(draw, [place / "zarr.json", *place.rglob("zarr.json")])
-        return f"{file.relative_to(folder)}: {change_json(draw, file)}"
     return _any_file(draw, place)
 
 
@@ -170,23 +229,13 @@ def _same_store(folder: Path, words: str) -> str | None:
     return None if np.array_equal(read, wanted) else "a damaged chunk was read with other numbers"
 
 
-# ---- archives
-
-
 def _archive(draw: Generator, folder: Path) -> str:
-    return f"T.npz: {BYTES[int(draw.integers(len(BYTES)))](draw, folder / 'T.npz')}"
-
-
-# ---- partial runs
+    return f"T.npz: {in_bytes(draw, folder / 'T.npz')}"
 
 
 def _partial(draw: Generator, folder: Path) -> str:
-    place = folder / PARTIAL
     interrupted(folder)
-    file = _pick(draw, [f for f in place.iterdir() if f.is_file()])
-    if file.suffix == ".json" and draw.random() < 0.5:
-        return f"{file.name}: {change_json(draw, file)}"
-    return _any_file(draw, place)
+    return _any_file(draw, folder / PARTIAL)
 
 
 def _whole(folder: Path, words: str) -> str | None:

@@ -4,14 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
-import numpy as np
 import pytest
 
 from .case import Case, Prepare, bear
 from .checks import holds, if_accepted, same_matrix, says_not
-from .put import DEEP, both, cut, flip, folder_at, link, move, packed, pipe, remove, text, with_item
+from .put import DEEP, both, flip, folder_at, link, pipe, remove, text
 from .run import Limits, Ran, SkipError, run
 from .work import TILED
 
@@ -58,30 +56,13 @@ def _tile(put: Callable[[str], Prepare]) -> Prepare:
     return _at("rows-*.npz", put)
 
 
-def _in_tile(**changed: Any) -> Prepare:
-    return _tile(lambda name: packed(name, **changed))
-
-
-def _rename(target: str) -> Callable[[str], Prepare]:
-    return lambda name: move(name, f"{PARTIAL}/{target}")
-
-
 def _tiles() -> list[Case]:
     puts: dict[str, Prepare] = {
         "as it was left": interrupted,
-        "a tile cut off": _tile(lambda name: cut(name, 300)),
         "a tile with a flipped bit": _tile(lambda name: flip(name, 0.3, 4)),
         "a tile that is a folder": _tile(folder_at),
         "a tile that is a pipe": _tile(pipe),
         "a tile that is a link to nowhere": _tile(lambda name: link(name, "gone.npz")),
-        "a tile that is missing": _tile(remove),
-        "a tile with an index of N": _in_tile(indices=with_item(2, 64)),
-        "a tile with row ends that go down": _in_tile(indptr=with_item(3, 10**6)),
-        "a tile with nan": _in_tile(data=with_item(2, np.nan)),
-        "a tile without values": _in_tile(data=None),
-        "a tile of another shape": _in_tile(shape=lambda held: held + 1),
-        "a tile called rows-a-b": _tile(_rename("rows-a-b.npz")),
-        "a tile called for other rows": _tile(_rename("rows-16-32.npz")),
     }
     # What is no file at all may be left to the user, if it is named.
     refusable = ("a tile that is a folder", "a tile that is a pipe", "a tile that is a link")

@@ -285,8 +285,8 @@ def test_what_tiff_may_hold_besides(tmp_path: Path) -> None:
     palette = np.arange(3 * 256, dtype=np.uint16).reshape(3, 256) * 80
     grey, file = picture((9, 8), np.uint8), tmp_path / "a.tif"
     cases: list[tuple[str, Any, dict[str, Any]]] = [
-        ("has colours of kind 3", grey, {"photometric": "palette", "colormap": palette}),
-        ("has colours of kind 0", grey, {"photometric": "miniswhite"}),
+        ("has a palette", grey, {"photometric": "palette", "colormap": palette}),
+        ("has white as 0", grey, {"photometric": "miniswhite"}),
         ("has colours of kind 5", picture((9, 8, 4), np.uint8), {"photometric": "separated"}),
         ("compression 34933 is not read", grey, {"compression": "png"}),
         ("has 4 bits a value", grey % 16, {"bitspersample": 4, "photometric": "minisblack"}),
@@ -493,6 +493,12 @@ def test_a_store_that_may_not_be_read(tmp_path: Path, forbid: Any, name: str) ->
 # ---- meaning
 
 
+def test_a_single_pattern_of_fewer_bits_is_warned_of(tmp_path: Path) -> None:
+    lm.write_image(tmp_path / "a.png", np.arange(35, 256, 20, dtype=np.uint16).reshape(3, 4))
+    with pytest.warns(lm.LightMatrixWarning, match="16 bits, but no level above 255"):
+        read_grey(tmp_path / "a.png")
+
+
 def photographs(folder: Path, count: int = 8) -> lm.Capture:
     """A capture whose frames lie as PNG files in `folder`."""
     capture = lm.simulate("metal", lm.BernoulliPatterns((64, 64), count))
@@ -618,3 +624,17 @@ def test_a_file_larger_than_any_image_is_not_read(
         stream.truncate(2**20 + 1)
     with pytest.raises(InputError, match="is larger than 1 MiB"):
         read_image(file)
+
+
+@pytest.mark.parametrize("transfer", [16, 18, 13])
+def test_a_picture_in_hdr_is_named(tmp_path: Path, transfer: int) -> None:
+    file = tmp_path / "wide.png"
+    write_image(file, np.full((4, 4), 9, np.uint8))
+    plain, chunk = file.read_bytes(), b"cICP" + bytes([9, transfer, 0, 1])
+    whole = struct.pack(">I", 4) + chunk + struct.pack(">I", zlib.crc32(chunk))
+    file.write_bytes(plain[:33] + whole + plain[33:])
+    with warnings.catch_warnings(record=True) as said:
+        warnings.simplefilter("always")
+        np.testing.assert_array_equal(read_image(file), np.full((4, 4), 9))
+    # 13 is sRGB.
+    assert ["is in HDR" in str(each.message) for each in said] == [True] * (transfer != 13)

@@ -25,9 +25,9 @@ from lightmatrix.planning.exposure_advice import (
     single_clipped_share,
 )
 from lightmatrix.planning.plan import counts, expectations, plan
-from lightmatrix.simulation.irradiance import irradiance
 from lightmatrix.simulation.library import truth
 from lightmatrix.simulation.procedural import ProceduralScene
+from lightmatrix.simulation.simulate import irradiance
 
 
 def _white(levels: object, clipped: object = False) -> WhiteFrame:

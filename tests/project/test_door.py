@@ -187,22 +187,6 @@ def test_settings_are_refused_before_anything_is_read(settings: dict[str, object
     assert not list(Path().iterdir())
 
 
-@pytest.mark.parametrize(
-    ("name", "value"),
-    [
-        ("blur", np.inf), ("blur", -1.0), ("blur", np.nan), ("noise", 1e308), ("noise", np.nan),
-        ("shot_noise", -0.1), ("exposure", np.inf), ("exposure", 0.0), ("exposure", 1e300),
-        ("exposure", "1:2"), ("seed", 2**64), ("seed", -1), ("seed", 0.5), ("leak", np.nan),
-        ("leak", -1.0), ("leak", 1.0), ("ambient", np.inf), ("ambient", -1.0), ("bits", 7),
-        ("vignetting", 1.0), ("vignetting", np.nan), ("black_level", 300.0),
-    ],
-)  # fmt: skip
-def test_no_photograph_with_numbers_out_of_range(name: str, value: object) -> None:
-    with pytest.raises(lm.InputError) as error:
-        lm.simulate("wall", lm.BernoulliPatterns((16, 16), 4), **{name: value})  # type: ignore[arg-type]
-    assert error.value.hint
-
-
 def test_a_chosen_estimator_is_the_one_that_was_asked_for() -> None:
     few = lm.simulate("metal", lm.BernoulliPatterns((64, 64), 8))
     assert isinstance(choose_estimator(few), CoherentEstimator)

@@ -771,7 +771,7 @@ def test_the_command_without_a_board(tmp_path: Path, capsys: pytest.CaptureFixtu
         (["--focal", "0"], "a focal length of 0"),
         (["--focal", "9", "--principal", "5"], "--principal 5"),
         (["--focal", "9", str(tmp_path)], "takes one scene"),
-        (["--focal", "9", "--board", "9x7", "--square", "1"], "does not go with"),
+        (["--focal", "9", "--board", "9x7", "--square", "1"], "--focal for a board"),
     ):
         assert main([*words, "--overwrite", *more]) == 2
         assert message in capsys.readouterr().err

@@ -13,9 +13,9 @@ from hypothesis import strategies as st
 
 from lightmatrix.patterns.bits import BernoulliPatterns
 from lightmatrix.simulation import library
-from lightmatrix.simulation.irradiance import irradiance
 from lightmatrix.simulation.library import read_bundled
 from lightmatrix.simulation.procedural import ProceduralScene
+from lightmatrix.simulation.simulate import irradiance
 from lightmatrix.simulation.truth import Truth
 
 

@@ -260,6 +260,8 @@ def test_another_tiling_keeps_what_is_there_and_a_damaged_tile_is_computed_again
         ("indices", None),
         ("shape", lambda values: values + 1),
         ("data", lambda values: values * np.nan),
+        ("indices", lambda values: np.full_like(values, 42)),
+        ("indptr", lambda values: values[::-1]),
     ],
 )
 def test_a_changed_tile_is_computed_again(

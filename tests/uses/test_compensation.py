@@ -455,6 +455,19 @@ def test_a_video_keeps_its_brightness_and_its_errors_low(
         lm.compensate_video(known, [])
 
 
+def test_frames_that_are_solved_together_come_close_to_the_best(known: lm.LightTransport) -> None:
+    """Also across a cut, from one batch to the next, and as the video states it."""
+    moving = [np.roll(_ramp(), 2 * k, axis=1) for k in range(20)]
+    frames = np.stack([one if k < 12 else one.T for k, one in enumerate(moving)])
+    video = lm.compensate_video(known, frames)
+    shared = compensator(known)
+    for k in (0, 1, 8, 11, 12, 16, 17, 19):
+        best = shared.solve(frames[k].ravel(), video.brightness, iterations=300)
+        own = best.psnr_of(known.relight(video.patterns[k]))
+        assert own == pytest.approx(video.predicted_psnr[k], abs=0.01)
+        assert own > best.psnr - 0.3
+
+
 # The pattern under which the camera sees direct light only.
 
 
@@ -558,6 +571,13 @@ def test_the_pattern_is_encoded_for_the_projector(
         missed("gamma:20")
     with pytest.raises(lm.InputError, match=r"nowhere\.json"):
         missed("nowhere.json")
+    for wrong in ("2.2", "gamma:2,2", "linear:3"):
+        with pytest.raises(lm.InputError, match="projector's response") as refused:
+            missed(wrong)
+        assert "gamma:2.2, linear, or a file" in (refused.value.hint or "")
+    arguments = ["compensate", "scene.zarr", "wanted.png", "-o", "r.png", "--rig", "virtual:metal"]
+    assert main([*arguments, "--projector-response", "gamma:2.2"]) == 2
+    assert "`lightmatrix rig response` measures" in capsys.readouterr().err
 
 
 def test_a_capture_tells_the_response_of_its_projector(tmp_path: Path) -> None:

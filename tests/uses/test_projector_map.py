@@ -171,6 +171,8 @@ def test_light_leaks_reads_its_set(found: lm.ProjectorMap, tmp_path: Path) -> No
     points = lm.read_image(tmp_path / "scan" / "xyzMap.exr")
     expected = geometry.triangulate(found.place[9, 9:10, ::-1], [[9, 9]])[0]
     np.testing.assert_allclose(points[9, 9], expected, rtol=1e-5)
+    with pytest.raises(lm.InputError, match="holds no points"):
+        found.save(tmp_path / "scan.mpcdi", geometry=geometry)
     other = lm.RigGeometry(camera, projector, (8, 8), PROJECTOR)
     with pytest.raises(lm.InputError, match="geometry of a camera of 8 x 8"):
         found.save(tmp_path / "other", geometry=other)

@@ -421,7 +421,7 @@ def _read_black(
 
 
 def check_depth(frames: Frames, decoder: Decoder) -> None:
-    """Refuse negative levels, and 16-bit files of fewer bits without a clip level.
+    """Refuse swapped bytes, negative levels, and 16-bit files of fewer bits without a clip level.
 
     A camera of 12 bits clips at 4095. With 65535 in its place no sample would count as clipped: the
     estimate would be wrong without any sign of it.
@@ -439,6 +439,12 @@ def check_depth(frames: Frames, decoder: Decoder) -> None:
     if dark < -0.05 * np.min(decoder.clip):
         hint = "scale the images so that 0 is no light"
         raise InputError(f"half of the levels that were looked at are below {dark:g}", hint=hint)
+    # One frame may lack some bits by chance, and a few levels without noise all may.
+    if len(np.unique(middle)) > 16 and _swapped([middle]) and _swapped(level_blocks(frames)):
+        raise InputError(
+            "the two bytes of each level are swapped: the bits that all levels use have a gap",
+            hint="write the images in the byte order that their format or header states",
+        )
     if not decoder.clip_assumed:
         return
     if frames.dtype.kind == "f":
@@ -466,6 +472,18 @@ def check_depth(frames: Frames, decoder: Decoder) -> None:
         f"the images have 16 bits, but no level above {top}: a camera {which}",
         hint=f'{hint}, or "clip" in capture.json; clip=65535 if they are just dark',
     )
+
+
+def _swapped(levels: Iterable[NDArray[Any]]) -> bool:
+    """Whether the bits that levels of 16 bits use have a gap, and none with their bytes swapped.
+
+    The bits of a camera are neighbours: those of 12 bits are 0x0fff or 0xfff0 in a file.
+    """
+    used = 0
+    for block in levels:
+        used |= int(np.bitwise_or.reduce(block, axis=None)) if block.dtype == np.uint16 else 0
+    gaps = ["0" in f"{bits:b}".strip("0") for bits in (used, used >> 8 | (used & 255) << 8)]
+    return gaps == [True, False]
 
 
 def read_mask(mask: str | Path | None, shape: tuple[int, ...]) -> NDArray[np.bool_] | None:

@@ -18,8 +18,8 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.special import ndtri
 
 from lightmatrix.capture.camera_curve import check_exposures, check_levels, per_frame
 from lightmatrix.capture.decoder import Decoder
@@ -157,5 +157,5 @@ def _normals(seed: int, frame: int, first: int, count: int) -> NDArray[np.float6
     skip = first % 4
     generator = np.random.Philox(counter=first // 4, key=np.array([seed, frame], np.uint64))
     raw = generator.random_raw(skip + count)[skip:]
-    normals: NDArray[np.float64] = ndtri(((raw >> np.uint64(11)) + 0.5) * 2.0**-53)
+    normals: NDArray[np.float64] = scipy.special.ndtri(((raw >> np.uint64(11)) + 0.5) * 2.0**-53)
     return normals

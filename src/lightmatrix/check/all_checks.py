@@ -260,6 +260,16 @@ def check_distinguishable(patterns: PatternSet) -> list[Finding]:
         message = f"{unlit} of the {patterns.pixels} projector pixels are lit by no pattern"
         advice = "T holds nothing of their light, and cannot relight with them: light each once"
         return [Finding("unlit", (), message, advice)]
+    advice = "project more patterns, or finer ones, or bin the projector"
+    # Of random patterns no pair of neighbours in a hundred differs by less than a quarter of what
+    # independent pixels do, of the 256 coarsest of 1,024 Hadamard patterns half of them.
+    near = min(patterns.shape) > 1 and float(np.mean(_neighbour_contrasts(patterns) < 0.25))
+    if near > 0.2:
+        message = (
+            f"{100 * near:.0f} % of the neighbouring projector pixels look nearly alike: the "
+            "patterns are too coarse to tell them apart"
+        )
+        return [Finding("patterns", (), message, advice)]
     alike = float(np.mean(np.bincount(patterns.twins)[patterns.twins] > 1))
     # Few random patterns leave pixels alike by chance: 16 of them 22 % of 128 x 128 pixels, which
     # their neighbours tell apart.
@@ -272,8 +282,17 @@ def check_distinguishable(patterns: PatternSet) -> list[Finding]:
         f"{100 * alike:.0f} % of the projector pixels look like another: all patterns show the "
         "same there"
     )
-    advice = "project more patterns, or finer ones, or bin the projector"
     return [Finding("patterns", (), message, advice)]
+
+
+def _neighbour_contrasts(patterns: PatternSet) -> NDArray[np.float64]:
+    """Squared differences of neighbouring pixels, relative to independent ones, (1024,)."""
+    random, (rows, cols) = np.random.default_rng(0), patterns.shape
+    pixels = random.integers(rows - 1, size=512) * cols + random.integers(cols - 1, size=512)
+    pairs = np.stack([np.tile(pixels, 2), np.append(pixels + 1, pixels + cols)])
+    values = patterns.at(pairs) - patterns.means[:, None, None]
+    independent = np.square(values).sum(axis=(0, 1))
+    return np.square(values[:, 0] - values[:, 1]).sum(axis=0) / np.maximum(independent, 1e-12)
 
 
 def check_interchanged(survey: Survey) -> list[Finding]:

@@ -18,8 +18,8 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.ndimage import gaussian_filter1d
 
 from lightmatrix.check.finding import WRONG_ORDER, Finding, order_findings
 from lightmatrix.check.survey import Survey, bright_mean
@@ -467,7 +467,7 @@ def _pattern_cosines(patterns: Floats) -> tuple[Floats, tuple[Floats, ...]]:
         if blur:
             # Products of matrices are quicker than filters.
             sides = (np.eye(n, dtype=np.float32) for n in (rows, cols))
-            down, right = (gaussian_filter1d(side, blur) for side in sides)
+            down, right = (scipy.ndimage.gaussian_filter1d(side, blur) for side in sides)
             seen = down @ patterns @ right.T
         seen = seen - seen.mean(axis=0)
         flat = seen.reshape(count, -1)

@@ -9,11 +9,13 @@ import errno
 import functools
 import io
 import os
+import re
 import sys
 import traceback
 import warnings
 from collections.abc import Callable
 from contextlib import suppress
+from difflib import get_close_matches
 from typing import Annotated, Any, TextIO
 
 import typer
@@ -22,33 +24,23 @@ from typer.core import TyperGroup
 import lightmatrix as lm
 from lightmatrix.cli.calibrate import calibrate
 from lightmatrix.cli.capture import capture
-from lightmatrix.cli.check import check
+from lightmatrix.cli.captures import check, convert, pack
 from lightmatrix.cli.compensate import compensate
-from lightmatrix.cli.convert import convert
-from lightmatrix.cli.decode import decode
 from lightmatrix.cli.demo import demo
 from lightmatrix.cli.estimate import estimate
-from lightmatrix.cli.evaluate import evaluate
-from lightmatrix.cli.export import export
 from lightmatrix.cli.help import Command
-from lightmatrix.cli.info import info
-from lightmatrix.cli.layers import layers
 from lightmatrix.cli.map import map
-from lightmatrix.cli.pack import pack
 from lightmatrix.cli.patterns import patterns
 from lightmatrix.cli.plan import plan
 from lightmatrix.cli.project import project
-from lightmatrix.cli.relight import relight
-from lightmatrix.cli.render import render
 from lightmatrix.cli.response import response
 from lightmatrix.cli.rig import app as rig
-from lightmatrix.cli.scenes import scenes
-from lightmatrix.cli.separate import separate
+from lightmatrix.cli.shape import decode, layers, triangulate
 from lightmatrix.cli.show import show
-from lightmatrix.cli.simulate import simulate
+from lightmatrix.cli.simulate import render, scenes, simulate
 from lightmatrix.cli.terminal import as_options, say, warn
 from lightmatrix.cli.track import track
-from lightmatrix.cli.triangulate import triangulate
+from lightmatrix.cli.use import evaluate, export, info, relight, separate
 from lightmatrix.cli.view import view
 from lightmatrix.errors import LightMatrixError, LightMatrixWarning
 
@@ -238,6 +230,12 @@ def _usage_error(error: typer.TyperException) -> tuple[str, str]:
     # What is required is among the usual options.
     rare = isinstance(getattr(context, "command", None), Command) and "Missing" not in message
     hint = f"see `{path} --help{'-all' if rare else ''}`"
+    if path.endswith(" simulate") and message.startswith("No such option: --size"):
+        hint = "the size is that of the patterns: `lightmatrix patterns KIND --size ...`"
+    choice = re.search(r"'([^']*)' is not one of (.*)", message)
+    if choice:
+        near = get_close_matches(choice[1], re.findall(r"'([^']*)'", choice[2]), n=1)
+        hint = f"did you mean {near[0]}? {hint}" if near else hint
     return message, hint
 
 

@@ -9,7 +9,7 @@ from typing import Any, Literal
 from typer import Argument, Option
 
 import lightmatrix as lm
-from lightmatrix.cli.options import Json, Overwrite, described, size
+from lightmatrix.cli.options import Json, Overwrite, described, refuse, size
 from lightmatrix.cli.source import numbers
 from lightmatrix.cli.terminal import answer, progress
 from lightmatrix.errors import InputError
@@ -35,7 +35,13 @@ from lightmatrix.errors import InputError
         help="Without a board: where the camera's axis passes its image.",
         show_default="the middle",
     ),
-    baseline=Option(metavar="200mm", help="Without a board: from the camera to the projector."),
+    baseline=Option(
+        metavar="200mm",
+        help="Without a board: from the camera to the projector.",
+        show_default="1",
+    ),
+    diamond="Of a projector with diamond pixels (LightCrafter 4500): to which side of even rows "
+    "odd rows (1, 3, ...) stand.",
     output="The geometry to write: .json, .yml or .xml (OpenCV), .colmap.",
 )
 def calibrate(
@@ -45,7 +51,8 @@ def calibrate(
     kind: Literal["chessboard", "charuco", "circles", "asymmetric-circles"] = "chessboard",
     focal: float | None = None,
     principal: str | None = None,
-    baseline: str = "1",
+    baseline: str | None = None,
+    diamond: Literal["right", "left"] | None = None,
     output: Path = Path("geometry.json"),
     overwrite: Overwrite = False,
     as_json: Json = False,
@@ -57,12 +64,12 @@ def calibrate(
     and place of all cameras and projectors are found together; of several, each pair has a file.
     Without a board, --focal finds the projector from one scene.
     """
-    written: dict[str, Any] = {"output": output, "overwrite": overwrite}
+    stagger = {None: 0.0, "right": 0.5, "left": -0.5}[diamond]
+    written: dict[str, Any] = {"output": output, "overwrite": overwrite, "stagger": stagger}
     if board is None and square is None:
-        _without_board(poses, focal, principal, baseline, as_json, **written)
+        _without_board(poses, focal, principal, baseline or "1", as_json, **written)
         return
-    if focal is not None:
-        raise InputError("--focal does not go with a board", hint="leave one of them out")
+    refuse({"--focal": focal, "--principal": principal, "--baseline": baseline}, "a board")
     if board is None or square is None:
         hint = "such as --board 9x7 --square 24mm"
         raise InputError("a board takes both --board and --square", hint=hint)

@@ -83,7 +83,9 @@ def compensate(
     elif wanted is None:
         raise InputError("no picture", hint="give the wanted picture, or a folder of frames")
     elif with_rig:
-        options.refuse({"--black": black, "--projector-response": projector_response}, "a rig")
+        options.refuse({"--black": black}, "a rig", "leave it out: the rig photographs black")
+        known = "leave it out: the rig's file has it, which `lightmatrix rig response` measures"
+        options.refuse({"--projector-response": projector_response}, "a rig", known)
         options.refuse({"--beside": beside, "a video": video}, "a rig")
     else:
         options.refuse(of_rig, "a compensation without a rig", "name the rig, or leave it out")

@@ -18,13 +18,14 @@ from lightmatrix.errors import InputError
         help="row (where the light at a camera pixel comes from), column (where the light of a "
         "projector pixel goes), dual (the scene as seen from the projector), correspondence, "
         "spectrum (singular values); clipping, gap, footprint or estimated-error of the estimate; "
-        "changes, of `track`; depth, normals or layers of the surface, with --geometry.",
+        "changes, of `track`; depth, normals, layers or probability (that the depth is right) of "
+        "the surface, with --geometry.",
     ),
     pixel=Argument(metavar="R,C", help="The pixel of a row or column."),
     output="A picture (.png), or numbers (.npz; .tiff, .exr and .npy for one image).",
     geometry=Option(
         metavar="GEOMETRY.json",
-        help="Where camera and projector stand, for depth, normals and layers: of `calibrate`.",
+        help="Where camera and projector stand, for views of the surface: of `calibrate`.",
     ),
 )
 def show(

@@ -1,4 +1,4 @@
-"""`lightmatrix simulate`: a scene photographed under patterns."""
+"""`lightmatrix scenes`, `render` and `simulate`: known matrices, and photographs under them."""
 
 from __future__ import annotations
 
@@ -7,14 +7,77 @@ from pathlib import Path
 from typing import Literal
 
 import typer
+from typer import Argument, Option
 
 import lightmatrix as lm
-from lightmatrix.cli.options import Json, Overwrite, Seed, described
-from lightmatrix.cli.terminal import progress, say, show_json
-from lightmatrix.defaults import EXPOSURES_EXAMPLE, USUAL_NOISE
+from lightmatrix.cli.options import Json, Overwrite, Seed, described, size
+from lightmatrix.cli.terminal import answer, progress, say, show_json
+from lightmatrix.defaults import EXPOSURES_EXAMPLE, USUAL_NOISE, USUAL_SAMPLES
 from lightmatrix.errors import InputError
-from lightmatrix.files.kinds import CAPTURE
+from lightmatrix.files.kinds import CAPTURE, TRUTH
 from lightmatrix.files.writing import check_output
+
+
+def scenes(as_json: Json = False) -> None:
+    """List the scenes that can be simulated.
+
+    Four scenes come with the package at 64x64. Other sizes, and translucent, wall, vase and
+    mirror_balls, are rendered on first use and kept, which needs the extra `render`.
+    """
+    listed = lm.scenes()
+    if as_json:
+        show_json({"scenes": [scene._asdict() for scene in listed]})
+        return
+    for name, description, bundled, *_ in listed:
+        note = "(bundled at 64x64)" if bundled else "(rendered on first use: extra `render`)"
+        say(f"{name:13}{description}  {note}")
+
+
+@described(
+    name=Argument(metavar="SCENE", help="A scene; `lightmatrix scenes` lists them."),
+    output="The T.npz file to write.",
+    shape=Option("--size", help="Rows x columns of camera and projector."),
+    projector=Option(
+        "--projector-size", help="Rows x columns of the projector.", show_default="as --size"
+    ),
+    samples=Option("--spp", help="Light paths per camera pixel."),
+    keep="Share of each row's energy to keep.",
+    colour="Render three camera samples per pixel.",
+)
+def render(
+    name: str,
+    output: Path,
+    shape: str = "128x128",
+    projector: str | None = None,
+    samples: int = USUAL_SAMPLES,
+    keep: float = 0.999,
+    colour: bool = False,
+    seed: Seed = 0,
+    overwrite: Overwrite = False,
+    as_json: Json = False,
+) -> None:
+    """Render T of a scene; needs the extra `render`.
+
+    One pass of path tracing gives the whole matrix, with direct and global light apart.
+    """
+    check_output(output, TRUTH, overwrite=overwrite)
+    with progress(f"rendering {name}", "paths") as report:
+        truth = lm.render(
+            name, size(shape), projector_size=None if projector is None else size(projector),
+            samples=samples, seed=seed, keep=keep, colour=colour, progress=report,
+        )  # fmt: skip
+    truth.save(output, overwrite=overwrite)
+    entries = truth.matrix.nnz / truth.matrix.shape[0]
+    share = float(truth.direct_data.sum() / max(truth.matrix.sum(), 1e-30))
+    result = {"output": output, "entries_per_row": entries, "direct_share": share}
+    answer(
+        as_json,
+        {**truth.metadata, **result},
+        f"{output}: {truth.matrix.shape[0]} x {truth.matrix.shape[1]}, "
+        f"{entries:.0f} entries a row, {100 * share:.0f} % direct, "
+        f"noise {100 * truth.metadata['noise_entries']:.1f} % of the entries' norm, "
+        f"{100 * truth.metadata['noise_white']:.2f} % of the white image's",
+    )
 
 
 @described(
@@ -110,5 +173,6 @@ def _amounts(faults: list[str]) -> dict[str, float]:
         except ValueError:
             hint = "write NAME=AMOUNT, with a number such as 0.1"
             raise InputError(f"a fault of {text!r}", hint=hint) from None
-        amounts[name] = number
+        if amounts.setdefault(name, number) != number:
+            raise InputError(f"{name} twice", hint="give each fault once")
     return amounts

@@ -38,7 +38,7 @@ from lightmatrix.files.images import JPEG
 from lightmatrix.patterns.colour import ColourPatterns
 from lightmatrix.patterns.projector_curve import ProjectorResponse
 from lightmatrix.resources.threads import one_blas_thread
-from lightmatrix.rig_model.curves import CameraCurve, ProjectorCurve, bent_light
+from lightmatrix.rig_model.levels import CameraCurve, ProjectorCurve, bent_light
 from lightmatrix.rig_model.prediction import Prediction
 from lightmatrix.transport.matrix import LightTransport, prediction_error
 

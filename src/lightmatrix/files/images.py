@@ -17,12 +17,12 @@ from pathlib import Path
 from typing import Any
 
 import imagecodecs
+import lazy_loader
 import numpy as np
-import tifffile
 from numpy.typing import NDArray
 from PIL import Image, UnidentifiedImageError
 
-from lightmatrix.errors import InputError, LightMatrixError
+from lightmatrix.errors import InputError, LightMatrixError, warn
 from lightmatrix.files.colours import COLOURS
 from lightmatrix.files.extras import RAW, read_exr, read_raw, write_exr
 from lightmatrix.files.kinds import IMAGE
@@ -31,6 +31,8 @@ from lightmatrix.files.reading import MOST_VALUES, check_image_size, read_bytes,
 from lightmatrix.files.writing import atomic_file
 from lightmatrix.paths import as_path
 from lightmatrix.ranges import real_array
+
+tifffile = lazy_loader.load("tifffile")
 
 # The endings of files that are read, and their formats in words.
 JPEG = (".jpg", ".jpeg")
@@ -52,7 +54,7 @@ _COMPRESSIONS = {
 }  # fmt: skip
 # Photometric interpretations of TIFF: black is 0, RGB, and the mosaics of raw files, in which each
 # pixel is one sample. Others are refused: white is 0, a palette, ...
-_PHOTOMETRIC = (1, 2, 32803, 34892)
+_PHOTOMETRIC, _REFUSED = (1, 2, 32803, 34892), {0: "white as 0", 3: "a palette"}
 _BITS = (1, 8, 10, 12, 14, 16, 32, 64)
 _ONE_IMAGE = "save one image a file, or give this file in place of the folder, as a stack"
 # A number in the header of a PGM file, after white space and comments.
@@ -130,7 +132,7 @@ def read_grey(path: str | Path) -> NDArray[np.float32]:
 
     Images in colour are an InputError unless their channels agree, or only one is lit at all.
     """
-    return as_grey(str(path), read_image(path))
+    return as_grey(str(path), _read_pattern(path))
 
 
 def as_grey(name: str, image: NDArray[Any]) -> NDArray[np.float32]:
@@ -154,7 +156,20 @@ def is_grey(image: NDArray[Any]) -> bool:
 
 def read_light(path: str | Path) -> NDArray[np.float32]:
     """Read one pattern: (rows, cols) or (rows, cols, 3) float32 in [0, 1]; see `read_grey`."""
-    return _as_light(str(path), read_image(path))
+    return _as_light(str(path), _read_pattern(path))
+
+
+def _read_pattern(path: str | Path) -> NDArray[Any]:
+    """Warns of a pattern of fewer bits in a file of 16, which is shown nearly black."""
+    image = read_image(path)
+    top = int(image.max())
+    if top and (white := likely_white(image.dtype, top)) is not None:
+        warn(
+            f"{path}: has 16 bits, but no level above {top}, so that it is shown "
+            f"{65535 / white:.4g} times darker than a pattern of {white.bit_length()} bits; "
+            "save it over the full range if it is one"
+        )
+    return image
 
 
 def likely_white(dtype: np.dtype[Any], top: int) -> int | None:
@@ -277,6 +292,11 @@ def _read_png(file: Path) -> NDArray[Any]:
         raise ValueError("not a PNG file")
     cols, rows, _, colour = struct.unpack_from(">IIBB", data, 16)
     check_image_size(file, (rows, cols, _PNG_CHANNELS.get(colour, 1)))
+    # The second number of this chunk (PNG, third edition) is how levels follow light: 16 is PQ, 18
+    # HLG.
+    described = data.find(b"cICP", 0, data.find(b"IDAT"))
+    if described > 0 and data[described + 5 : described + 6] in (b"\x10", b"\x12"):
+        warn(f"{file}: is in HDR, but read as SDR\n  export it in SDR, or as light (.exr)")
     image: NDArray[Any] = imagecodecs.png_decode(data)
     # libpng adds an alpha channel where one colour stands for transparent pixels, whose levels
     # are in the file all the same.
@@ -332,7 +352,7 @@ def _read_tiff(file: Path) -> NDArray[Any]:
         return read_page(file, page)
 
 
-def read_page(file: Path, page: tifffile.TiffPage) -> NDArray[Any]:
+def read_page(file: Path, page: Any) -> NDArray[Any]:
     """Read a page of an open TIFF file as it lies there (see `orientation`)."""
     check_page(file, page)
     # Frames are read by several threads already.
@@ -342,7 +362,7 @@ def read_page(file: Path, page: tifffile.TiffPage) -> NDArray[Any]:
     return image
 
 
-def check_page(file: Path, page: tifffile.TiffPage) -> None:
+def check_page(file: Path, page: Any) -> None:
     """Refuse a page whose size, colours, axes or depth are not read, or which is not whole.
 
     Where strips or tiles are missing, tifffile would return zeros.
@@ -353,9 +373,10 @@ def check_page(file: Path, page: tifffile.TiffPage) -> None:
     if page.compression not in _COMPRESSIONS:
         hint = f"use one of {', '.join(dict.fromkeys(_COMPRESSIONS.values()))}, or PNG"
         raise InputError(f"{file}: compression {int(page.compression)} is not read", hint=hint)
-    if page.photometric not in _PHOTOMETRIC:
-        hint = "save it in grey, black as 0, or RGB"
-        raise InputError(f"{file}: has colours of kind {int(page.photometric)}", hint=hint)
+    colours = int(page.photometric)
+    if colours not in _PHOTOMETRIC:
+        words = _REFUSED.get(colours, f"colours of kind {colours}")
+        raise InputError(f"{file}: has {words}", hint="save it in grey, black as 0, or RGB")
     if page.axes not in ("YX", "YXS", "SYX"):
         raise InputError(f"{file}: has axes {page.axes}", hint="save one image a file")
     if page.bitspersample not in _BITS:

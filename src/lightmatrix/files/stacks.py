@@ -15,8 +15,8 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+import lazy_loader
 import numpy as np
-import tifffile
 from numpy.typing import NDArray
 from PIL import Image
 
@@ -36,6 +36,8 @@ from lightmatrix.files.numpy_files import map_npy, read_npz
 from lightmatrix.files.reading import check_image_size, regular_file
 from lightmatrix.paths import as_path
 from lightmatrix.reprs import short_repr
+
+tifffile = lazy_loader.load("tifffile")
 
 # Endings of files that may hold several images, and their formats in words.
 STACKS = (".tif", ".tiff", ".npy", ".npz")

@@ -13,9 +13,8 @@ from typing import Any
 from xml.etree import ElementTree
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.io import loadmat
-from scipy.spatial.transform import Rotation
 
 from lightmatrix.errors import InputError, OutputError
 from lightmatrix.files.extras import load_opencv
@@ -83,7 +82,7 @@ def _content(file: Path) -> Values:
         raise InputError(f"{file}: is of MATLAB's version 7.3", hint="save it with the option -v7")
     try:
         if start == b"MATLAB 5":
-            return dict(loadmat(file, simplify_cells=True))
+            return dict(scipy.io.loadmat(file, simplify_cells=True))
         text = read_text(file).strip()
         model = re.search(r"distortion_model\W+(\w+)", text)
         if model and model[1] not in ("plumb_bob", "rational_polynomial"):
@@ -269,8 +268,9 @@ def write_rig(part: Path, rig: Any) -> None:
         part.write_text(json.dumps(content, indent=2) + "\n", encoding="utf-8")
         return
     skew = max(abs(rig.camera_intrinsics[0, 1]), abs(rig.projector_intrinsics[0, 1]))
-    if rig.projector_mirrored or (part.is_dir() and skew > 1e-6):
-        what = "a mirrored projector" if rig.projector_mirrored else "skewed pixels"
+    if rig.projector_mirrored or rig.projector_stagger or (part.is_dir() and skew > 1e-6):
+        what = "diamond pixels" if rig.projector_stagger else "skewed pixels"
+        what = "a mirrored projector" if rig.projector_mirrored else what
         raise OutputError(f"this format cannot state {what}", hint="save it as .json")
     (_write_colmap if part.is_dir() else _write_opencv)(part, rig)
 
@@ -299,7 +299,7 @@ def _write_colmap(part: Path, rig: Any) -> None:
         model = f"{number} FULL_OPENCV {cols} {rows}"
         texts["cameras"] += f"{model} {_spaced([*numbers, lens[4], 0, 0, 0])}\n"
         pose = np.linalg.solve(matrix, getattr(rig, f"{device}_matrix"))
-        x, y, z, w = Rotation.from_matrix(pose[:, :3]).as_quat()
+        x, y, z, w = scipy.spatial.transform.Rotation.from_matrix(pose[:, :3]).as_quat()
         # The points that an image shows would stand in the line below.
         texts["images"] += (
             f"{number} {_spaced([w, x, y, z, *pose[:, 3]])} {number} {device}.png\n\n"

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Self
 
 import numpy as np
+import scipy
 from numpy.typing import ArrayLike, NDArray
-from scipy.linalg import rq
 
 from lightmatrix.errors import InputError
 from lightmatrix.files.kinds import FolderKind, geometry_kind
@@ -17,7 +17,7 @@ from lightmatrix.files.reading import errors_naming
 from lightmatrix.files.writing import atomic_file, atomic_folder
 from lightmatrix.geometry.rig_files import read_rig, write_rig
 from lightmatrix.paths import as_path
-from lightmatrix.ranges import check_sides
+from lightmatrix.ranges import check_number, check_sides
 from lightmatrix.regions import Region
 from lightmatrix.reprs import jsonable, short_repr
 
@@ -168,7 +168,7 @@ def normalised(matrix: ArrayLike, device: str) -> Array:
 
 def decomposed(matrix: Array) -> tuple[Array, Array, Array]:
     """K (3, 3), R (3, 3) and t (3,) of a normalised projection matrix K [R | t]."""
-    intrinsics, rotation = rq(matrix[:, :3])
+    intrinsics, rotation = scipy.linalg.rq(matrix[:, :3])
     signs = np.where(np.diag(intrinsics) < 0, -1.0, 1.0)
     intrinsics, rotation = intrinsics * signs, rotation * signs[:, None]
     translation = np.linalg.solve(intrinsics, matrix[:, 3])
@@ -180,7 +180,7 @@ def centre_of(matrix: Array) -> Array:
     return np.asarray(np.linalg.solve(matrix[:, :3], -matrix[:, 3]))
 
 
-def binned_matrix(matrix: Array, block: tuple[float, float], corner: Shape = (0, 0)) -> Array:
+def binned_matrix(matrix: Array, block: Sequence[float], corner: Sequence[float] = (0, 0)) -> Array:
     """The matrix (3, ...) for pixels cut from a corner (row, col), then binned by a block.
 
     The centre of the first block of b pixels lies at (b - 1) / 2, so that pixel centres stay at
@@ -199,12 +199,27 @@ def projected(matrix: Array, points: ArrayLike) -> Array:
         return np.where(image[:, 2:] > 0, image[:, :2] / image[:, 2:], np.nan)
 
 
+def staggered(points: Array, stagger: float, height: float = 1.0) -> Array:
+    """Pixels (..., 2) as (col, row) moved to where they lie: odd rows by `stagger` columns.
+
+    A fraction of a row stands for a mean of light over `height` rows, an unknown one for all rows.
+    """
+    if not stagger:
+        return points
+    ends = points[..., 1, None] + np.array([0.5, -0.5]) * height
+    # The integral of a function that is 1 over odd rows and 0 over even ones.
+    area = np.floor((ends + 0.5) / 2) + np.clip((ends + 0.5) % 2 - 1, 0, 1)
+    odd = np.nan_to_num((area[..., 0] - area[..., 1]) / height, nan=0.5)
+    return points + np.stack([stagger * odd, np.zeros_like(odd)], axis=-1)
+
+
 def checked_fields(content: Any, file: str) -> dict[str, Any]:
     """The fields of a geometry in an object of JSON, in which others are ignored."""
     names = set(RigGeometry.__dataclass_fields__)
     given = content if isinstance(content, dict) else {}
     fields = {name: value for name, value in given.items() if name in names}
-    missing = sorted(names - {"units", "rms", "projector_mirrored"} - set(fields))
+    later = {"projector_mirrored", "projector_stagger"}
+    missing = sorted(names - {"units", "rms"} - later - set(fields))
     units, rms = fields.get("units"), fields.get("rms", {})
     named = isinstance(rms, dict) and all(type(value) in (int, float) for value in rms.values())
     if missing or not isinstance(units, str | None) or not named:
@@ -240,6 +255,10 @@ class RigGeometry:
     projector_mirrored : bool
         Whether the camera sees the projector's image mirrored, as behind a screen or in a mirror.
         `projector_matrix` then belongs to columns that are counted from the right.
+    projector_stagger : float
+        Of diamond pixels, as of TI's LightCrafter 4500: by how many columns odd rows (1, 3, ...)
+        stand to the right of even ones, 0.5 or -0.5. A place is then where a column of even rows
+        would lie, see `projector_places`; rows are half as far apart as columns.
 
     Raises
     ------
@@ -266,6 +285,7 @@ class RigGeometry:
     units: str | None = None
     rms: Mapping[str, float] = field(default_factory=dict)
     projector_mirrored: bool = False
+    projector_stagger: float = 0.0
 
     __repr__ = short_repr
 
@@ -288,6 +308,8 @@ class RigGeometry:
             object.__setattr__(self, f"{device}_matrix", matrix)
             object.__setattr__(self, f"{device}_distortion", lens)
             object.__setattr__(self, f"{device}_shape", tuple(map(int, shape)))
+        hint = "give 0.5 or -0.5 for diamond pixels"
+        check_number("a stagger", self.projector_stagger, least=-0.5, most=0.5, hint=hint)
         # Less than 1e-9 of the distance to the origin is rounding.
         centres = np.stack([centre_of(self.camera_matrix), centre_of(self.projector_matrix)])
         if np.linalg.norm(centres[1] - centres[0]) <= 1e-9 * np.abs(centres).max():
@@ -383,6 +405,10 @@ class RigGeometry:
         seen = self._unmirrored(points_of(points, 2))
         return through_lens(undistort, seen, self.projector_intrinsics, self.projector_distortion)
 
+    def projector_places(self, pixels: ArrayLike) -> Array:
+        """Where projector pixels (n, 2) as (col, row) lie: the same, but for diamond pixels."""
+        return staggered(points_of(pixels, 2), self.projector_stagger)
+
     def _unmirrored(self, points: Array) -> Array:
         """Projector pixels (n, 2) counted from the side of `projector_matrix`, or back."""
         if not self.projector_mirrored:
@@ -395,7 +421,7 @@ class RigGeometry:
         return through_lens(distort, ideal, self.camera_intrinsics, self.camera_distortion)
 
     def project_projector(self, points: ArrayLike) -> Array:
-        """The projector pixels (n, 2) as (col, row), distorted, that light points (n, 3)."""
+        """The projector places (n, 2) as (col, row), distorted, that light points (n, 3)."""
         ideal = projected(self.projector_matrix, points)
         lit = through_lens(distort, ideal, self.projector_intrinsics, self.projector_distortion)
         return self._unmirrored(lit)
@@ -460,9 +486,15 @@ class RigGeometry:
                 )
             changed[f"{device}_shape"] = small
             # Counted from the right, the columns that are cut off come first.
-            cut = shape[1] - small[1] * block[1] if self.projector_mirrored else 0
-            corner = (0, cut if device == "projector" else 0)
-            matrix = binned_matrix(getattr(self, f"{device}_matrix"), block, corner)
+            cut = 0.0
+            if device == "projector":
+                # The mean of the first row of blocks; blocks of even height are all alike.
+                cut = self.projector_stagger * (block[0] // 2) / block[0]
+                apart = self.projector_stagger * (block[0] % 2) / (block[0] * block[1])
+                changed["projector_stagger"] = apart
+                if self.projector_mirrored:
+                    cut = shape[1] - small[1] * block[1] - cut
+            matrix = binned_matrix(getattr(self, f"{device}_matrix"), block, (0, cut))
             changed[f"{device}_matrix"] = matrix
         return replace(self, **changed)
 

@@ -17,8 +17,8 @@ from functools import cached_property
 from typing import Any, Literal, Self
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.ndimage import rank_filter
 
 from lightmatrix.judgement.metrics import row_energies, unclipped_rows
 from lightmatrix.ranges import check_type
@@ -447,7 +447,7 @@ def _glints(transport: LightTransport) -> int:
     rows, cols = transport.camera_shape[:2]
     image = _diagnostic(transport, "clipped_share").reshape(rows, cols, -1)
     # The third among the neighbours from above; the sample itself comes before them.
-    third = rank_filter(image, -4, size=(3, 3, 1))
+    third = scipy.ndimage.rank_filter(image, -4, size=(3, 3, 1))
     return int((glint & (image - third > DOUBTFUL.apart).ravel()).sum())
 
 

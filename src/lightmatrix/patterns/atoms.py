@@ -13,8 +13,8 @@ from itertools import pairwise
 from typing import Any
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.ndimage import convolve1d, find_objects, label
 from scipy.sparse import csr_array, vstack
 
 from lightmatrix import _core
@@ -214,7 +214,7 @@ class AtomPatterns(PatternSet):
         if len(kernel) > 1:
             whole = np.concatenate([kernel[:0:-1], kernel])
             for axis in (1, 2):
-                images = convolve1d(images, whole, axis=axis, mode="constant")
+                images = scipy.ndimage.convolve1d(images, whole, axis=axis, mode="constant")
         return images.reshape(x.shape)
 
     def contrast(self, plane: int) -> float:
@@ -242,7 +242,7 @@ def boxes_around(pixels: NDArray[np.integer], shape: tuple[int, int]) -> list[Bo
     lit = np.zeros([-(-n // _CELL) for n in shape], bool)
     lit[0, 0] = not len(pixels)
     lit.ravel()[_cells(pixels, shape)] = True
-    found = find_objects(label(lit, np.ones((3, 3)))[0])
+    found = scipy.ndimage.find_objects(scipy.ndimage.label(lit, np.ones((3, 3)))[0])
     return [tuple(slice(s.start * _CELL, s.stop * _CELL) for s in box) for box in found]
 
 

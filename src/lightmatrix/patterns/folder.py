@@ -6,6 +6,7 @@ show the same patterns. If they differ, the images are used: they are what was p
 
 from __future__ import annotations
 
+import csv
 import json
 import os
 from collections.abc import Iterable, Iterator, Sequence
@@ -30,7 +31,6 @@ from lightmatrix.files.reading import errors_naming, read_json
 from lightmatrix.files.stacks import ImageStack, Page, list_entries
 from lightmatrix.files.writing import atomic_folder
 from lightmatrix.paths import as_path
-from lightmatrix.patterns.bit_planes import check_order, fill_bit_planes
 from lightmatrix.patterns.bits import BitPatterns
 from lightmatrix.patterns.colour import ColourPatterns, colour_images
 from lightmatrix.patterns.making import remake_patterns
@@ -257,3 +257,52 @@ def _first_difference(operator: PatternSet, paths: list[Path]) -> str | None:
         if not np.array_equal(to_grey(grey), operator.greys(k, k + 1)[0]):
             return f"{paths[k].name} is not among"
     return None
+
+
+# Bit planes of colour images, for boards with micromirrors. Such a board shows each of the 24 bits
+# of a colour image by itself, thousands in a second. It is told by number which one comes next.
+
+# The first letters of the primaries, as they stand in a file.
+_CHANNELS = "rgb"
+_BITS = 8
+
+
+def check_order(patterns: PatternSet, order: str) -> None:
+    """Refuse an order of the primaries that names not each once, and patterns in grey or colour.
+
+    Raises
+    ------
+    InputError
+        On either of them.
+    """
+    if sorted(order) != sorted(_CHANNELS):
+        hint = "use grb for TI's LightCrafter 4500, or rgb, bgr, ... for other boards"
+        raise InputError(f"bit planes in the order {order!r}", hint=hint)
+    grey = any(((image > 0) & (image < 1)).any() for _, image in patterns.chunks())
+    if grey or isinstance(patterns, ColourPatterns):
+        hint = "use black and white ones, such as bernoulli"
+        raise InputError(f"bit planes of patterns in {'grey' if grey else 'colour'}", hint=hint)
+
+
+def fill_bit_planes(folder: Path, patterns: PatternSet, order: str) -> None:
+    """Write colour images planes_00.png, ... and sequence.csv, which says where each pattern is.
+
+    The first eight patterns are the bits of the primary that `order` names first, the lowest bit
+    first, the next eight those of the second.
+    """
+    folder.mkdir()
+    step = len(order) * _BITS
+    rows = []
+    for start in range(0, patterns.count, step):
+        planes = np.zeros((*patterns.shape, len(order)), np.uint8)
+        name = f"planes_{start // step:02d}.png"
+        for number, k in enumerate(range(start, min(start + step, patterns.count))):
+            primary, bit = order[number // _BITS], number % _BITS
+            lit = patterns.images(k, k + 1)[0] > 0
+            planes[..., _CHANNELS.index(primary)] |= lit.astype(np.uint8) << bit
+            rows.append((k, name, number, f"{primary.upper()}{bit}"))
+        fill_image(folder / name, planes)
+    with (folder / "sequence.csv").open("w", newline="") as file:
+        writer = csv.writer(file)
+        writer.writerow(("pattern", "image", "plane", "bit"))
+        writer.writerows(rows)

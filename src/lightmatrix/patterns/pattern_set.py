@@ -20,8 +20,8 @@ from dataclasses import dataclass, fields
 from typing import Any, ClassVar, TypeVar, cast
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.ndimage import convolve
 
 from lightmatrix import _core
 from lightmatrix.errors import InputError
@@ -296,7 +296,9 @@ class PatternSet(ABC):
         corner, beside, above, centre = np.random.default_rng(1).standard_normal(4)
         kernel = [[corner, above, corner], [beside, centre, beside], [corner, above, corner]]
         # A mixture with the neighbours is the same where the surroundings are, also if mirrored.
-        mixed = convolve(self._mixture.reshape(self.shape), np.array(kernel), mode="nearest")
+        mixed = scipy.ndimage.convolve(
+            self._mixture.reshape(self.shape), np.array(kernel), mode="nearest"
+        )
         return far_twins(groups(mixed.ravel()), self.shape, self.axes)
 
     @property

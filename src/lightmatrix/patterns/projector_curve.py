@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,7 +14,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from lightmatrix.errors import InputError
 from lightmatrix.files.curve_file import CurveFile
+from lightmatrix.paths import as_path
 from lightmatrix.patterns.colour import ColourPatterns
 from lightmatrix.patterns.pattern_set import ImagePatterns, PatternSet
 from lightmatrix.ranges import as_float, check_number
@@ -96,11 +99,14 @@ class ProjectorResponse:
             On a gamma out of 0.1 to 10, or a file that is missing, damaged, or something else.
         """
         kind, _, gamma = str(text).partition(":")
-        if kind not in ("linear", "gamma"):
+        hint = "give gamma:2.2, linear, or a file of `lightmatrix response --projector`"
+        power = 1.0 if str(text) == "linear" else as_float(gamma) if kind == "gamma" else math.nan
+        if not math.isnan(power):
+            check_number("a gamma", power, least=0.1, most=10, hint="use 0.1 to 10, such as 2.2")
+            return cls.of_gamma(power)
+        if as_path(text).is_file():
             return cls.load(text)
-        power = as_float(gamma) if kind == "gamma" else 1.0
-        check_number("a gamma", power, least=0.1, most=10, hint="use 0.1 to 10, such as 2.2")
-        return cls.of_gamma(power)
+        raise InputError(f"{text}: no such file, and no projector's response", hint=hint)
 
     @classmethod
     def of_provenance(cls, provenance: Mapping[str, Any]) -> ProjectorResponse | None:

@@ -80,6 +80,7 @@ VIEWS: dict[str, _View] = {
         lambda shape: {"values": shape.normals},
         triangulate,
     ),
+    "probability": _of_map(lambda shape: shape.probability_map, triangulate),
     "layers": _View(lambda found: found.show(), lambda found: {"values": found.depth}, layers),
 }
 # Views of one row or column, and how many numbers their index may have.
@@ -105,13 +106,14 @@ def show(
         "row" and "column" of T; "dual", the scene seen from the projector; "correspondence", the
         projector pixel that each camera pixel sees most; "spectrum", the 50 largest singular
         values; a diagnostic of an estimate: "clipping", "gap", "footprint", "estimated-error" or,
-        of a `Tracker`, "changes"; or "depth" and "normals" of the surface, as `triangulate` finds
-        them, and "layers", the depths of surfaces behind each other, as `layers` does.
+        of a `Tracker`, "changes"; or "depth" and "normals" of the surface and the "probability"
+        that its depth is right, as `triangulate` finds them, and "layers", the depths of surfaces
+        behind each other, as `layers` does.
     index : int
         For a row: row and column of the camera pixel and, for a colour camera, channel. For a
         column: row and column of the projector pixel. Other views have no index.
     geometry : RigGeometry, str or Path, optional
-        Where camera and projector stand, or its file; only for depth, normals and layers.
+        Where camera and projector stand, or its file; only for views of the surface.
     output : str or Path, optional
         File to write: .png for the picture; .npz for its numbers (``values``, or ``pixel``,
         ``place`` and ``confidence`` of `Correspondence`); .tiff, .exr or .npy for its values as
@@ -127,8 +129,8 @@ def show(
     Raises
     ------
     InputError
-        On an unknown view, a wrong index, a diagnostic that the matrix does not have, or depth,
-        normals and layers without a geometry of these images.
+        On an unknown view, a wrong index, a diagnostic that the matrix does not have, or a view of
+        the surface without a geometry of these images.
     OutputError
         If the file cannot be written.
 
@@ -155,8 +157,8 @@ def show(
     if (find is None) != (geometry is None):
         raise InputError(
             f"the view {view} {'with' if find is None else 'without'} a geometry",
-            hint="depth, normals and layers need the geometry of the rig, a file of `calibrate`; "
-            "no other view takes one",
+            hint="depth, normals, probability and layers need the geometry of the rig, a file of "
+            "`calibrate`; no other view takes one",
         )
     if output is not None:
         suffix = Path(output).suffix.lower()

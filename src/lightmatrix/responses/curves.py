@@ -14,8 +14,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.optimize import isotonic_regression
 
 from lightmatrix.capture.camera_curve import Response, nearest_gamma, range_end
 from lightmatrix.capture.exposures import lit_samples, share_of_white
@@ -174,7 +174,7 @@ def fit_curve(series: PixelSeries) -> NDArray[np.float64]:
     light[high:] = (start + slope * levels)[high:]
     light[: low + 1] = light[low] * np.clip((levels[: low + 1] - series.black), 0, None)
     light[: low + 1] /= low - series.black
-    rising = np.asarray(isotonic_regression(light).x)
+    rising = np.asarray(scipy.optimize.isotonic_regression(light).x)
     return np.asarray(np.clip(rising / rising[-1], 0, 1))
 
 

@@ -4,15 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from lightmatrix.rig_model.black import Black
-from lightmatrix.rig_model.crosstalk import Crosstalk
-from lightmatrix.rig_model.curves import CameraCurve, ProjectorCurve
-from lightmatrix.rig_model.late import Previous, Torn
-from lightmatrix.rig_model.light import Ambient, DynamicContrast, Gain, Rows
-from lightmatrix.rig_model.motion import Shift, Zoom
-from lightmatrix.rig_model.sharpening import CameraBlur, CameraSharpening, Sharpening
+from lightmatrix.rig_model.frames import (
+    Ambient,
+    DynamicContrast,
+    Gain,
+    Previous,
+    Rows,
+    Shift,
+    Torn,
+    Zoom,
+)
+from lightmatrix.rig_model.levels import Black, CameraCurve, ProjectorCurve, ToneMapping
+from lightmatrix.rig_model.neighbours import CameraBlur, CameraSharpening, Crosstalk, Sharpening
 from lightmatrix.rig_model.term import Term
-from lightmatrix.rig_model.tone_mapping import ToneMapping
 
 TERMS: dict[str, type[Term]] = {
     each.name: each

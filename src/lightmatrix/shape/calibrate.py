@@ -41,6 +41,7 @@ from lightmatrix.ranges import check_list, check_number
 from lightmatrix.reprs import short_repr
 from lightmatrix.shape.adjustment import Fit, fit_board, largest_turn, rms_of
 from lightmatrix.shape.decode import decode
+from lightmatrix.shape.spots import on_diamonds
 from lightmatrix.transport.correspondence import Correspondence, correspondence
 from lightmatrix.transport.matrix import LightTransport
 from lightmatrix.transport.store import open_matches
@@ -166,10 +167,11 @@ def light_corners(corners: Array, matches: Correspondence, board: Shape) -> tupl
     return projector, float(np.mean(mirrored)) if mirrored else 0.5
 
 
-def pose_images(capture: Capture) -> tuple[Array, list[Correspondence]]:
+def pose_images(capture: Capture, stagger: float = 0.0) -> tuple[Array, list[Correspondence]]:
     """The image (rows, cols) under white light, and the correspondence of each projector.
 
-    Stripes are decoded; of other patterns, and of several projectors at once, T is estimated.
+    Stripes are decoded; of other patterns, and of several projectors at once, T is estimated. Their
+    places are those of projectors whose odd rows are moved by `stagger`.
     """
     if capture.projectors or stripes_of(capture.patterns) is None:
         found = estimate(capture).split()
@@ -184,6 +186,7 @@ def pose_images(capture: Capture) -> tuple[Array, list[Correspondence]]:
         for k in frames[1:]:
             image = np.maximum(image, capture.frames.read(k))
         matches = [decode(capture)]
+    matches = [on_diamonds(one, stagger) for one in matches]
     return image if image.ndim == 2 else image.mean(axis=2), matches
 
 
@@ -272,6 +275,7 @@ def calibrate_rig(
     *,
     kind: BoardKind = "chessboard",
     units: str | None = None,
+    stagger: float = 0.0,
     output: str | Path | None = None,
     overwrite: bool = False,
     progress: Progress | None = None,
@@ -301,6 +305,9 @@ def calibrate_rig(
         columns must be lit.
     units : str, optional
         Unit of length, such as "mm".
+    stagger : float
+        Of projectors with diamond pixels: 0.5 if odd rows (1, 3, ...) stand to the right of even
+        ones, -0.5 if to the left; see `RigGeometry`.
     output : str or Path, optional
         The geometry to write, as `RigGeometry.save` does: .json, or of another program. One for
         each of several projectors, NAME-1.json, NAME-2.json, ...; of several cameras with each
@@ -352,7 +359,7 @@ def calibrate_rig(
     files = [] if output is None else _files(output, len(cameras), len(projectors))
     for file in files:
         check_output(file, geometry_kind(file), overwrite=overwrite)
-    corners, left_out = _all_corners(opened, board, kind, progress)
+    corners, left_out = _all_corners(opened, board, kind, progress, stagger)
     mirrored = np.mean([flipped for *_, flipped in corners.values()], axis=(0, 1)) > 0.5
     if mirrored.any():
         warn(
@@ -424,7 +431,8 @@ def calibrate_rig(
         }
         own["stereo"] = float(np.sqrt((own["camera"] ** 2 + own["projector"] ** 2) / 2))
         found = fit.geometry(camera, projector, (cameras[camera], projectors[projector]))
-        return replace(found, units=units, rms=own, projector_mirrored=bool(mirrored[projector]))
+        found = replace(found, units=units, rms=own, projector_stagger=stagger)
+        return replace(found, projector_mirrored=bool(mirrored[projector]))
 
     geometries = tuple(
         tuple(geometry(c, p) for p in range(len(projectors))) for c in range(len(cameras))
@@ -493,7 +501,11 @@ def _files(output: str | Path, cameras: int, projectors: int) -> list[Path]:
 
 
 def _all_corners(
-    opened: dict[str, list[list[Capture]]], board: Shape, kind: BoardKind, progress: Progress | None
+    opened: dict[str, list[list[Capture]]],
+    board: Shape,
+    kind: BoardKind,
+    progress: Progress | None,
+    stagger: float = 0.0,
 ) -> tuple[dict[str, tuple[Array, Array, Array]], dict[str, str]]:
     """The corners of usable poses by name, and why other poses are not usable.
 
@@ -504,7 +516,7 @@ def _all_corners(
     left_out: dict[str, str] = {}
     for number, (name, parts) in enumerate(opened.items()):
         try:
-            views = [[pose_images(one) for one in part] for part in parts]
+            views = [[pose_images(one, stagger) for one in part] for part in parts]
         except InputError as error:
             # Frames out of order, or no light of the projector.
             left_out[name] = error.message
@@ -579,6 +591,7 @@ def self_calibrate(
     camera_distortion: ArrayLike = (0, 0, 0, 0, 0),
     baseline: float = 1.0,
     units: str | None = None,
+    stagger: float = 0.0,
     output: str | Path | None = None,
     overwrite: bool = False,
 ) -> RigGeometry:
@@ -596,15 +609,15 @@ def self_calibrate(
         Where the camera's axis passes its image, as (col, row); None: in the middle. Only with a
         focal length.
     projector_intrinsics : (3, 3) array-like, optional
-        K of the projector. None: square pixels, and the focal length and the row of the axis that
-        fit best, with its column in the middle. The row stays in the middle unless the matches
-        contradict it, as under projectors that shift their image upwards.
+        K of the projector. None: square or diamond pixels, and the focal length and the row of the
+        axis that fit best, with its column in the middle. The row stays in the middle unless the
+        matches contradict it, as under projectors that shift their image upwards.
     camera_distortion : (5,) array-like
         Coefficients of the camera's lens.
     baseline : float
         Distance from the camera to the projector, in `units`. The matches do not tell it: all
         lengths are proportional to it.
-    units, output, overwrite
+    units, stagger, output, overwrite
         As in `calibrate_rig`.
 
     Returns
@@ -650,6 +663,7 @@ def self_calibrate(
         check_output(output, geometry_kind(output), overwrite=overwrite)
     opened = open_matches(matches)
     found = correspondence(opened) if isinstance(opened, LightTransport) else opened
+    found = on_diamonds(found, stagger)
     projector_shape = found.projector_shape
     if projector_shape is None:
         hint = "give T or a file of `decode`; in Python, replace(matches, projector_shape=...)"
@@ -700,7 +714,9 @@ def self_calibrate(
         known = None if projector_intrinsics is None else np.asarray(projector_intrinsics, float)
         matrix = fit_fundamental(seen, own) if mirrored else fundamental
         lens = camera.camera_intrinsics
-        pose, deviation = _pose(matrix, seen, own, lens, known, projector_shape, free)
+        # Rows of diamond pixels are half as far apart as columns.
+        high = 2.0 if stagger else 1.0
+        pose, deviation = _pose(matrix, seen, own, lens, known, projector_shape, high, free)
         rig = RigGeometry.from_intrinsics(
             lens, *pose[:2], pose[2] * baseline, *sizes, camera_distortion=camera_distortion
         )
@@ -716,7 +732,8 @@ def self_calibrate(
         parallax = rig.projector_intrinsics[0, 0] * baseline / np.maximum(ahead, 1e-12)
         ahead = (rig.depth(points) > 0) & (ahead > 0) & (parallax > 3 * rms["epipolar"])
         behind = float(1 - ahead.mean())
-        return replace(rig, rms=rms, units=units, projector_mirrored=mirrored), behind
+        rig = replace(rig, rms=rms, units=units, projector_stagger=stagger)
+        return replace(rig, projector_mirrored=mirrored), behind
 
     rig, behind = fitted(mirrored=False)
     # Right geometries have no match behind a device, and wrong ones a quarter at least.
@@ -743,15 +760,18 @@ def self_calibrate(
     return rig
 
 
-def _centred(focal: float, shape: tuple[int, int]) -> Array:
-    """K of square pixels and an axis through the middle of an image of (rows, cols)."""
+def _centred(focal: float, shape: tuple[int, int], high: float = 1.0) -> Array:
+    """K with an axis through the middle of an image of (rows, cols).
+
+    Columns are `high` times as far apart as rows.
+    """
     rows, cols = shape
-    return np.array([[focal, 0, (cols - 1) / 2], [0, focal, (rows - 1) / 2], [0, 0, 1]])
+    return np.array([[focal, 0, (cols - 1) / 2], [0, high * focal, (rows - 1) / 2], [0, 0, 1]])
 
 
 def _pose(
     fundamental: Array, seen: Array, lit: Array, camera: Array, projector: Array | None,
-    projector_shape: Shape, free: float,
+    projector_shape: Shape, high: float, free: float,
 ) -> tuple[tuple[Array, Array, Array], float]:  # fmt: skip
     """K of the projector, R and t of length 1, that bring the matches nearest to their lines.
 
@@ -765,7 +785,7 @@ def _pose(
     for row in [None] if projector is not None else [None, 1.0, 0.0]:
         if best is not None and best[0] < 2 * free + 0.02:
             break
-        candidates = [_centred(f, projector_shape) for f in focals]
+        candidates = [_centred(f, projector_shape, high) for f in focals]
         for each in candidates:
             each[1, 2] = each[1, 2] if row is None else row * (projector_shape[0] - 1)
         if projector is not None:

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
-from lightmatrix.geometry.rig_geometry import RigGeometry
+from lightmatrix.geometry.rig_geometry import RigGeometry, staggered
 from lightmatrix.ranges import check_number
 from lightmatrix.resources.threads import work_ahead
 from lightmatrix.transport.correspondence import Correspondence, pixel_rows
@@ -35,6 +35,7 @@ def find_line_spots(
     pixels: Array,
     shape: tuple[int, int],
     half_width: float,
+    stagger: float = 0.0,
 ) -> tuple[Array, Array, Array, Array]:
     """Find the spots of each row of T, (P, N): two beside its line, and a third anywhere.
 
@@ -43,7 +44,8 @@ def find_line_spots(
     light in a window around it, whose borders cut pixels in parts, so that it moves smoothly.
 
     `lines` (P, 3) are a, b, c with a^2 + b^2 = 1 and a col + b row + c = 0, `pixels` (N, 2) the
-    column and row of each projector pixel without distortion. Returns places (P, 3, 2) as (row,
+    column and row of each projector pixel without distortion, and `stagger` how far odd rows stand
+    to the right. Returns places (P, 3, 2) as (row,
     col), NaN where there is none, light and standard deviations (P, 3), and the light of rows (P,).
     """
     if not matrix.has_sorted_indices:
@@ -51,7 +53,8 @@ def find_line_spots(
         matrix.sort_indices()
 
     def find(rows: slice) -> tuple[Array, ...]:
-        return _of_block(csr_array(matrix[rows]), lines[rows], pixels, shape, half_width)
+        some = csr_array(matrix[rows])
+        return _of_block(some, lines[rows], pixels, shape, half_width, stagger)
 
     # Two blocks are computed at a time, since each takes about 400 MiB.
     parts = work_ahead(find, blocks_of(matrix), threads=2)
@@ -82,7 +85,12 @@ def uncut_places(place: Array, lines: Array, shape: tuple[int, int], margin: flo
 
 
 def _of_block(
-    matrix: csr_array, lines: Array, pixels: Array, shape: tuple[int, int], half_width: float
+    matrix: csr_array,
+    lines: Array,
+    pixels: Array,
+    shape: tuple[int, int],
+    half_width: float,
+    stagger: float,
 ) -> tuple[Array, ...]:
     """Places, light, widths and total light of the spots of some rows."""
     count = int(matrix.shape[0])
@@ -105,6 +113,7 @@ def _of_block(
         found = np.searchsorted(pixel, first)
         for step in range(3):
             sums += np.where(padded[found + step] <= first + 2, padded_light[found + step], 0)
+    col += stagger * (row % 2)
     del pixel, padded, padded_light, first, found, ideal_col, ideal_row
     places, lights, widths = np.full((SPOTS, count, 2), np.nan), *np.zeros((2, SPOTS, count))
     free = light > 0
@@ -175,6 +184,16 @@ class Seen:
         return self.on_line & np.isfinite(self.depth)
 
 
+def on_diamonds(source: Correspondence, stagger: float) -> Correspondence:
+    """Matches whose places, counted in pixels, become where diamond pixels lie."""
+    # A camera whose pixels step over rows sees odd and even ones alike, which is a mean of two.
+    steps = np.abs(np.diff(source.place[..., 0], axis=0))
+    known = steps[np.isfinite(steps)]
+    height = 1.0 if known.size and np.median(known) < 1 else 2.0
+    place = staggered(source.place[..., ::-1].astype(np.float64), stagger, height)[..., ::-1]
+    return replace(source, place=place.astype(np.float32)) if stagger else source
+
+
 def seen_by(source: LightTransport | Correspondence, geometry: RigGeometry) -> Seen:
     """What the camera's pixels see of the projector, in T or in a correspondence."""
     camera = camera_pixels(geometry.camera_shape)[:, ::-1]
@@ -193,6 +212,7 @@ def seen_by(source: LightTransport | Correspondence, geometry: RigGeometry) -> S
     if isinstance(source, Correspondence):
         # Places within half a pixel of the border may be cut off, as for a sharp spot of T. With
         # columns or rows only, a place is where they cross the line.
+        source = on_diamonds(source, geometry.projector_stagger)
         place = source.place.reshape(-1, 2).astype(np.float64)
         known = np.isfinite(place)
         if not known.all(axis=1).any():
@@ -210,12 +230,14 @@ def seen_by(source: LightTransport | Correspondence, geometry: RigGeometry) -> S
     else:
         rows, background = pixel_rows(source)
         usual = spot_deviation(source, rows)
-        pixels = geometry.undistort_projector(camera_pixels(shape)[:, ::-1])
+        pixels = geometry.projector_places(camera_pixels(shape)[:, ::-1])
+        pixels = geometry.undistort_projector(pixels)
         # The window reaches 1.5 projector pixels to each side of sharp spots, and 2.5 under a blur
         # of 1 pixel. Chosen by hand.
         half_width = max(1.5, 2.4 * usual)
         margin = half_width - 1
-        found = find_line_spots(rows, background, lines, pixels, shape, half_width)
+        stagger = geometry.projector_stagger
+        found = find_line_spots(rows, background, lines, pixels, shape, half_width, stagger)
         place, light, width, total = found
         share = np.nan_to_num(light / np.maximum(total, 1e-30)[:, None])
         channels = int(np.prod(source.camera_shape[2:]))

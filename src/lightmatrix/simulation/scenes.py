@@ -511,8 +511,8 @@ def _mirror() -> Scene:
     return Scene("mirror", "a statue beside a dusty mirror that shows it", parts, 6)
 
 
-# Two projectors, left and right, whose pictures overlap by a third; the second one hangs upside
-# down. The second camera sees the scene from the side.
+# Two projectors, left and right. In a corner each lights 44 % of what the other does. The second
+# hangs upside down. The second camera sees the scene from the side.
 _LEFT = View((-1.1, 0.2, 4.0), target=(-0.45, 0.0, 0.0), roll=4.0, width=1.35)
 _RIGHT = View((0.9, -0.1, 3.6), target=(0.45, 0.0, 0.0), roll=175.0, width=1.35)
 _FRONT = View((-0.2, -0.3, 4.0), target=(0.0, 0.0, 0.0), width=2.3)
@@ -546,10 +546,27 @@ def _statues() -> Scene:
     )
 
 
+def _dome() -> Scene:
+    """The inside of a white dome under two projectors, whose light it throws to and fro."""
+    radius, angles = 1.5, np.linspace(1.0, 0.02, 64)
+    inside = np.column_stack([radius * np.sin(angles), radius * (1 - np.cos(angles))])
+    dome = revolve([(1.4, 0.0), (1.4, inside[0, 1]), *inside.tolist()], 128)
+    return replace(
+        _stage(),
+        name="dome",
+        description="the inside of a white dome under two projectors, seen by two cameras",
+        parts=(Part(sheet(6.0), matt(0.2)), Part(dome, matt(0.8))),
+        projector=replace(_LEFT, target=(-0.5, 0.0, 0.1)),
+        more_projectors=(replace(_RIGHT, target=(0.5, 0.0, 0.1)),),
+        max_depth=8,
+    )
+
+
 BUILDERS: dict[str, Callable[[], Scene]] = {
     "l_objects": _l_objects, "gripper": _gripper, "metal": _metal, "corner": _corner,
     "translucent": _translucent, "wall": _wall, "vase": _vase_scene, "mirror_balls": _mirror_balls,
     "curtain": _curtain, "glass": _glass, "mirror": _mirror, "stage": _stage, "statues": _statues,
+    "dome": _dome,
 }  # fmt: skip
 
 

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import csr_array
 
 from lightmatrix.capture.capture import Capture
 from lightmatrix.capture.exposures import exposure_sequence, parse_exposures
@@ -26,9 +30,9 @@ from lightmatrix.regions import Region
 from lightmatrix.simulation import library, realism
 from lightmatrix.simulation.colour import in_all_primaries, in_primary, is_of_all_primaries
 from lightmatrix.simulation.faults import Faults
-from lightmatrix.simulation.irradiance import irradiance
 from lightmatrix.simulation.truth import Truth
 from lightmatrix.transport.matrix import PROJECTORS
+from lightmatrix.transport.sparse_rows import row_blocks
 
 Progress = Callable[[int, int], None]
 
@@ -296,3 +300,47 @@ def simulate(
         truth=truth.scaled(np.float32(1 - leak)) if leak else truth,
         sensor=sensor,
     )
+
+
+# One task of a thread multiplies rows with about this many stored entries. Chosen by hand: enough
+# work per task that starting it costs nothing, and enough tasks to keep all threads busy.
+_BLOCK_ENTRIES = 1 << 22
+# A block of patterns holds this many float32 values (4 MiB), so that it stays in the cache.
+# Measured at 128 x 128 pixels: two to three times faster than all 1,024 patterns at once.
+_CACHED_VALUES = 1 << 20
+
+
+def irradiance(
+    matrix: csr_array,
+    patterns: PatternSet,
+    *,
+    progress: Callable[[int, int], None] | None = None,
+) -> NDArray[np.float32]:
+    """T P' for an (M, N) sparse T and K patterns: (M, K), linear, 1 = clip level at exposure 1."""
+    rows, pixels = matrix.shape
+    if pixels != patterns.pixels:
+        raise InputError(
+            f"the patterns have {patterns.shape[0]} x {patterns.shape[1]} pixels, but the matrix "
+            f"has {pixels} columns",
+            hint="make the patterns for the projector of this scene",
+        )
+    light = np.empty((rows, patterns.count), np.float32)
+    # Patterns as columns, so that the product of one row adds short vectors of a cached block.
+    size = max(16, _CACHED_VALUES // pixels)
+    firsts = range(0, patterns.count, size)
+    blocks = [
+        np.ascontiguousarray(patterns.rows(k, min(k + size, patterns.count)).T) for k in firsts
+    ]
+    cuts = row_blocks(matrix.indptr, _BLOCK_ENTRIES)
+
+    def multiply(task: int) -> None:
+        start, stop = cuts[task], cuts[task + 1]
+        some_rows = matrix[start:stop]
+        for k, block in zip(firsts, blocks, strict=True):
+            light[start:stop, k : k + size] = some_rows @ block
+
+    with ThreadPoolExecutor(os.cpu_count()) as pool:
+        for task, _ in enumerate(pool.map(multiply, range(len(cuts) - 1))):
+            if progress is not None:
+                progress(int(cuts[task + 1]), rows)
+    return light

@@ -10,8 +10,8 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
+import lazy_loader
 import numpy as np
-import tifffile
 from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
@@ -30,6 +30,8 @@ from lightmatrix.simulation.shapes import Mesh, merge
 from lightmatrix.transport.matrix import LightTransport
 from lightmatrix.transport.npz import VERSION, matrix_arrays, read_transport, text_of
 from lightmatrix.transport.sparse_rows import checked_float32
+
+tifffile = lazy_loader.load("tifffile")
 
 # The surface that each camera pixel of a scene sees: exact depth and normals, without a renderer.
 #

@@ -10,9 +10,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
 from scipy import sparse
-from scipy.io import savemat
 
 from lightmatrix.errors import InputError, OutputError
 from lightmatrix.files import kinds
@@ -100,7 +100,7 @@ def export(
                 **{name: shape.astype(np.float64) for name, shape in shapes.items()},
                 "lightmatrix_version": float(VERSION),
             }
-            savemat(part, content, appendmat=False, do_compression=True)
+            scipy.io.savemat(part, content, appendmat=False, do_compression=True)
             with part.open("r+b") as written:
                 # The file begins with 116 bytes of free text.
                 written.write(kinds.MAT_MARK.encode().ljust(116))

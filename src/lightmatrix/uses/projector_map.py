@@ -113,10 +113,11 @@ class ProjectorMap:
         OutputError
             On another ending, or if a file exists or cannot be written.
         InputError
-            On a geometry of another rig.
+            On a geometry of another rig, or for a file, none of which hold points.
         """
         output = as_path(path)
         suffix = output.suffix.lower()
+        files = map_files(output, points=geometry is not None)
         if not suffix:
             if isinstance(geometry, str | Path):
                 geometry = RigGeometry.load(geometry)
@@ -130,7 +131,6 @@ class ProjectorMap:
             with atomic_folder(output, kinds.MAP_FOLDER, overwrite=overwrite) as folder:
                 self._fill_folder(folder, geometry)
             return
-        files = map_files(output)
         with atomic_files(files, overwrite=overwrite) as parts:
             for place, part in zip(files, parts, strict=True):
                 _WRITERS[suffix](self, part, place)
@@ -145,7 +145,9 @@ class ProjectorMap:
         if geometry is not None:
             points = np.zeros((*self.weight.shape, 3), np.float32)
             own = np.argwhere(self.known)
-            found = geometry.triangulate(self.place[self.known][:, ::-1], own[:, ::-1])
+            found = geometry.triangulate(
+                self.place[self.known][:, ::-1], geometry.projector_places(own[:, ::-1])
+            )
             points[self.known] = np.nan_to_num(found)
             fill_image(folder / "xyzMap.exr", points)
 
@@ -242,10 +244,13 @@ _WRITERS: Mapping[str, Callable[[ProjectorMap, Path, Path], None]] = {
 }
 
 
-def map_files(path: str | Path) -> dict[Path, kinds.OutputKind]:
-    """The files or the folder that a map is written to, with their kinds."""
+def map_files(path: str | Path, *, points: bool) -> dict[Path, kinds.OutputKind]:
+    """The files or the folder that a map is written to, with their kinds; only that has points."""
     output = as_path(path)
     suffix = output.suffix.lower()
+    if points and suffix:
+        hint = "leave the geometry out, or the ending: the folder for LightLeaks has xyzMap.exr"
+        raise InputError(f"a geometry for {output}, which holds no points", hint=hint)
     if suffix == ".png":
         pair = (output.with_name(f"{output.stem}-{axis}{output.suffix}") for axis in "xy")
         return dict.fromkeys(pair, kinds.PICTURE)
@@ -303,7 +308,7 @@ def map_projector(
     True
     """
     if output is not None:
-        for place, kind in map_files(output).items():
+        for place, kind in map_files(output, points=geometry is not None).items():
             check_output(place, kind, overwrite=overwrite)
     # The columns are a second copy of the matrix.
     found = _mapped(loaded(transport, 2.5))

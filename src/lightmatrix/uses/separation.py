@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -205,18 +205,9 @@ _TUNING = _Tuning()
 
 
 Places = tuple[slice, slice, slice]
-
-
-class NearSpots(NamedTuple):
-    """One neighbour of all camera pixels that have it.
-
-    `here` are those pixels and `there` their neighbours, in images (SPOTS, rows, cols) of spots.
-    `near` (SPOTS, SPOTS, ..., ...) says which spot here, first axis, lies near which spot there.
-    """
-
-    here: Places
-    there: Places
-    near: NDArray[np.bool_]
+# One neighbour of all camera pixels that have it: these pixels and their neighbours, in images
+# (SPOTS, rows, cols), and which spot here lies near which spot there, (SPOTS, SPOTS, ..., ...).
+NearSpots = tuple[Places, Places, NDArray[np.bool_]]
 
 
 def near_spots(
@@ -236,7 +227,7 @@ def near_spots(
         squared = (row[there] - row[here][:, None]) ** 2
         squared += (col[there] - col[here][:, None]) ** 2
         # Comparisons with NaN are False.
-        yield NearSpots(here, there, squared <= radius**2)
+        yield here, there, squared <= radius**2
 
 
 def _as_images(values: NDArray[Any], shape: tuple[int, int]) -> NDArray[Any]:

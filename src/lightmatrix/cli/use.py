@@ -1,0 +1,187 @@
+"""`lightmatrix info`, `evaluate`, `relight`, `separate` and `export`: what is done with a T."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+
+from typer import Argument, Option
+
+import lightmatrix as lm
+from lightmatrix.cli.options import Json, Overwrite, Store, Verbose, described
+from lightmatrix.cli.source import rectangle
+from lightmatrix.cli.terminal import answer, judged_json, progress, say, show_json, show_table
+from lightmatrix.files.colours import holds_colour
+from lightmatrix.files.kinds import export_kind
+from lightmatrix.files.writing import check_output
+from lightmatrix.reprs import amount, labelled
+
+
+@described(
+    scene=Argument(
+        metavar="SCENE.zarr|CAPTURE",
+        help="A store made by `estimate`, a T.npz, or a capture, packed or not.",
+    )
+)
+def info(scene: Path, verbose: Verbose = False, as_json: Json = False) -> None:
+    """Show what a store holds: verdicts, shapes, clipping, gaps.
+
+    For a capture: its frames, patterns, levels and exposures.
+    """
+    if lm.Capture.lies_at(scene):
+        capture = lm.Capture.open(scene)
+        if as_json:
+            show_json(capture.description)
+        else:
+            show_table(str(scene), capture.summary())
+        return
+    transport = lm.open(scene)
+    judged = lm.verdicts(transport)
+    if as_json:
+        facts = {**transport.summary(), "provenance": transport.provenance}
+        show_json(judged_json(judged) | facts)
+        return
+    for line in judged.lines():
+        say(line)
+    for fault in (transport.provenance.get("rig") or {}).values():
+        say(f"corrected: {fault['sentence']}")
+    show_table(str(scene), labelled(transport.summary(), main_only=not verbose))
+    versions = transport.provenance.get("versions")
+    if verbose and isinstance(versions, Mapping) and versions:
+        names = ", ".join(f"{name} {number}" for name, number in versions.items())
+        say(f"made with {names}")
+
+
+@described(
+    truth="T.npz from `render` or `export`, a simulated capture, or a scene; of a colour "
+    "projector, also a folder with the captures red, green and blue.",
+    exposure="Exposure of the capture; decides which rows clip under one projector pixel.",
+)
+def evaluate(scene: Store, truth: str, exposure: float = 1.0, as_json: Json = False) -> None:
+    """Compare an estimate with the true T.
+
+    Shows the errors of T, of relit images and of single responses, over all rows and some kinds of
+    rows. For a folder of three stores, it compares the three matrices of a colour projector.
+    """
+    title = f"{scene} against {truth}"
+    if holds_colour(scene):
+        joint = lm.evaluate_colour(scene, truth, exposure)
+        if as_json:
+            show_json(joint.as_dict())
+        else:
+            show_table(title, labelled(joint.table()))
+        return
+    with progress("rendering", "paths") as report:
+        errors = lm.evaluate(scene, truth, exposure, progress=report).as_dict()
+    if as_json:
+        show_json(errors)
+        return
+    del errors["exposure"]
+    show_table(title, labelled(errors))
+
+
+@described(
+    pattern=Argument(metavar="PATTERN", help="An image of the projector's size."),
+    output="Image: .png, .tiff, .exr or .npy.",
+    exposure="Brightness factor; 1 is the unit of T.",
+    gamma=Option(help="Display gamma of a PNG; 1 keeps it linear.", show_default="2.2"),
+    resize="Resize the pattern to the projector.",
+)
+def relight(
+    scene: Store,
+    pattern: Path,
+    output: Path,
+    exposure: float = 1.0,
+    gamma: float | None = None,
+    resize: bool = False,
+    overwrite: Overwrite = False,
+    as_json: Json = False,
+) -> None:
+    """Compute the photograph under any pattern.
+
+    The photograph is c = T p. A PNG clips at full scale; TIFF, EXR and npy keep all values. Of a
+    colour projector, give the folder of red.zarr, green.zarr and blue.zarr.
+    """
+    image = lm.relight(
+        scene, pattern, exposure=exposure, gamma=gamma, resize=resize, output=output,
+        overwrite=overwrite,
+    )  # fmt: skip
+    clipped = float((image > 1).mean())
+    note = f"; {100 * clipped:.1f} % of it is above full scale" if clipped else ""
+    result = {"output": output, "mean": float(image.mean()), "clipped_share": clipped}
+    answer(as_json, result, f"{output}{note}")
+
+
+@described(
+    output="Folder for both matrices, their images, and maps.",
+    pattern=Option(help="Pattern of the images.", show_default="white"),
+    epipolar="Also write the part of T along epipolar lines.",
+    non_epipolar="Also write the part of T off epipolar lines.",
+)
+def separate(
+    scene: Store,
+    output: Path,
+    pattern: Path | None = None,
+    epipolar: bool = False,
+    non_epipolar: bool = False,
+    overwrite: Overwrite = False,
+    as_json: Json = False,
+) -> None:
+    """Split T into direct and global light.
+
+    Direct light met one surface, global light several. Writes direct.zarr and global.zarr, whose
+    sum is T; direct.npy and global.npy, their images; separation.png, a picture of both;
+    confidence.npy and parallax.npy.
+    """
+    parts = lm.separate(
+        scene, pattern=pattern, epipolar=epipolar, non_epipolar=non_epipolar, output=output,
+        overwrite=overwrite,
+    )  # fmt: skip
+    direct, others = (
+        float(part.sparse.data.sum(dtype=float) + part.background.sum(dtype=float))
+        for part in (parts.direct, parts.global_)
+    )
+    share = others / max(direct + others, 1e-30)
+    spread = parts.geometry.spread
+    result = {"output": output, "global_share": share, "epipolar_spread": spread}
+    answer(as_json, result, f"{output}: {100 * share:.1f} % of the light is global")
+
+
+@described(
+    output=Argument(metavar="T.npz|T.mat", help="File to write."),
+    # A message advises --no-dense-background.
+    dense_background=Option(
+        help="Spread the background over all pixels: the whole of T, but not sparse."
+    ),
+    crop=Option(
+        metavar="ROW,COL:ROWSxCOLS",
+        help="First pixel and size of the rectangle of the camera to export.",
+        show_default="all",
+    ),
+)
+def export(
+    scene: Store,
+    output: Path,
+    dense_background: bool = False,
+    crop: str | None = None,
+    overwrite: Overwrite = False,
+    as_json: Json = False,
+) -> None:
+    """Write T for SciPy (.npz) or MATLAB (.mat).
+
+    The file holds the sparse part of T as `scipy.sparse.load_npz` reads it. The background is
+    stored separately in it, unless --dense-background adds it to the entries.
+    """
+    check_output(output, export_kind(output), overwrite=overwrite)
+    if crop is None:
+        transport = lm.open(scene)
+    else:
+        transport = lm.StoredTransport.open(scene).crop(*rectangle(crop))
+    lm.export(output, transport, dense_background=dense_background, overwrite=overwrite)
+    left_out = 0.0 if dense_background else transport.background_share
+    size, note = output.stat().st_size, ""
+    if left_out:
+        note = f"; without the background ({100 * left_out:.1f} % of the light), which "
+        note += "--dense-background adds"
+    result = {"output": output, "bytes": size, "background_share_left_out": left_out}
+    answer(as_json, result, f"{output}, {amount(size)}{note}")
