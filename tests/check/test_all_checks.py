@@ -343,6 +343,7 @@ def test_files_that_do_not_fit_together_are_findings(
     [
         (lambda frames: frames.astype(np.float32), "float with levels up to 255"),
         (lambda frames: (frames / 127.5 - 1).astype(np.float32), "half of the levels"),
+        (lambda frames: 9 * frames.astype(np.uint16), "16 bits, but no level above"),
         (lambda frames: (frames * np.uint16(16)).byteswap(), "two bytes of each level are swapped"),
     ],
 )

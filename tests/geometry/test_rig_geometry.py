@@ -242,9 +242,14 @@ def as_matlab(known: lm.RigGeometry, *, old: bool) -> dict[str, Any]:
             "ImageSize": getattr(known, f"{device}_shape"),
             "WorldUnits": "millimeters",
             "WorldPoints": np.zeros((300, 2)).tolist(),
+            "EstimateSkew": False,
+            "RotationVectors": np.zeros((4, 3)).tolist(),
+            "ReprojectionErrors": [],
+            "Version": {"Major": 9, "Minor": 3},
             **({"IntrinsicMatrix": matrix.T.tolist()} if old else {"K": matrix.tolist()}),
         }
     turn, shift = known.rotation, known.translation.tolist()
+    found |= {"Version": {"Major": 9, "Minor": 3}, "RectificationParams": {"Q": np.eye(4).tolist()}}
     if old:
         return {**found, "RotationOfCamera2": turn.T.tolist(), "TranslationOfCamera2": shift}
     return {**found, "PoseCamera2": {"R": turn.tolist(), "Translation": shift}}
@@ -571,10 +576,11 @@ def test_impossible_rigs_are_refused() -> None:
     ("camera", "words"),
     [
         (np.array([[900.0, 0, 0], [0, 900, 0], [320, 240, 1]]), "below its diagonal"),
+        (np.array([[900.0, 0, 320], [3, 900, 240], [0, 0, 1]]), "below its diagonal"),
         (np.diag([8.0, 8, 1]), "focal lengths of 8 and 8"),
         (np.diag([1.4, 1.4, 1]), "focal lengths of 1.4 and 1.4"),
     ],
-    ids=["MATLAB", "millimetres", "normalised"],
+    ids=["MATLAB", "skew", "millimetres", "normalised"],
 )
 def test_other_conventions_of_intrinsics_are_refused(camera: np.ndarray, words: str) -> None:
     with pytest.raises(lm.InputError, match=words):

@@ -406,16 +406,33 @@ def test_flipped_patterns_calibrate_as_mirrored(
 
 def calibrated_from(
     patch: pytest.MonkeyPatch, seen: np.ndarray, lit: np.ndarray, board: tuple[int, int],
-    side: float, sizes: tuple[tuple[int, int], tuple[int, int]],
+    side: float, sizes: tuple[tuple[int, int], tuple[int, int]], mirrored: float = 0,
 ) -> RigCalibration:  # fmt: skip
     """`calibrate_rig` of corners that are given, (poses, n, 2)."""
     names = [f"pose_{k}" for k in range(len(seen))]
     pairs = zip(seen[:, None], lit[:, None, None], strict=True)
-    found = {name: (*pair, np.zeros((1, 1))) for name, pair in zip(names, pairs, strict=True)}
+    share = np.full((1, 1), mirrored)
+    found = {name: (*pair, share) for name, pair in zip(names, pairs, strict=True)}
     patch.setattr(calibrate, "_captures_of", lambda _: [])
     patch.setattr(calibrate, "_shapes_of", lambda _: tuple([size] for size in sizes))
     patch.setattr(calibrate, "_all_corners", lambda *_: (found, {}))
     return lm.calibrate_rig(names, board, side)
+
+
+def test_the_real_board_calibrates_flipped_as_it_is(monkeypatch: pytest.MonkeyPatch) -> None:
+    seen, lit = real_corners()
+    # Where the board stands, from the geometry of what is not flipped.
+    points = fitted(seen, lit)[1].triangulate(seen[0], lit[0])
+    lit[..., 0] = PROJECTOR[1] - 1 - lit[..., 0]
+    with pytest.warns(lm.LightMatrixWarning, match="image mirrored"):
+        measured = calibrated_from(
+            monkeypatch, seen, lit, (9, 7), SIDE, (CAMERA, PROJECTOR), mirrored=1
+        )
+    assert measured.geometry.projector_mirrored
+    assert measured.geometry.rms["stereo"] < 0.2
+    assert measured.geometry.baseline == pytest.approx(674, abs=3)
+    # The board lies before the projector, not behind it.
+    np.testing.assert_allclose(measured.geometry.project_projector(points), lit[0], atol=0.5)
 
 
 @pytest.mark.parametrize("exchanged", [False, True])
@@ -748,6 +765,8 @@ def test_the_command_without_a_board(tmp_path: Path, capsys: pytest.CaptureFixtu
     assert json.loads(capsys.readouterr().out)["rms_epipolar"] < 0.5
     rig = lm.RigGeometry.load(tmp_path / "rig.json")
     assert (round(rig.baseline, 6), rig.units) == (360, "mm")
+    assert main([*words, *focal, "--overwrite"]) == 0
+    assert "if its axis passes the middle column" in capsys.readouterr().out
     for more, message in (
         (["--focal", "0"], "a focal length of 0"),
         (["--focal", "9", "--principal", "5"], "--principal 5"),

@@ -145,6 +145,8 @@ def order(count: int, fault: str) -> np.ndarray:
     frames = np.arange(count)
     if fault == "swapped":
         frames[[1, 4]] = 4, 1
+    if fault == "with its inverse":
+        frames[[8, 9]] = 9, 8
     return {
         "late": np.roll(frames, 1),
         "late from 8": np.where(frames < 8, frames, frames - 1),
@@ -159,6 +161,7 @@ def order(count: int, fault: str) -> np.ndarray:
     ("name", "fault", "words"),
     [
         ("graycode", "swapped", "frame 1 and frame 4 look swapped"),
+        ("graycode, inverse", "with its inverse", "frame 8 and frame 9 look swapped"),
         ("graycode, inverse", "late", "each photograph shows the pattern before its own"),
         ("graycode, inverse", "by name", "the order of their names as text"),
         ("phase", "swapped", "frame 1 and frame 4 look swapped"),
@@ -181,6 +184,19 @@ def test_frames_out_of_order_are_refused_by_name(name: str, fault: str, words: s
         lm.decode(wrong)
     assert "check=False" in (refused.value.hint or "")
     assert [each.kind for each in lm.check(wrong) if each.kind == "order"] == ["order"]
+
+
+@pytest.mark.parametrize("flipped", [False, True])
+def test_a_mirrored_image_is_said(flipped: bool) -> None:
+    patterns, frames = code("graycode, inverse"), photographs(code("graycode, inverse"))
+    if flipped:
+        frames = frames[:, :, ::-1]
+    else:
+        # The coarsest pattern and its inverse: all else fits a mirrored projector as well.
+        frames[[0, 1]] = frames[[1, 0]]
+    with pytest.warns(LightMatrixWarning, match="sees the projector's image mirrored"):
+        lm.decode(capture(patterns, frames))
+    assert "mirrored" not in [each.kind for each in lm.check(capture(patterns, frames[:, ::-1]))]
 
 
 @pytest.mark.parametrize("exposure", [0.2, 1.5])

@@ -17,7 +17,13 @@ from lightmatrix.capture.capture import Capture, Crop
 from lightmatrix.capture.folder import check_depth, read_capture, read_folders
 from lightmatrix.capture.frames import CaptureParts
 from lightmatrix.capture.settings import ReadSettings
-from lightmatrix.check.code_order import CodeLattice, check_code_order, check_white, missing_of_code
+from lightmatrix.check.code_order import (
+    CodeLattice,
+    check_code_order,
+    check_mirrored,
+    check_white,
+    missing_of_code,
+)
 from lightmatrix.check.finding import Finding
 from lightmatrix.check.inverse_pairs import check_pairs, find_pairs
 from lightmatrix.check.levels import (
@@ -196,6 +202,8 @@ def _check_surveyed(survey: Survey, capture: Capture) -> list[Finding]:
     def of_light() -> list[Finding]:
         seen = survey if capture.whole is capture else _survey(capture)
         found = check_distinguishable(survey.patterns) + check_light_level(seen)
+        if lattice is not None and not displaced:
+            found += check_mirrored(lattice)
         return found + check_jpeg(survey, names)
 
     lattice = CodeLattice.of(survey)
@@ -322,6 +330,10 @@ def _check_by_pairs(
         exchanged = check_pairs(survey.select_frames(order), rows, pairs, names)
         if not any(each.kind in ("frame", "motion") for each in exchanged):
             return findings + disorder + exchanged
+    # A pattern and its inverse add up, in whatever order.
+    of_one_pair = [each for each in disorder if list(each.frames) in np.sort(pairs).tolist()]
+    if not of_pairs and of_one_pair:
+        return findings + of_one_pair
     return findings + of_pairs
 
 

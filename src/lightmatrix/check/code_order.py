@@ -22,6 +22,7 @@ from lightmatrix.check.survey import Survey
 from lightmatrix.errors import InputError
 from lightmatrix.patterns.codes import Code, Codes, correlate, find_codes
 from lightmatrix.patterns.pattern_set import PatternSet
+from lightmatrix.patterns.stripes import COLUMNS, ROWS
 
 Order = NDArray[np.int64]
 Name = Callable[[int], str]
@@ -267,6 +268,28 @@ def check_code_order(lattice: CodeLattice, name: Name) -> list[Finding]:
         )
         return [Finding("unrelated", (), message, WRONG_ORDER)]
     return found
+
+
+def check_mirrored(lattice: CodeLattice) -> list[Finding]:
+    """Whether most pixels see the projector turn to the other side than the camera's image."""
+    if len(lattice.codes.codes) < 2:
+        return []
+    frames = np.arange(lattice.patterns.count)
+    lines = {code.axis: lattice.lines(code, frames)[0][0] for code in lattice.codes.codes}
+    # Those of a pixel, of the one below it and of the one to its right.
+    row, col = (lines[axis].reshape(3, -1) for axis in (ROWS, COLUMNS))
+    known = ((row >= 0) & (col >= 0)).all(axis=0)
+    (down, right), (row_down, row_right) = (each[1:, known] - each[0, known] for each in (col, row))
+    turns = np.sign(row_down * right - row_right * down)
+    # Noise and edges of objects turn some the other way. A lattice has 40 pixels at least.
+    if (turns < 0).sum() < max(40, 3 * (turns > 0).sum()):
+        return []
+    message = "the camera sees the projector's image mirrored"
+    advice = (
+        "fine behind a screen and in a mirror; otherwise patterns or photographs are flipped, or "
+        "one of the coarsest patterns and its inverse are exchanged"
+    )
+    return [Finding("mirrored", (), message, advice)]
 
 
 def check_white(lattice: CodeLattice, name: Name) -> list[Finding]:

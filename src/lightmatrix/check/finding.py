@@ -18,6 +18,7 @@ KINDS = {
     "black": "a black frame that is too bright, or not the darkest",
     "white": "a white frame that is not the brightest",
     "order": "photographs that show the pattern of another one",
+    "mirrored": "a projector's image that the camera sees mirrored",
     "unrelated": "photographs that do not follow the patterns at all",
     "frame": "a photograph that does not show its pattern",
     "motion": "a scene, camera or projector that moved by pixels",

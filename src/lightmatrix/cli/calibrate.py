@@ -135,7 +135,8 @@ def _without_board(
         {"output": output, **rms, "projector_focal_length": projector},
         f"{output}: matches lie {rig.rms['epipolar']:.2f} pixels from their epipolar lines; the "
         f"projector's focal length is {projector:.5g} +- "
-        f"{rig.rms['projector_focal_length']:.2g} pixels",
+        f"{rig.rms['projector_focal_length']:.2g} pixels if its axis passes the middle "
+        "column to 5 % of the width",
         f"use it with: lightmatrix triangulate {poses[0]} --geometry {output} -o cloud.ply",
     )
 
