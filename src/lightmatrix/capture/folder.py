@@ -42,6 +42,7 @@ from lightmatrix.capture.settings import (
     read_description,
 )
 from lightmatrix.errors import InputError, warn
+from lightmatrix.files.colours import instead_of
 from lightmatrix.files.images import JPEG, READABLE, fill_image, is_grey, likely_white, read_image
 from lightmatrix.files.kinds import CAPTURE, read_object
 from lightmatrix.files.reading import errors_naming
@@ -274,11 +275,9 @@ def _find_images(place: Path, name: str) -> Path:
         or (name == "images" and entry.name == PACKED)
     ]
     if not sources:
-        raise InputError(
-            f"{place}: has no folder {name}/",
-            hint="give a folder with patterns/ and images/ (or a stack of each, such as "
-            "images.tif), or patterns and images by themselves",
-        )
+        hint = "give a folder with patterns/ and images/ (or a stack of each, such as images.tif), "
+        hint = instead_of(place, f"{hint}or patterns and images by themselves")
+        raise InputError(f"{place}: has no folder {name}/", hint=hint)
     if len(sources) > 1:
         hint = "keep the one that is meant"
         raise InputError(f"{place}: holds {sources[0].name} and {sources[1].name}", hint=hint)

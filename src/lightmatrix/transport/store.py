@@ -25,7 +25,7 @@ from scipy.sparse import csr_array
 from zarr.codecs import BloscCodec
 
 from lightmatrix.errors import InputError
-from lightmatrix.files.colours import COLOURS, colour_paths
+from lightmatrix.files.colours import COLOURS, colour_paths, instead_of
 from lightmatrix.files.kinds import (
     COLOUR_STORES,
     CORRESPONDENCE_MARK,
@@ -367,7 +367,7 @@ class StoredTransport(TransportOperator):
                 hint = "run the same `lightmatrix estimate` again; it continues where it stopped"
                 raise InputError(f"{place}: the estimate is incomplete", hint=hint)
             raise InputError(f"{place}: no such file", hint="check the name")
-        hint = "give a .zarr folder from `lightmatrix estimate`"
+        hint = instead_of(place, "give a .zarr folder from `lightmatrix estimate`")
         attributes = read_group(place, STORE.name, FORMAT, VERSION, hint)
         with as_damage_error(place, remedy):
             camera = checked_shape(attributes["camera_shape"], (2, 3), "camera_shape")
