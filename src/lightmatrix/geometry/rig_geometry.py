@@ -439,8 +439,9 @@ class RigGeometry:
         to the projector pixel: the foot of the perpendicular on the epipolar line.
 
         `camera_points` and `projector_points` are pixels (n, 2) as (col, row), fractions allowed,
-        as the devices show them; anything else is an InputError. Returns points (n, 3) of the world
-        in `units`; NaN where a pixel is NaN or the rays are parallel.
+        as the devices show them, of diamond pixels `projector_places`; anything else is an
+        InputError. Returns points (n, 3) of the world in `units`; NaN where a pixel is NaN or the
+        rays are parallel.
         """
         seen, lit = points_of(camera_points, 2), self.undistort_projector(projector_points)
         if len(seen) != len(lit):
@@ -510,7 +511,7 @@ class RigGeometry:
         A file ending in .yml, .yaml or .xml is OpenCV's, with the names M1, D1, M2, D2, R and T of
         its stereo sample; .colmap is a folder with COLMAP's cameras.txt and images.txt. An
         OutputError refuses a file that exists, unless `overwrite` is set, that cannot be written,
-        or that cannot state a mirrored projector or, of COLMAP's, skewed pixels.
+        or that cannot state a mirrored projector, diamond pixels or, of COLMAP's, skewed ones.
         """
         kind = geometry_kind(path)
         if isinstance(kind, FolderKind):

@@ -45,8 +45,8 @@ def find_line_spots(
 
     `lines` (P, 3) are a, b, c with a^2 + b^2 = 1 and a col + b row + c = 0, `pixels` (N, 2) the
     column and row of each projector pixel without distortion, and `stagger` how far odd rows stand
-    to the right. Returns places (P, 3, 2) as (row,
-    col), NaN where there is none, light and standard deviations (P, 3), and the light of rows (P,).
+    to the right. Returns places (P, 3, 2) as (row, col), NaN where there is none, light and
+    standard deviations (P, 3), and the light of rows (P,).
     """
     if not matrix.has_sorted_indices:
         matrix = matrix.copy()
