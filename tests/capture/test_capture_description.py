@@ -171,6 +171,13 @@ def test_files_of_a_capture_lie_in_its_folder(tmp_path: Path) -> None:
     Capture.open(place, allow_outside=True)
 
 
+def test_a_description_spelled_otherwise_is_refused(tmp_path: Path) -> None:
+    place = write_plain(tmp_path)
+    (place / "capture.json").rename(place / "Capture.json")
+    with pytest.raises(InputError, match=r"Capture\.json: is not read under this name"):
+        Capture.open(place)
+
+
 @pytest.mark.parametrize(
     ("change", "message"),
     [

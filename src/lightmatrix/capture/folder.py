@@ -80,6 +80,10 @@ def read_capture(
     if described:
         description = read_description(file, allow_outside=allow_outside)
     else:
+        for entry in sorted(place.iterdir()):
+            if entry.name.casefold() == NAME:
+                hint = f"rename it to {NAME}"
+                raise InputError(f"{entry}: is not read under this name", hint=hint)
         description = Description()
     settings = _with_files_beside(place, description, described)
     shown = read_patterns(pattern_images)
