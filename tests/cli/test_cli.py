@@ -100,6 +100,18 @@ def test_overwrite_replaces_only_numbers_of_a_picture(
     assert list(np.load(numbers)) == ["mine"]
 
 
+def test_lights_one_at_a_time_are_estimated(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Photographs that determine T are read directly, and no row of theirs converges."""
+    assert main(["patterns", "onepixel", "--size", "4x6", "-o", str(tmp_path / "lights")]) == 0
+    seen = np.random.default_rng(0).integers(0, 200, (24, 16, 16)).astype(np.uint8)
+    np.save(tmp_path / "seen.npy", seen)
+    words = ["--patterns", str(tmp_path / "lights"), "--images", str(tmp_path / "seen.npy")]
+    assert main(["estimate", *words, "-o", str(tmp_path / "T.zarr")]) == 0
+    assert "direct" in capsys.readouterr().out
+
+
 def test_info_has_labels_instead_of_keys(work: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(_placed("info scene.zarr --verbose", work)) == 0
     shown = capsys.readouterr().out

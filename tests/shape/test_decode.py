@@ -151,6 +151,7 @@ def order(count: int, fault: str) -> np.ndarray:
         "late": np.roll(frames, 1),
         "late from 8": np.where(frames < 8, frames, frames - 1),
         "late from 4": np.where(frames < 4, frames, frames - 1),
+        "fifth again": np.where(frames == 5, 4, frames),
         "third lost": np.minimum(np.where(frames < 2, frames, frames + 1), count - 1),
         "by name": np.array(sorted(frames, key=str)),
         "backwards": frames[::-1],
@@ -173,6 +174,7 @@ def order(count: int, fault: str) -> np.ndarray:
             "late from 4",
             "from frame 4 to frame 13, each image shows the pattern before",
         ),
+        ("phase", "fifth again", "frame 5 shows the pattern of frame 4"),
         ("graycode", "third lost", "to frame 12, each image shows the pattern after its own"),
     ],
 )

@@ -239,6 +239,8 @@ def check_code_order(lattice: CodeLattice, name: Name) -> list[Finding]:
     read, invisible, twins = lattice.readable, lattice.invisible, bool(lattice.twins)
     best, best_order, found = -np.inf if twins else 0.0, frames, list[Finding]()
     own = np.where(lattice.possible(frames), frames, -1)
+    # The later of two that are the same may have the other's image; nothing is read from it then.
+    own[[k + 1 for k in lattice.twins]] = -1
     for shown, findings in _orders(lattice, name):
         # Of frames that show the same pattern, the first counts. Some show none.
         order = np.full(count, -1)
@@ -259,7 +261,8 @@ def check_code_order(lattice: CodeLattice, name: Name) -> list[Finding]:
         gain[np.abs(gain) < 0.05] = 0
         total = float(gain.sum())
         certain = _CERTAIN * float(np.sqrt((gain**2).sum()))
-        if total > best and (twins or total > certain):
+        # Of two that are the same, one is wrong for certain: the later, if no order says more.
+        if total > best and (total > certain or (twins and total == 0)):
             best, best_order, found = total, order, findings
     if lattice.unrelated(best_order):
         message = (

@@ -241,7 +241,7 @@ def estimate(
         summary["projector"] = " and ".join(f"{rows} x {cols}" for rows, cols in capture.projectors)
     show_table(options.written_stores(output), labelled(summary, main_only=not verbose))
     # All rows but one in a hundred should converge.
-    if summary["converged_rows"] < 0.99:
+    if summary.get("converged_rows", 1) < 0.99:
         say("some rows reached the iteration limit: raise it with --iterations", style="yellow")
     if report is not None:
         say(f"report: {(report / 'report.html').absolute()}")
