@@ -261,8 +261,8 @@ def check_distinguishable(patterns: PatternSet) -> list[Finding]:
         advice = "T holds nothing of their light, and cannot relight with them: light each once"
         return [Finding("unlit", (), message, advice)]
     advice = "project more patterns, or finer ones, or bin the projector"
-    # Of random patterns no pair of neighbours in a hundred differs by less than a quarter of what
-    # independent pixels do, of the 256 coarsest of 1,024 Hadamard patterns half of them.
+    # Under random patterns, not one pair of neighbours in a hundred differs by less than a quarter
+    # of what independent pixels do; under the 256 coarsest of 1,024 Hadamard patterns half do.
     near = min(patterns.shape) > 1 and float(np.mean(_neighbour_contrasts(patterns) < 0.25))
     if near > 0.2:
         message = (

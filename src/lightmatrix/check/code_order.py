@@ -242,7 +242,7 @@ def check_code_order(lattice: CodeLattice, name: Name) -> list[Finding]:
     # The later of two that are the same may have the other's image; nothing is read from it then.
     own[[k + 1 for k in lattice.twins]] = -1
     for shown, findings in _orders(lattice, name):
-        # Of frames that show the same pattern, the first counts. Some show none.
+        # The first of several frames that show a pattern counts; a frame may show none.
         order = np.full(count, -1)
         first = np.unique(shown, return_index=True)[1]
         first = first[(shown[first] >= 0) & (shown[first] < count)]
@@ -261,7 +261,8 @@ def check_code_order(lattice: CodeLattice, name: Name) -> list[Finding]:
         gain[np.abs(gain) < 0.05] = 0
         total = float(gain.sum())
         certain = _CERTAIN * float(np.sqrt((gain**2).sum()))
-        # Of two that are the same, one is wrong for certain: the later, if no order says more.
+        # One of two frames that are the same is certainly wrong: the later one, whose own order
+        # gains exactly nothing, unless another order explains more.
         if total > best and (total > certain or (twins and total == 0)):
             best, best_order, found = total, order, findings
     if lattice.unrelated(best_order):

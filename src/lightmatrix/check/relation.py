@@ -246,7 +246,7 @@ class Relation:
         Frame k shows pattern `order[k]`, or none if that is out of range.
         """
         known = np.flatnonzero((order >= 0) & (order < len(self.frames)))
-        # Of frames that show the same pattern, the first counts.
+        # The first of several frames that show a pattern counts.
         shown, first = np.unique(order[known], return_index=True)
         known = known[first]
         if len(known) < _LIMITS.frames - 1:

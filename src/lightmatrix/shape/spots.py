@@ -186,12 +186,14 @@ class Seen:
 
 def on_diamonds(source: Correspondence, stagger: float) -> Correspondence:
     """Matches whose places, counted in pixels, become where diamond pixels lie."""
+    if not stagger:
+        return source
     # A camera whose pixels step over rows sees odd and even ones alike, which is a mean of two.
     steps = np.abs(np.diff(source.place[..., 0], axis=0))
     known = steps[np.isfinite(steps)]
     height = 1.0 if known.size and np.median(known) < 1 else 2.0
     place = staggered(source.place[..., ::-1].astype(np.float64), stagger, height)[..., ::-1]
-    return replace(source, place=place.astype(np.float32)) if stagger else source
+    return replace(source, place=place.astype(np.float32))
 
 
 def seen_by(source: LightTransport | Correspondence, geometry: RigGeometry) -> Seen:
