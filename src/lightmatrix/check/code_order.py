@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lightmatrix.check.finding import WRONG_ORDER, Finding, order_findings
-from lightmatrix.check.relation import likely_orders
+from lightmatrix.check.relation import frames_of, likely_orders
 from lightmatrix.check.survey import Survey
 from lightmatrix.errors import InputError
 from lightmatrix.patterns.codes import Code, Codes, correlate, find_codes
@@ -236,17 +236,18 @@ def check_code_order(lattice: CodeLattice, name: Name) -> list[Finding]:
     count = lattice.patterns.count
     frames = np.arange(count)
     known: dict[bytes, NDArray[np.float64]] = {}
-    read, invisible, twins = lattice.readable, lattice.invisible, bool(lattice.twins)
-    best, best_order, found = -np.inf if twins else 0.0, frames, list[Finding]()
+    read, invisible = lattice.readable, lattice.invisible
     own = np.where(lattice.possible(frames), frames, -1)
     # The later of two that are the same may have the other's image; nothing is read from it then.
     own[[k + 1 for k in lattice.twins]] = -1
+    best, best_order, found = 0.0, frames, list[Finding]()
+    if lattice.twins:
+        # One of the two is certainly wrong: the later one, unless another order explains more.
+        later = lattice.twins[0] + 1
+        best_order = np.where(frames == later, -1, frames)
+        found = order_findings({later: later - 1}, name)
     for shown, findings in _orders(lattice, name):
-        # The first of several frames that show a pattern counts; a frame may show none.
-        order = np.full(count, -1)
-        first = np.unique(shown, return_index=True)[1]
-        first = first[(shown[first] >= 0) & (shown[first] < count)]
-        order[shown[first]] = first
+        order = frames_of(shown)
         # Any frames of coarser stripes fit better in the place of those that nobody can see.
         moved = order != frames
         if 2 * invisible[moved].sum() >= max(moved.sum(), 1):
@@ -261,9 +262,7 @@ def check_code_order(lattice: CodeLattice, name: Name) -> list[Finding]:
         gain[np.abs(gain) < 0.05] = 0
         total = float(gain.sum())
         certain = _CERTAIN * float(np.sqrt((gain**2).sum()))
-        # One of two frames that are the same is certainly wrong: the later one, whose own order
-        # gains exactly nothing, unless another order explains more.
-        if total > best and (total > certain or (twins and total == 0)):
+        if total > max(best, certain):
             best, best_order, found = total, order, findings
     if lattice.unrelated(best_order):
         message = (
@@ -340,7 +339,6 @@ def _orders(lattice: CodeLattice, name: Name) -> Iterator[tuple[Order, list[Find
         # One of the two is wrong: the first if a frame before it was lost, else the second.
         for start in range(twins[0] + 1):
             yield displaced(start, twins[0], 1)
-        yield displaced(twins[0] + 1, twins[0] + 1, -1)
         yield displaced(twins[0] + 1, count - 1, -1)
         return
     for message, shown in likely_orders(count):

@@ -199,6 +199,10 @@ def projected(matrix: Array, points: ArrayLike) -> Array:
         return np.where(image[:, 2:] > 0, image[:, :2] / image[:, 2:], np.nan)
 
 
+# Columns of diamond pixels are twice as far apart as their rows.
+DIAMOND_ROWS = 2.0
+
+
 def staggered(points: Array, stagger: float, height: float = 1.0) -> Array:
     """Pixels (..., 2) as (col, row) moved to where they lie: odd rows by `stagger` columns.
 
