@@ -37,6 +37,7 @@ from lightmatrix.geometry.rig_geometry import DIAMOND_ROWS, Array, RigGeometry
 from lightmatrix.paths import as_path
 from lightmatrix.patterns.codes import find_codes
 from lightmatrix.patterns.stripes import stripes_of
+from lightmatrix.progress import Progress
 from lightmatrix.ranges import check_list, check_number
 from lightmatrix.reprs import short_repr
 from lightmatrix.shape.adjustment import Fit, fit_board, largest_turn, rms_of
@@ -46,11 +47,10 @@ from lightmatrix.transport.correspondence import Correspondence, correspondence
 from lightmatrix.transport.matrix import LightTransport
 from lightmatrix.transport.store import open_matches
 
-Shape = tuple[int, int]
+Size = tuple[int, int]
 # Of one pose: where corners are seen (cameras, n, 2), what lights them (cameras, projectors, n, 2),
 # and which share of it is mirrored (cameras, projectors).
 Corners = tuple[Array, Array, Array]
-Progress = Callable[[int, int], None]
 Pose = Capture | str | Path | Sequence[Sequence[Capture | str | Path]]
 BoardKind = Literal["chessboard", "charuco", "circles", "asymmetric-circles"]
 # A homography takes four corners; twice as many show whether they fit.
@@ -60,7 +60,7 @@ _FEWEST = 8
 # The corners of a board in the camera's image, and the projector pixels that light them.
 
 
-def find_corners(white: Array, board: Shape, kind: BoardKind = "chessboard") -> Array | None:
+def find_corners(white: Array, board: Size, kind: BoardKind = "chessboard") -> Array | None:
     """The inner corners (n, 2) of a board of (corners across, down) in a white image, or None.
 
     Corners of ChArUco boards that are not seen are NaN; all of other boards must be.
@@ -88,7 +88,7 @@ def find_corners(white: Array, board: Shape, kind: BoardKind = "chessboard") -> 
     return places
 
 
-def _all_of_grid(cv2: Any, image: NDArray[np.uint8], board: Shape, kind: BoardKind) -> Array | None:
+def _all_of_grid(cv2: Any, image: NDArray[np.uint8], board: Size, kind: BoardKind) -> Array | None:
     """The corners of a chessboard or the centres of circles, all of them or None."""
     if kind == "chessboard":
         flags = cv2.CALIB_CB_ADAPTIVE_THRESH | cv2.CALIB_CB_NORMALIZE_IMAGE
@@ -107,9 +107,7 @@ def _all_of_grid(cv2: Any, image: NDArray[np.uint8], board: Shape, kind: BoardKi
     return np.asarray(found, np.float64).reshape(-1, 2) if good else None
 
 
-def _charuco_corners(
-    cv2: Any, image: NDArray[np.uint8], board: Shape, _: BoardKind
-) -> Array | None:
+def _charuco_corners(cv2: Any, image: NDArray[np.uint8], board: Size, _: BoardKind) -> Array | None:
     """The corners of a ChArUco board that are seen, of whatever markers it has."""
     places = np.full((board[0] * board[1], 2), np.nan)
     # Older versions of OpenCV began boards of an even number of rows with a white square.
@@ -127,14 +125,14 @@ def _charuco_corners(
     return None
 
 
-def _side_of(corners: NDArray[np.floating], board: Shape) -> float:
+def _side_of(corners: NDArray[np.floating], board: Size) -> float:
     """Median side of the board's squares in the image, in pixels."""
     across, down = board
     grid = corners.reshape(down, across, 2)
     return float(np.nanmedian(np.linalg.norm(np.diff(grid, axis=1), axis=2)))
 
 
-def light_corners(corners: Array, matches: Correspondence, board: Shape) -> tuple[Array, float]:
+def light_corners(corners: Array, matches: Correspondence, board: Size) -> tuple[Array, float]:
     """The projector pixels (n, 2) that light corners (n, 2), by a homography around each.
 
     They are NaN where too few pixels around a corner see them. The share of the corners around
@@ -196,7 +194,7 @@ def pose_images(capture: Capture, stagger: float = 0.0) -> tuple[Array, list[Cor
 # The rig's geometry from the corners of a board in several poses.
 
 
-def board_points(board: Shape, square: float, kind: BoardKind = "chessboard") -> Array:
+def board_points(board: Size, square: float, kind: BoardKind = "chessboard") -> Array:
     """The inner corners (n, 3) of a board of (corners across, down), on the plane z = 0."""
     across, down = board
     row, col = np.mgrid[:down, :across]
@@ -492,9 +490,9 @@ def _captures_of(pose: Pose) -> list[list[Capture]]:
     return [[open_capture(one) for one in within(part, "camera")] for part in parts]
 
 
-def _shapes_of(opened: dict[str, list[list[Capture]]]) -> tuple[list[Shape], list[Shape]]:
+def _shapes_of(opened: dict[str, list[list[Capture]]]) -> tuple[list[Size], list[Size]]:
     """The image sizes of all cameras, and of all projectors; they must be those of each pose."""
-    usual: tuple[list[Shape], list[Shape]] | None = None
+    usual: tuple[list[Size], list[Size]] | None = None
     for name, parts in opened.items():
         seen = [
             [(rows, cols) for rows, cols, *_ in (one.camera_shape for one in part)]
@@ -520,7 +518,7 @@ def _files(output: str | Path, cameras: int, projectors: int) -> list[Path]:
 
 def _all_corners(
     opened: dict[str, list[list[Capture]]],
-    board: Shape,
+    board: Size,
     kind: BoardKind,
     progress: Progress | None,
     stagger: float = 0.0,
@@ -572,7 +570,7 @@ def _all_corners(
     return found, left_out
 
 
-def _suffice(lit: Array, board: Shape) -> bool:
+def _suffice(lit: Array, board: Size) -> bool:
     """Whether enough corners (..., n, 2) of a board are lit, in two rows and columns at least."""
     finite = np.isfinite(lit).all(axis=-1).reshape(-1, board[1], board[0])
     known = np.asarray(finite.any(axis=0))
@@ -784,7 +782,7 @@ def _centred(focal: float, shape: tuple[int, int], high: float = 1.0) -> Array:
 
 def _pose(
     fundamental: Array, seen: Array, lit: Array, camera: Array, projector: Array | None,
-    projector_shape: Shape, high: float, free: float,
+    projector_shape: Size, high: float, free: float,
 ) -> tuple[tuple[Array, Array, Array], float]:  # fmt: skip
     """K of the projector, R and t of length 1, that bring the matches nearest to their lines.
 

@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from enum import IntEnum
 from functools import cached_property, partial, reduce
@@ -27,6 +27,7 @@ from lightmatrix.files.writing import check_output
 from lightmatrix.patterns.folder import write_patterns
 from lightmatrix.patterns.pattern_set import ImagePatterns
 from lightmatrix.patterns.projector_curve import ProjectorResponse
+from lightmatrix.progress import Progress
 from lightmatrix.ranges import check_list, check_number
 from lightmatrix.reprs import short_repr
 from lightmatrix.resources.threads import one_blas_thread, work_ahead
@@ -696,7 +697,7 @@ def compensate_video(
     projector_response: ProjectorResponse | str | Path | None = None,
     output: str | Path | None = None,
     overwrite: bool = False,
-    progress: Callable[[int, int], None] | None = None,
+    progress: Progress | None = None,
 ) -> CompensatedVideo:
     """The patterns under which the camera sees the frames of a video.
 

@@ -90,7 +90,7 @@ REST_MILLISECONDS = 150
 # Tiles of one message, of at most 512 KiB a channel, so that a stroke never waits for long.
 _MOST_TILES = 64
 # Computes the pattern for a picture: its levels and a few words.
-Compensator = Callable[[NDArray[np.uint8]], tuple[NDArray[np.uint8], str]]
+PictureCompensator = Callable[[NDArray[np.uint8]], tuple[NDArray[np.uint8], str]]
 
 
 class Session:
@@ -105,7 +105,7 @@ class Session:
         white: float,
         camera: tuple[int, int],
         projector: tuple[int, int],
-        compensator: Compensator | None = None,
+        compensator: PictureCompensator | None = None,
     ) -> None:
         self._camera, self._projector = camera, projector
         self._compensator = compensator

@@ -1,6 +1,6 @@
 """The coherent estimate as work: its rounds, each of which starts from the rows before it.
 
-Where light grows from seeds, rows stay as they are if nothing changed around them.
+Where estimates spread from seeds, rows stay as they are if nothing changed around them.
 """
 
 from __future__ import annotations
@@ -36,8 +36,8 @@ from lightmatrix.estimators.coherent.row_errors import (
 from lightmatrix.estimators.coherent.row_solver import RowSolver, coherent_row_bytes, in_parts
 from lightmatrix.estimators.coherent.schedule import GROWTH, Round
 from lightmatrix.estimators.work import TILE_BYTES, ReadStep, SolveTile, Work, cut_rows
+from lightmatrix.progress import Progress
 from lightmatrix.resources.threads import computed_once, core_threads
-from lightmatrix.solvers.loop import Progress
 from lightmatrix.solvers.problem import Result
 from lightmatrix.transport.checkpoint import ROWS, Span
 from lightmatrix.transport.sparse_rows import SparseRows, footprint_sizes
@@ -70,7 +70,7 @@ def unchanged(rows: SparseRows) -> SparseRows:
     return replace(rows, diagnostics={**rows.diagnostics, CHANGE: np.zeros(rows.count, np.float32)})
 
 
-# The diagnostic where light grows: whether a row has searched all projector pixels.
+# The diagnostic where estimates spread from seeds: whether a row has searched all projector pixels.
 SEARCHED = "searched_everywhere"
 # The step that measures the misfit under the frames held out, and the diagnostic that holds it;
 # and the diagnostic that holds the misfit of some rows under the other frames.
@@ -149,7 +149,7 @@ class Rounds(Work):
 
     @property
     def _grows(self) -> bool:
-        """Whether light grows from seeds, as in all but small frames."""
+        """Whether estimates spread from seeds, as in all but small frames."""
         return self.rounds[0].spacing > 1
 
     @computed_once
@@ -350,7 +350,7 @@ def _for_next_round(solved: Result, before: SparseRows | None = None) -> SparseR
 
 
 def _searched(solved: Result) -> SparseRows:
-    """Rows where light grows that have searched all atoms, as the next round needs them."""
+    """Rows of estimates from seeds that have searched all atoms, as the next round needs them."""
     ones = np.ones(solved.rows.count, np.float32)
     return replace(solved.rows.single(), diagnostics={SEARCHED: ones, CHANGE: ones})
 
