@@ -22,7 +22,7 @@ from lightmatrix.estimators.work import TilesInMemory, Work, WorkerPool, complet
 from lightmatrix.files.kinds import PROJECTOR_STORES, STORE
 from lightmatrix.files.writing import final_target
 from lightmatrix.progress import Progress
-from lightmatrix.resources.disk import check_disk_space
+from lightmatrix.resources.memory import check_disk_space
 from lightmatrix.resources.threads import one_blas_thread
 from lightmatrix.solvers import Solver
 from lightmatrix.solvers.problem import Result, check_regularization

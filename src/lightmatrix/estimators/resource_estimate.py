@@ -16,8 +16,7 @@ from lightmatrix.estimators.work import TILE_BYTES
 from lightmatrix.patterns.pattern_set import ImagePatterns, PatternSet
 from lightmatrix.patterns.stripes import stripes_of
 from lightmatrix.reprs import amount
-from lightmatrix.resources.disk import SCRATCH_MEMORY_BYTES
-from lightmatrix.resources.memory import available_bytes
+from lightmatrix.resources.memory import SCRATCH_MEMORY_BYTES, available_bytes
 from lightmatrix.resources.threads import core_threads
 
 

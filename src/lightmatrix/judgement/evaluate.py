@@ -26,7 +26,7 @@ from lightmatrix.progress import Progress
 from lightmatrix.ranges import check_list, check_number
 from lightmatrix.reprs import labelled, text_table
 from lightmatrix.simulation import library
-from lightmatrix.simulation.colour import is_of_all_primaries, of_primary
+from lightmatrix.simulation.realism import is_of_all_primaries, of_primary
 from lightmatrix.simulation.truth import Truth
 from lightmatrix.transport import store
 from lightmatrix.transport.matrix import ColourTransport, LightTransport

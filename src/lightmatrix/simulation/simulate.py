@@ -29,8 +29,8 @@ from lightmatrix.progress import Progress
 from lightmatrix.ranges import as_float, check_number, check_seed
 from lightmatrix.regions import Region
 from lightmatrix.simulation import library, realism
-from lightmatrix.simulation.colour import in_all_primaries, in_primary, is_of_all_primaries
 from lightmatrix.simulation.faults import Faults
+from lightmatrix.simulation.realism import in_all_primaries, in_primary, is_of_all_primaries
 from lightmatrix.simulation.truth import Truth
 from lightmatrix.transport.matrix import PROJECTORS
 from lightmatrix.transport.sparse_rows import row_blocks

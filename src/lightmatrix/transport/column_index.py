@@ -28,7 +28,7 @@ from lightmatrix.files.zarr_arrays import QUICK
 from lightmatrix.patterns.pattern_set import grid_cells
 from lightmatrix.progress import Progress
 from lightmatrix.reprs import short_repr
-from lightmatrix.resources.disk import check_disk_space
+from lightmatrix.resources.memory import check_disk_space
 from lightmatrix.transport.sparse_rows import row_blocks
 from lightmatrix.transport.store import StoredTransport, fill_store
 
