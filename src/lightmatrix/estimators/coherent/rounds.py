@@ -262,19 +262,6 @@ class Rounds(Work):
     def _held_out(self) -> HeldOut:
         return HeldOut.choose(self.capture.patterns)
 
-    def _in_pixels(
-        self, neighbours: Neighbourhood, samples: Samples, solved: Result, start: int
-    ) -> SparseRows:
-        """Solved rows of the last round from row `start` on, in pixels, with their diagnostics."""
-        solver = self.solver
-        shares = solver.backgrounds.spread(neighbours.centres[start : start + solved.rows.count])
-        background = solved.background[:, None] * shares
-        if solved.cells.shape[1]:
-            background += solved.cells
-        atoms = rows_with_diagnostics(samples, solved)
-        pixels = solver.atoms.expand(atoms.coefficients)
-        return replace(atoms, coefficients=pixels, background=background.astype(np.float32))
-
     def _judge(
         self, neighbours: Neighbourhood, misfit: NDArray[np.float32] | None,
         missed: NDArray[np.float32] | None, start: int, stop: int, progress: Progress,
@@ -283,7 +270,13 @@ class Rounds(Work):
         solver, rows = self.solver, np.arange(start, stop)
         samples = self.capture.samples(start, stop)
         solved, background = solver.near(samples, rows, self.rounds[-1], neighbours, progress)
-        pixels = self._in_pixels(neighbours, samples, solved, start)
+        spread = solver.backgrounds.spread(neighbours.centres[start:stop])
+        whole = solved.background[:, None] * spread
+        if solved.cells.shape[1]:
+            whole += solved.cells
+        pixels = rows_with_diagnostics(samples, solved)
+        expanded = solver.atoms.expand(pixels.coefficients)
+        pixels = replace(pixels, coefficients=expanded, background=whole.astype(np.float32))
         if misfit is None or missed is None:
             return pixels
         length = solver.backgrounds.lengths(pixels)
