@@ -22,7 +22,7 @@ from lightmatrix.transport import store as stores
 from lightmatrix.viewer import lights, packed, session
 from lightmatrix.viewer.layers import LayerSource
 from lightmatrix.viewer.scene import ViewedScene
-from lightmatrix.viewer.session import Kind, MessageError
+from lightmatrix.viewer.session import MessageError, MessageKind
 from tests.viewer import hostile, running
 
 # What a window shows may miss T p by this share of the white image.
@@ -42,7 +42,7 @@ class Window:
     def paint(self, top: int, left: int, levels: NDArray[np.uint8], *, finish: bool = True) -> None:
         rows, cols = levels.shape
         self.levels[top : top + rows, left : left + cols] = levels
-        numbers = (Kind.PAINT, 7, top, left, rows, cols)
+        numbers = (MessageKind.PAINT, 7, top, left, rows, cols)
         for part in self.session.answer(struct.pack("<6I", *numbers) + levels.tobytes()):
             self.receive(part)
         assert self.parts[-1]["answers"] == 7
@@ -65,7 +65,9 @@ class Window:
         elif header["kind"] == "tiles":
             place_tiles(self.image, header["tiles"], values)
 
-    def ask(self, kind: Kind, row: int, col: int, shape: tuple[int, ...]) -> NDArray[np.float32]:
+    def ask(
+        self, kind: MessageKind, row: int, col: int, shape: tuple[int, ...]
+    ) -> NDArray[np.float32]:
         (part,) = self.session.answer(struct.pack("<4I", kind, 3, row, col))
         header, values = unpack(part)
         assert (header["kind"], header["answers"]) == ("image", 3)
@@ -196,7 +198,7 @@ def test_only_what_changed_is_sent() -> None:
 def test_rows_and_columns(scene: ViewedScene, transport: lm.LightTransport) -> None:
     window = Window(scene)
     for row, col in ((0, 0), (23, 19), (7, 11)):
-        found = window.ask(Kind.ROW, row, col, (16, 18, 1))[..., 0]
+        found = window.ask(MessageKind.ROW, row, col, (16, 18, 1))[..., 0]
         first = (row * 20 + col) * (transport.shape[0] // 480)
         stop = first + transport.shape[0] // 480
         expected = transport.to_matrix(dense_background=True)[first:stop].sum(axis=0)
@@ -204,7 +206,7 @@ def test_rows_and_columns(scene: ViewedScene, transport: lm.LightTransport) -> N
         np.testing.assert_allclose(found, expected, atol=CLOSE * expected.max())
     for row, col in ((0, 0), (15, 17), (9, 4)):
         shape = window.image.shape
-        found = window.ask(Kind.COLUMN, row, col, shape).reshape(transport.camera_shape)
+        found = window.ask(MessageKind.COLUMN, row, col, shape).reshape(transport.camera_shape)
         expected = transport.column(row, col)
         np.testing.assert_allclose(found, expected, atol=CLOSE * expected.max())
 
@@ -243,7 +245,7 @@ def test_a_matrix_that_the_page_has_takes_no_messages(transport: lm.LightTranspo
     scene = ViewedScene(transport)
     assert not scene.session().unfinished
     assert scene.session().finish() is None
-    for kind in (Kind.ROW, Kind.COLUMN):
+    for kind in (MessageKind.ROW, MessageKind.COLUMN):
         with pytest.raises(MessageError):
             scene.session().answer(struct.pack("<4I", kind, 1, 2, 3))
 
@@ -272,7 +274,7 @@ def test_direct_and_global_light_and_compensation() -> None:
     assert header["low"] < np.nanmedian(values) < header["high"]
     picture = np.full((32, 32), 200, np.uint8)
     picture[:, 10:20] = 60
-    message = struct.pack("<2I", Kind.COMPENSATE, 5) + picture.tobytes()
+    message = struct.pack("<2I", MessageKind.COMPENSATE, 5) + picture.tobytes()
     (answer,) = scene.session().answer(message)
     length = int.from_bytes(answer[8:12], "little")
     levels = np.frombuffer(answer[12 + length :], np.uint8).reshape(32, 32)

@@ -34,7 +34,7 @@ from lightmatrix.resources.threads import one_blas_thread, work_ahead
 from lightmatrix.transport.matrix import LightTransport
 from lightmatrix.uses.loading import Transport, loaded
 from lightmatrix.uses.separation import pattern_or_white, separate
-from lightmatrix.uses.wanted import Picture, ambient_samples, mask_samples, wanted_samples
+from lightmatrix.uses.wanted import WantedPicture, ambient_samples, mask_samples, wanted_samples
 
 Singles = NDArray[np.float32]
 
@@ -535,9 +535,9 @@ class Compensator:
 def compensator(
     transport: Transport | Sequence[Transport],
     *,
-    ambient: Picture | None = None,
-    mask: Picture | None = None,
-    projector_mask: Picture | None = None,
+    ambient: WantedPicture | None = None,
+    mask: WantedPicture | None = None,
+    projector_mask: WantedPicture | None = None,
 ) -> Compensator:
     """What compensations of one scene share, from arguments of `compensate`."""
     light = joint_light(transport)
@@ -551,11 +551,11 @@ def compensator(
 
 def compensate(
     transport: Transport | Sequence[Transport],
-    wanted: Picture,
+    wanted: WantedPicture,
     *,
-    ambient: Picture | None = None,
-    mask: Picture | None = None,
-    projector_mask: Picture | None = None,
+    ambient: WantedPicture | None = None,
+    mask: WantedPicture | None = None,
+    projector_mask: WantedPicture | None = None,
     brightness: float | None = None,
     gamma: float | None = None,
     fit: str | None = None,
@@ -686,11 +686,11 @@ class CompensatedVideo:
 
 def compensate_video(
     transport: Transport,
-    frames: str | Path | Sequence[Picture] | NDArray[Any],
+    frames: str | Path | Sequence[WantedPicture] | NDArray[Any],
     *,
-    ambient: Picture | None = None,
-    mask: Picture | None = None,
-    projector_mask: Picture | None = None,
+    ambient: WantedPicture | None = None,
+    mask: WantedPicture | None = None,
+    projector_mask: WantedPicture | None = None,
     brightness: float | None = None,
     gamma: float | None = None,
     fit: str | None = None,
