@@ -70,6 +70,7 @@ from .solvers import (
     Problem as Problem,
     Result as Result,
     SaturationADMM as SaturationADMM,
+    TotalVariation as TotalVariation,
     solve as solve,
 )
 

@@ -165,6 +165,7 @@ def test_simulate(words: str, settings: dict[str, Any], work: Path, both: Both) 
         ("", {}),
         ("--no-coherent", {"coherent": False}),
         ("--solver romp --fidelity linear", {"solver": "romp", "fidelity": "linear"}),
+        ("--solver total-variation --iterations 9", {"solver": "total-variation", "iterations": 9}),
         (
             "--solver saturation-admm --fidelity clipped --iterations 30 --signed --tile-rows 50",
             {

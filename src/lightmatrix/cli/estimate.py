@@ -35,7 +35,7 @@ from lightmatrix.reprs import amount, labelled
 # What is written where no other name is given.
 _OUTPUT = Path("scene.zarr")
 
-SolverName = Literal["active-set", "saturation-admm", "admm", "romp"]
+SolverName = Literal["active-set", "saturation-admm", "admm", "romp", "total-variation"]
 FidelityName = Literal["linear", "one-sided", "clipped", "rejection"]
 # Options under the headings of `--help-all`.
 _solving = functools.partial(Option, rich_help_panel="How to solve")
@@ -50,7 +50,8 @@ _reporting = functools.partial(Option, rich_help_panel="Check and report")
     solver=_solving(
         help="active-set (one-sided, rejection, linear; certifies a duality gap), "
         "saturation-admm (clipped, one-sided, rejection, linear), admm (linear), "
-        "romp (linear, rejection)."
+        "romp (linear, rejection), total-variation (one-sided, linear; for single-pixel detectors, "
+        "which see the whole scene)."
     ),
     fidelity=_solving(
         help="How clipped samples count: one-sided (a lower bound, convex), clipped (the paper's "

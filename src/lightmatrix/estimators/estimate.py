@@ -85,8 +85,9 @@ def estimate(
     projector_response : ProjectorResponse or str, optional
         The light of the patterns' grey values; "auto" finds a gamma in the photographs, see
         `find_response`. None: the patterns are light, or black and white.
-    solver : {"active-set", "saturation-admm", "admm", "romp"}
-        active-set certifies a duality gap of each row.
+    solver : {"active-set", "saturation-admm", "admm", "romp", "total-variation"}
+        active-set certifies a duality gap of each row. total-variation is for rows that are
+        pictures, as of single-pixel detectors.
     fidelity : {"one-sided", "clipped", "rejection", "linear"}, optional
         How clipped samples count: as a lower bound (convex), as in the paper's Eq. 6, not at all,
         at their value. None: one-sided; linear for admm, rejection for romp.

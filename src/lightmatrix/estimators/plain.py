@@ -21,7 +21,7 @@ from lightmatrix.estimators.work import TILE_BYTES, ReadStep, SolveTile, Work, c
 from lightmatrix.patterns.pattern_set import PatternSet
 from lightmatrix.progress import Progress
 from lightmatrix.ranges import check_at_least_one
-from lightmatrix.solvers import Solver, solve
+from lightmatrix.solvers import Solver, TotalVariation, solve
 from lightmatrix.solvers.problem import Problem
 from lightmatrix.transport.checkpoint import Span
 from lightmatrix.transport.sparse_rows import SparseRows
@@ -34,7 +34,7 @@ class PlainEstimator(Estimator):
     Parameters
     ----------
     solver : Solver
-        ADMM, SaturationADMM, ROMP or ActiveSet.
+        ADMM, SaturationADMM, ROMP, ActiveSet or TotalVariation.
     regularization : float or None
         The paper's lambda in units of camera sample at exposure 1. None: 0.16 times the level that
         samples reach, or more where noise asks for it (see `automatic_regularization`).
@@ -64,7 +64,8 @@ class PlainEstimator(Estimator):
         """The estimate before it is made."""
         regularization = self.regularization
         if regularization is None:
-            regularization = automatic_regularization(capture)
+            pictures = isinstance(self.solver, TotalVariation)
+            regularization = automatic_regularization(capture, pictures=pictures)
         provenance = {
             "estimator": self.name,
             **solver_provenance(self.solver),

@@ -11,7 +11,15 @@ from lightmatrix.defaults import COHERENT_UP_TO
 from lightmatrix.errors import InputError
 from lightmatrix.ranges import check_at_least_one, check_number, check_whole
 from lightmatrix.resources.memory import memory_bytes
-from lightmatrix.solvers import ADMM, ROMP, ActiveSet, Fidelity, SaturationADMM, Solver
+from lightmatrix.solvers import (
+    ADMM,
+    ROMP,
+    ActiveSet,
+    Fidelity,
+    SaturationADMM,
+    Solver,
+    TotalVariation,
+)
 
 # The solvers by name, each with the fidelity that it has unless the user asks for another, and with
 # the parameter that limits its iterations.
@@ -20,6 +28,7 @@ SOLVERS: dict[str, tuple[Callable[..., Solver], Fidelity, str]] = {
     "saturation-admm": (SaturationADMM, Fidelity.ONE_SIDED, "max_iterations"),
     "admm": (ADMM, Fidelity.LINEAR, "max_iterations"),
     "romp": (ROMP, Fidelity.REJECTION, "max_iterations"),
+    "total-variation": (TotalVariation, Fidelity.ONE_SIDED, "max_iterations"),
 }
 # The largest number of iterations that an estimate accepts. It is beyond what anybody can wait for
 # and fits into 32 bits.
@@ -93,6 +102,9 @@ class EstimateSettings:
         reason = self._reason_against_coherent
         if self.coherent and reason is not None:
             raise InputError(f"the coherent estimate {reason}", hint="leave out one of the two")
+        if self.multi_scale and self.solver == "total-variation":
+            hint = "leave out one of the two"
+            raise InputError("total variation of projector blocks (multi-scale)", hint=hint)
         _ = self.row_solver  # Checks that solver and fidelity fit each other.
 
     @cached_property

@@ -8,8 +8,9 @@ from lightmatrix.solvers.fidelity import Fidelity
 from lightmatrix.solvers.loop import Solver, solve
 from lightmatrix.solvers.problem import Problem, Result, Status
 from lightmatrix.solvers.romp import ROMP
+from lightmatrix.solvers.total_variation import TotalVariation
 
 __all__ = [
     "ADMM", "ROMP", "ActiveSet", "Fidelity", "Problem", "Result", "SaturationADMM", "Solver",
-    "Status", "solve",
+    "Status", "TotalVariation", "solve",
 ]  # fmt: skip

@@ -218,7 +218,7 @@ class ADMMState:
     penalty_x: float
 
 
-class _Splitting(IterativeSolver):
+class Splitting(IterativeSolver):
     """What both solvers share: they end at z, the part of the split x = z that is sparse."""
 
     penalty_x: float | None
@@ -234,7 +234,7 @@ class _Splitting(IterativeSolver):
 
 
 @dataclass(frozen=True)
-class ADMM(_Splitting):
+class ADMM(Splitting):
     """Clip-blind l1 minimisation (Eq. 2), solved by ADMM.
 
     ::
@@ -269,7 +269,7 @@ class ADMM(_Splitting):
 
     def init(self, problem: Problem) -> ADMMState:
         mu = self.penalty_x or automatic_penalty_x(problem)
-        scale = _shared_weights(problem)
+        scale = shared_weights(problem)
         system = system_of(problem, mu * problem.regularization, scale)
         y = (
             problem.samples.values
@@ -337,7 +337,7 @@ def automatic_penalty_x(problem: Problem) -> float:
     return float(typical / (6 * problem.regularization))
 
 
-def _shared_weights(problem: Problem) -> NDArray[np.float64] | None:
+def shared_weights(problem: Problem) -> NDArray[np.float64] | None:
     """The square roots of the weights, (K,), which all rows must share; None without weights."""
     weights = problem.samples.weights
     if weights is None:
@@ -368,7 +368,7 @@ class SaturationADMMState:
 
 
 @dataclass(frozen=True)
-class SaturationADMM(_Splitting):
+class SaturationADMM(Splitting):
     """l1 minimisation through a clipping camera (Eq. 6), solved by ADMM.
 
     ::

@@ -91,6 +91,12 @@ class IterativeSolver(ABC):
     def solution(self, problem: Problem, state: Any) -> tuple[NDArray[Any], NDArray[Any]]:
         """Coefficients (M, N), mostly exact zeros, and background (M,)."""
 
+    def objective(
+        self, problem: Problem, x: csr_array, background: NDArray[Any]
+    ) -> NDArray[np.float64]:
+        """What is minimised, (M,)."""
+        return objective(problem, x, background, self.fidelity)
+
     def solve(self, problem: Problem, progress: Progress | None = None) -> Result:
         """Solve all rows; `progress` is called with (finished, all) rows."""
         finished = _Finished(problem, self)
@@ -157,7 +163,7 @@ class _Finished:
         background = np.where(np.isfinite(background), background, 0)
         part = solved_rows(
             x, background, iterations=np.full(len(rows), iteration, np.int32), converged=converged,
-            objective=objective(problem, x, background, self.solver.fidelity),
+            objective=self.solver.objective(problem, x, background),
         )  # fmt: skip
         self.order.append(rows)
         self.parts.append(part)
