@@ -112,6 +112,15 @@ def fit_board(seen: Array, lit: Array, board: Array, camera_shape: Size) -> Fit:
         # No geometry explains corners that are off by more.
         if settled or usual.max() > 3:
             break
+    for (_, other), shown in zip(pairs, use, strict=True):
+        corners = [board @ _turn(np.append(np.zeros(6), pose)).T + pose[3:] for pose in poses]
+        ahead = (np.stack(corners) @ _turn(devices[other]).T + devices[other][9:])[..., 2]
+        if (ahead[shown] <= 0).any():
+            raise InputError(
+                "the geometry that fits the corners puts the board behind a device",
+                hint="is an image mirrored, are poses exchanged, or do the patterns not belong to "
+                "the photographs?",
+            )
     lit_errors, used = errors[cameras:].reshape(lit.shape), use[cameras:].reshape(lit.shape[:-1])
     return Fit(devices, poses, errors[:cameras], lit_errors, used, deviations)
 
