@@ -148,11 +148,32 @@ pub(crate) fn by_block<C: Send>(
     tasks.collect()
 }
 
+/// Entries that a value of an image is asked for ahead of its use, since entries far from each other wait
+/// for memory. At 1,024 x 768, with 12 entries a row, this saves an eighth of the time of `frames`; 48 and
+/// 200 save as much.
+const AHEAD: usize = 96;
+
+/// Asks for the values of a pixel.
+#[inline(always)]
+fn prefetch(image: &Lanes) {
+    #[cfg(target_arch = "x86_64")]
+    // SAFETY: asking for memory changes nothing, and this memory can be read.
+    unsafe {
+        use std::arch::x86_64::{_mm_prefetch, _MM_HINT_T0};
+        _mm_prefetch::<_MM_HINT_T0>(image.as_ptr().cast());
+    }
+}
+
 multiversion! {
     /// out = S images, for rows of S from `first` on
     fn product(rows: Sparse<'_, f32>, first: usize, images: &[Lanes], out: &mut [Lanes]) {
         for (row, out) in out.iter_mut().enumerate() {
             let (indices, values) = rows.row(first + row);
+            let later = rows.indptr[first + row + 1] as usize + AHEAD;
+            let later = later.min(rows.indices.len());
+            for &index in &rows.indices[later.saturating_sub(indices.len())..later] {
+                prefetch(&images[index as usize]);
+            }
             let mut sum = [0.0; LANES];
             for (&index, &value) in indices.iter().zip(values) {
                 add(&mut sum, value, &images[index as usize]);

@@ -49,17 +49,14 @@ def wanted_samples(
     if image.size and not (image.min() >= 0 and image.max() <= 1):
         hint = "give values in [0, 1]: divide raw levels by their largest one, such as 255"
         raise InputError(f"{name} has values from {image.min():g} to {image.max():g}", hint=hint)
-    light = image.astype(np.float32) ** np.float32(1.0 if gamma is None else gamma)
+    light = image.astype(np.float32, copy=False) ** np.float32(1.0 if gamma is None else gamma)
     if light.ndim == 3 and len(camera_shape) == 2:
-        if not is_grey(light):
+        if is_grey(light):
+            light = light[..., 0]
+        else:
             warn(f"{name} is in colour, for a camera that is not: its luminance is taken")
-        # The weights of linear red, green and blue (ITU-R BT.709); grey stays as it is.
-        grey = (
-            light[..., 0]
-            if is_grey(light)
-            else light @ np.array([0.2126, 0.7152, 0.0722], np.float32)
-        )
-        light = np.asarray(grey, np.float32)
+            # The weights of linear red, green and blue (ITU-R BT.709).
+            light = light @ np.array([0.2126, 0.7152, 0.0722], np.float32)
     if fit is not None and light.ndim >= 2 and light.shape[:2] != camera_shape[:2]:
         light = fitted(light, (camera_shape[0], camera_shape[1]), fit)
     samples = _samples(light, camera_shape, name, _FIT)
