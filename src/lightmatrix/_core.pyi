@@ -35,7 +35,7 @@ def frame_patterns(
     cells: NDArray[np.integer],
     samples: NDArray[np.float32],
     pixels: NDArray[np.float32],
-    wanted: NDArray[np.float32],
+    wanted: list[NDArray[np.float32]],
     last_pattern: NDArray[np.float32],
     last_wanted: NDArray[np.float32],
     out: NDArray[np.float32],

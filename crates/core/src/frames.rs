@@ -54,14 +54,14 @@ impl Scene<'_> {
         LANES * (1 + 2 * (self.light.height() + self.light.width()))
     }
 
-    /// Writes the patterns (frames, width) of wanted pictures (frames, height) in [0, 1], after a frame of
+    /// Writes the patterns (frames, width) of wanted pictures in [0, 1], (height) each, after a frame of
     /// a known pattern, (width), and wanted picture, (height). What is in the `room` does not matter.
     ///
     /// # Panics
     /// If the lengths do not fit, or there are no frames or more than sixteen.
     pub fn frames(
         &self,
-        wanted: &[f32],
+        wanted: &[&[f32]],
         before: (&[f32], &[f32]),
         steps: usize,
         out: &mut [f32],
@@ -70,7 +70,8 @@ impl Scene<'_> {
         let (height, width) = (self.light.height(), self.light.width());
         let frames = out.len() / width;
         assert!((1..=LANES).contains(&frames) && out.len() == frames * width);
-        assert_eq!(wanted.len(), frames * height);
+        assert_eq!(wanted.len(), frames);
+        assert!(wanted.iter().all(|picture| picture.len() == height));
         assert_eq!((before.0.len(), before.1.len()), (width, height));
         assert_eq!((self.pixels.len(), self.samples.len()), (width, height));
         let level = Level::detect();
@@ -84,7 +85,7 @@ impl Scene<'_> {
 
         // The start: the earlier pattern, and what gains of single pixels make of the difference.
         let near = self.asked(level, wanted, before.1, goal, misfit);
-        let start_means = self.backward(misfit, patterns, ahead, |at, back, patterns, ahead| {
+        self.backward(misfit, patterns, ahead, |at, back, patterns, ahead| {
             start(
                 level,
                 &near,
@@ -95,6 +96,7 @@ impl Scene<'_> {
             );
             ahead.fill([0.0; LANES]);
         });
+        let start_means = self.light.means(patterns);
         let minus: Vec<_> = start_means.iter().map(|m| lanes(|k| -m[k])).collect();
         by_block(
             goal,
@@ -104,7 +106,6 @@ impl Scene<'_> {
 
         let half = (1.0 - LEAST) / 2.0;
         let (middle, mut rate) = (1.0 - half, 0.0);
-        let mut means = start_means.clone();
         for step in 0..steps {
             let kept = match step {
                 0 => 0.0,
@@ -126,11 +127,12 @@ impl Scene<'_> {
                 },
             );
             let rates = (rate, kept, self.ridge);
-            means = self.backward(misfit, patterns, ahead, |at, back, patterns, ahead| {
+            self.backward(misfit, patterns, ahead, |at, back, patterns, ahead| {
                 descend(level, rates, &self.pixels[at..], back, patterns, ahead);
             });
         }
 
+        let mut means = self.light.means(patterns);
         for (mean, start) in means.iter_mut().zip(&start_means) {
             add(mean, -1.0, start);
         }
@@ -158,16 +160,15 @@ impl Scene<'_> {
     fn asked(
         &self,
         level: Level,
-        wanted: &[f32],
+        wanted: &[&[f32]],
         last: &[f32],
         goal: &mut [Lanes],
         asked: &mut [Lanes],
     ) -> Lanes {
-        let height = self.light.height();
         let begin = || [[0f64; LANES]; 2];
         let distances = by_block(goal, begin, |at, goal, sums| {
             goal.fill([0.0; LANES]);
-            for (k, frame) in wanted.chunks_exact(height).enumerate() {
+            for (k, frame) in wanted.iter().enumerate() {
                 for (goal, value) in goal.iter_mut().zip(&frame[at..]) {
                     goal[k] = *value;
                 }
@@ -196,31 +197,27 @@ impl Scene<'_> {
     }
 
     /// Changes patterns by S' c; `change` takes the first pixel of a block, its part of S' c, and those of
-    /// the patterns and of `ahead`. Returns the means of the patterns over cells.
+    /// the patterns and of `ahead`.
     fn backward(
         &self,
         images: &[Lanes],
         patterns: &mut [Lanes],
         ahead: &mut [Lanes],
         change: impl Fn(usize, &[Lanes], &mut [Lanes], &mut [Lanes]) + Sync,
-    ) -> Vec<Lanes> {
-        let tasks = (patterns.par_chunks_mut(TASK))
-            .zip(ahead.par_chunks_mut(TASK))
-            .enumerate()
-            .map(|(task, (patterns, ahead))| {
-                let mut sums = self.light.no_cells();
-                let mut back = [[0.0; LANES]; BLOCK];
-                let blocks = patterns.chunks_mut(BLOCK).zip(ahead.chunks_mut(BLOCK));
-                for (block, (patterns, ahead)) in blocks.enumerate() {
-                    let at = task * TASK + block * BLOCK;
-                    let back = &mut back[..patterns.len()];
-                    self.light.adjoint(at, images, back);
-                    change(at, back, patterns, ahead);
-                    self.light.add_to_cells(at, patterns, &mut sums);
-                }
-                sums
-            });
-        self.light.means(&tasks.collect::<Vec<_>>())
+    ) {
+        let tasks = patterns
+            .par_chunks_mut(TASK)
+            .zip(ahead.par_chunks_mut(TASK));
+        tasks.enumerate().for_each(|(task, (patterns, ahead))| {
+            let mut back = [[0.0; LANES]; BLOCK];
+            let blocks = patterns.chunks_mut(BLOCK).zip(ahead.chunks_mut(BLOCK));
+            for (block, (patterns, ahead)) in blocks.enumerate() {
+                let at = task * TASK + block * BLOCK;
+                let back = &mut back[..patterns.len()];
+                self.light.adjoint(at, images, back);
+                change(at, back, patterns, ahead);
+            }
+        });
     }
 }
 

@@ -111,24 +111,24 @@ impl<'a> Light<'a> {
         add_background(Level::detect(), background, means, out);
     }
 
-    /// Adds the images' values of columns from `first` on to the sums over their cells.
-    pub(crate) fn add_to_cells(&self, first: usize, images: &[Lanes], sums: &mut [Lanes]) {
-        for (image, &cell) in images.iter().zip(&self.cells[first..]) {
-            add(&mut sums[cell as usize], 1.0, image);
-        }
-    }
-
-    /// Means over cells of the sums of tasks.
-    pub(crate) fn means(&self, tasks: &[Vec<Lanes>]) -> Vec<Lanes> {
-        let mut means = self.no_cells();
-        for (cell, (mean, share)) in means.iter_mut().zip(&self.shares).enumerate() {
-            tasks.iter().for_each(|sums| add(mean, *share, &sums[cell]));
+    /// Means of images over cells.
+    pub(crate) fn means(&self, images: &[Lanes]) -> Vec<Lanes> {
+        let none = vec![[0.0; LANES]; self.shares.len()];
+        let tasks = images.par_chunks(TASK).zip(self.cells.par_chunks(TASK));
+        let sums = tasks.map(|(images, cells)| {
+            let mut sums = none.clone();
+            for (image, &cell) in images.iter().zip(cells) {
+                add(&mut sums[cell as usize], 1.0, image);
+            }
+            sums
+        });
+        let mut means = none.clone();
+        for sums in sums.collect::<Vec<_>>() {
+            for ((mean, share), sum) in means.iter_mut().zip(&self.shares).zip(&sums) {
+                add(mean, *share, sum);
+            }
         }
         means
-    }
-
-    pub(crate) fn no_cells(&self) -> Vec<Lanes> {
-        vec![[0.0; LANES]; self.shares.len()]
     }
 }
 

@@ -1,6 +1,6 @@
 //! The patterns of the frames of a video.
 
-use crate::arrays::{array, check_shape, indices, positive, whole, writable};
+use crate::arrays::{array, check_shape, indices, positive, whole, writable, wrong_type};
 use crate::input::SparseRows;
 use crate::threads::on_all_cores;
 use lightmatrix_core::frames::{Scene, PIXEL, SAMPLE};
@@ -9,7 +9,7 @@ use numpy::{IntoPyArray, PyUntypedArrayMethods};
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 
-/// Writes the patterns, `out` (K, N), of K wanted pictures (K, M). Returns for each the sum of its squared
+/// Writes the patterns, `out` (K, N), of K wanted pictures, (M) each. Returns for each the sum of its squared
 /// errors and the number of samples that are reached, (K,) each. `room` holds 32 (M + N) + 16 numbers.
 #[pyfunction]
 #[pyo3(signature = (
@@ -35,9 +35,13 @@ fn frame_patterns<'py>(
     tolerance: &Bound<'py, PyAny>,
     steps: &Bound<'py, PyAny>,
 ) -> PyResult<(Bound<'py, PyAny>, Bound<'py, PyAny>)> {
-    let wanted = array::<f32>(wanted, "wanted")?;
-    check_shape("wanted", wanted.shape(), &[None, None], "a picture a row")?;
-    let [frames, height] = [wanted.shape()[0], wanted.shape()[1]];
+    let Ok(wanted) = wanted.extract::<Vec<Bound<'_, PyAny>>>() else {
+        return Err(wrong_type("wanted", wanted, "a list of pictures"));
+    };
+    let samples = array::<f32>(samples, "samples")?;
+    let why = format!("{SAMPLE} numbers of each camera sample");
+    check_shape("samples", samples.shape(), &[None, Some(SAMPLE)], &why)?;
+    let (frames, height) = (wanted.len(), samples.shape()[0]);
     let pixels = array::<f32>(pixels, "pixels")?;
     let why = format!("{PIXEL} numbers of each projector pixel");
     check_shape("pixels", pixels.shape(), &[None, Some(PIXEL)], &why)?;
@@ -47,10 +51,15 @@ fn frame_patterns<'py>(
             "{frames} pictures of {height} samples for {width} pixels, expected 1 to {LANES} pictures"
         )));
     }
-    let samples = array::<f32>(samples, "samples")?;
-    let why = format!("{SAMPLE} numbers of each camera sample");
-    let shape = [Some(height), Some(SAMPLE)];
-    check_shape("samples", samples.shape(), &shape, &why)?;
+    let why = "one value of each camera sample";
+    let mut pictures = Vec::with_capacity(frames);
+    for picture in &wanted {
+        let picture = array::<f32>(picture, "wanted")?;
+        check_shape("wanted", picture.shape(), &[Some(height)], why)?;
+        pictures.push(picture);
+    }
+    let last_wanted = array::<f32>(last_wanted, "last_wanted")?;
+    check_shape("last_wanted", last_wanted.shape(), &[Some(height)], why)?;
     let background = array::<f32>(background, "background")?;
     let shape = [Some(height), None];
     check_shape(
@@ -67,9 +76,6 @@ fn frame_patterns<'py>(
     let last_pattern = array::<f32>(last_pattern, "last_pattern")?;
     let why = "one value of each projector pixel";
     check_shape("last_pattern", last_pattern.shape(), &[Some(width)], why)?;
-    let last_wanted = array::<f32>(last_wanted, "last_wanted")?;
-    let why = "one value of each camera sample";
-    check_shape("last_wanted", last_wanted.shape(), &[Some(height)], why)?;
     let (ridge, tolerance) = (positive(ridge, "ridge")?, positive(tolerance, "tolerance")?);
     let steps = whole(steps, "steps", 1..=i32::MAX as usize)?;
     let mut out = writable(out, "out")?;
@@ -101,10 +107,11 @@ fn frame_patterns<'py>(
             scene.room()
         )));
     }
-    let wanted = wanted.as_slice()?;
+    let wanted = pictures.iter().map(|picture| picture.as_slice());
+    let wanted = wanted.collect::<Result<Vec<_>, _>>()?;
     let before = (last_pattern.as_slice()?, last_wanted.as_slice()?);
     let (out, room) = (out.as_slice_mut()?, room.as_slice_mut()?);
-    let found = on_all_cores(py, || scene.frames(wanted, before, steps, out, room))?;
+    let found = on_all_cores(py, || scene.frames(&wanted, before, steps, out, room))?;
     let [squares, reached] = [found.squares, found.reached].map(|sums| sums.into_pyarray(py));
     Ok((squares.into_any(), reached.into_any()))
 }

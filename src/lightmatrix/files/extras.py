@@ -202,14 +202,14 @@ def upright(path: str | Path, image: NDArray[Any]) -> NDArray[Any]:
     return turned.get(orientation(path), image)
 
 
-def video_frames(path: str | Path) -> Iterator[NDArray[np.float32]]:
-    """The frames of a video file, (rows, cols, 3) in [0, 1], which FFmpeg decodes.
+def video_frames(path: str | Path) -> Iterator[NDArray[np.uint8]]:
+    """The frames of a video file, (rows, cols, 3), which FFmpeg decodes.
 
     An InputError says that it is none.
     """
     with _video(path) as opened:
         for frame in opened.decode(video=0):
-            yield frame.to_ndarray(format="rgb24") / np.float32(255)
+            yield frame.to_ndarray(format="rgb24")
 
 
 def video_rate(path: str | Path) -> float:

@@ -128,8 +128,8 @@ class ProjectorResponse:
 
     def grey_for(self, light: NDArray[np.floating]) -> NDArray[np.uint8]:
         """Grey values (uint8) that give the wanted light, in [0, 1]."""
-        place = np.rint(np.sqrt(np.clip(light, 0, 1)) * np.float32(_STEPS)).astype(np.uint16)
-        return self._greys[place]
+        place = np.sqrt(np.clip(light, 0, 1)) * np.float32(_STEPS) + np.float32(0.5)
+        return self._greys.take(place.astype(np.uint16))
 
     @cached_property
     def _greys(self) -> NDArray[np.uint8]:

@@ -489,7 +489,7 @@ class Compensator:
         return self._judged(pattern, self.light.forward(pattern) + self.ambient, target, brightness)
 
     def frame_solver(self, brightness: float) -> Callable[..., tuple[NDArray[Any], NDArray[Any]]]:
-        """A function that solves up to 16 frames of a video, (K, M), after an earlier one.
+        """A function that solves up to 16 frames of a video, (M,) each, after an earlier one.
 
         It takes them, the pattern (N,) and the picture (M,) before, the array (K, N) to fill, and
         the number of steps. It returns the sum of squared errors of each, and how many samples are
@@ -746,13 +746,14 @@ def compensate_video(
     shared.light.check_single()
     pictures: Any = frames
     if isinstance(frames, str | Path) and Path(frames).is_file():
-        pictures, gamma = video_frames(frames), DISPLAY_GAMMA if gamma is None else gamma
+        pictures = video_frames(frames)
     elif isinstance(frames, str | Path):
         pictures = list_images(frames)
     else:
         check_list(pictures, hint="give the frames of the video, or its file")
     shape = shared.light.camera_shape
-    fitted = partial(wanted_samples, camera_shape=shape, gamma=gamma, fit=fit, black=True)
+    how: dict[str, Any] = {"gamma": gamma, "fit": fit, "levels": isinstance(frames, str | Path)}
+    fitted = partial(wanted_samples, camera_shape=shape, black=True, **how)
     wanted = list(work_ahead(fitted, pictures, threads=2))
     if not wanted:
         raise InputError("a video without frames", hint="give at least one frame")
@@ -769,9 +770,7 @@ def compensate_video(
     for start in range(0, count, _TOGETHER):
         some = slice(start, start + _TOGETHER)
         steps = _FRAME_STEPS if start else 3 * _FRAME_STEPS
-        squares[some], reached[some] = solve(
-            np.stack(wanted[some]), *before, patterns[some], steps=steps
-        )
+        squares[some], reached[some] = solve(wanted[some], *before, patterns[some], steps=steps)
         before = patterns[some][-1], wanted[some][-1]
         if shows is not None:
             shown[some] = shows.encoded(patterns[some])
