@@ -145,9 +145,7 @@ def as_files(wanted: NDArray[np.float32], pictures: Path, video: Path) -> None:
 def main(arguments: list[str] | None = None) -> None:
     """Compare the frames, then print a line of JSON."""
     parser = options_of("benchmarks.video", __doc__)
-    parser.add_argument(
-        "--frames", type=int, default=64, help="frames by which the longer film is longer"
-    )
+    parser.add_argument("--frames", type=int, default=64, help="frames more of the longer film")
     options = parser.parse_args(arguments)
     print(json.dumps(checked()), flush=True)
     print(json.dumps(costs(options.frames)), flush=True)

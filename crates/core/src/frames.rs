@@ -28,11 +28,10 @@ pub const PIXEL: usize = 3;
 /// The scene, and what all frames share.
 pub struct Scene<'a> {
     pub light: Light<'a>,
-    /// For each camera sample: the light of wanted white, the ambient light, the weight W >= 0, and one
-    /// over the light under a white pattern (0 where W = 0).
+    /// For each camera sample: the light of wanted white, the ambient light, the weight W >= 0, and the
+    /// light under a white pattern, above 0 where W is.
     pub samples: &'a [[f32; SAMPLE]],
-    /// For each projector pixel: one over L, one over what the samples that count have of it in S (0 where
-    /// they have nothing), and the most light.
+    /// For each projector pixel: L, what the samples that count have of it in S, and the most light.
     pub pixels: &'a [[f32; PIXEL]],
     /// r
     pub ridge: f32,
@@ -250,8 +249,9 @@ multiversion! {
         asked: &mut [Lanes],
     ) {
         let rows = goal.iter().zip(samples).zip(last).zip(asked);
-        for (((goal, [white, ambient, _, gain]), last), asked) in rows {
+        for (((goal, [white, ambient, weight, full]), last), asked) in rows {
             let known = white * last - ambient;
+            let gain = if *weight > 0.0 { 1.0 / full } else { 0.0 };
             *asked = lanes(|k| gain * (goal[k] - near[k] * known));
         }
     }
@@ -267,7 +267,8 @@ multiversion! {
         patterns: &mut [Lanes],
     ) {
         let rows = patterns.iter_mut().zip(back).zip(last).zip(pixels);
-        for (((pattern, back), last), [_, share, most]) in rows {
+        for (((pattern, back), last), [_, seen, most]) in rows {
+            let share = if *seen > 0.0 { 1.0 / seen } else { 0.0 };
             let value = lanes(|k| near[k] * last + share * back[k]);
             *pattern = lanes(|k| value[k].max(0.0).min(*most));
         }
@@ -294,7 +295,8 @@ multiversion! {
     ) {
         let (rate, kept, ridge) = rates;
         let rows = patterns.iter_mut().zip(ahead).zip(back).zip(pixels);
-        for (((pattern, ahead), back), [scale, _, most]) in rows {
+        for (((pattern, ahead), back), [bound, _, most]) in rows {
+            let scale = 1.0 / bound;
             let gradient = lanes(|k| back[k] + ridge * pattern[k]);
             *ahead = lanes(|k| kept * ahead[k] - scale * gradient[k]);
             let value = lanes(|k| pattern[k] + rate * ahead[k]);
@@ -357,4 +359,64 @@ fn by_frame(lanes: &[Lanes], out: &mut [f32]) {
             }
         }
     });
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::problem::Sparse;
+
+    /// A camera that sees each of its pixels in one of the projector, half as bright: patterns are known.
+    #[test]
+    fn a_plain_wall_is_solved() {
+        let count = 2 * TASK + 3;
+        let starts: Vec<i64> = (0..=count as i64).collect();
+        let places: Vec<i32> = (0..count as i32).rev().collect();
+        let (values, cells) = (vec![0.5; count], vec![0; count]);
+        let wall = Sparse {
+            indptr: &starts,
+            indices: &places,
+            values: &values,
+        };
+        let background = vec![0.0; count];
+        let (samples, pixels) = (
+            vec![[0.5, 0.1, 1.0, 0.5]; count],
+            vec![[0.26, 0.5, 0.9]; count],
+        );
+        let scene = Scene {
+            light: Light::new(wall, wall, &background, &cells, 1),
+            samples: &samples,
+            pixels: &pixels,
+            ridge: 0.01,
+            tolerance: 0.05,
+        };
+        let frames: Vec<Vec<f32>> = (0..3)
+            .map(|k| {
+                (0..count)
+                    .map(|i| ((i + 5 * k) % 11) as f32 / 10.0)
+                    .collect()
+            })
+            .collect();
+        let wanted: Vec<&[f32]> = frames.iter().map(|frame| &frame[..]).collect();
+        let mut out = vec![f32::NAN; 3 * count];
+        let mut room = vec![f32::NAN; scene.room()];
+        let black = (&vec![0.0; count][..], &vec![0.0; count][..]);
+        let found = scene.frames(&wanted, black, 40, &mut out, &mut room);
+        for (k, frame) in frames.iter().enumerate() {
+            let mut squares = 0.0;
+            for (i, light) in frame.iter().enumerate() {
+                let best = (0.5 * (0.5 * light - 0.1) / 0.26).clamp(0.0, 0.9);
+                assert!((out[k * count + count - 1 - i] - best).abs() < 1e-5);
+                squares += f64::from((0.5 * best + 0.1 - 0.5 * light).powi(2));
+            }
+            assert!((found.squares[k] - squares).abs() < 1e-3 * squares);
+            let reached = |light: &&f32| (0.2..0.95).contains(*light);
+            let expected = frame.iter().filter(reached).count();
+            assert!(
+                (found.reached[k] - expected as f64).abs() < 0.5,
+                "{} {expected}",
+                found.reached[k]
+            );
+        }
+    }
 }

@@ -209,3 +209,46 @@ multiversion! {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn products_are_those_of_the_definition_at_every_level() {
+        let value = |i: usize| ((i * 37 + 11) % 23) as f32 - 9.0;
+        let image = |i: usize| lanes(|k| value(3 * i + k));
+        for (count, width, cells) in [(1, 1, 1), (7, 5, 3), (300, 40, 9), (4, 90, 64)] {
+            let filled: Vec<usize> = (0..count * width).filter(|i| i % 3 != 1).collect();
+            let mut starts = vec![0i64; count + 1];
+            for (row, start) in starts.iter_mut().enumerate() {
+                *start = filled.iter().filter(|&&i| i < row * width).count() as i64;
+            }
+            let indices: Vec<i32> = filled.iter().map(|i| (i % width) as i32).collect();
+            let values: Vec<f32> = filled.iter().map(|&i| value(i)).collect();
+            let rows = Sparse {
+                indptr: &starts,
+                indices: &indices,
+                values: &values,
+            };
+            let images: Vec<Lanes> = (0..width).map(image).collect();
+            let means: Vec<Lanes> = (0..cells).map(|i| image(i + 7)).collect();
+            let background: Vec<f32> = (0..count * cells).map(value).collect();
+            for level in Level::available() {
+                let mut out = vec![[f32::NAN; LANES]; count];
+                product(level, rows, 0, &images, &mut out);
+                add_background(level, &background, &means, &mut out);
+                for (row, out) in out.iter().enumerate() {
+                    let mut sum = [0.0; LANES];
+                    for &i in filled.iter().filter(|&&i| i / width == row) {
+                        add(&mut sum, value(i), &images[i % width]);
+                    }
+                    for (cell, mean) in means.iter().enumerate() {
+                        add(&mut sum, background[row * cells + cell], mean);
+                    }
+                    assert_eq!(*out, sum);
+                }
+            }
+        }
+    }
+}

@@ -500,12 +500,9 @@ class Compensator:
         usable = self.light.usable
         most = np.ones(matrix.shape[1], np.float32) if usable is None else usable
         bounds = abs(sparse).T @ (weights * (abs(sparse) @ most)) + np.float32(self.fit.ridge)
-        seen = sparse.T @ self.lit.astype(np.float32)
-        shares = np.divide(1, seen, out=np.zeros_like(seen), where=seen > 0)
-        gains = np.divide(1, self.light.white, out=np.zeros_like(weights), where=self.lit)
         white = np.float32(brightness) * self.white_point
-        samples = np.stack([white, self.ambient, weights, gains], axis=1)
-        pixels = np.stack([1 / bounds, shares, most], axis=1)
+        samples = np.stack([white, self.ambient, weights, self.light.white], axis=1)
+        pixels = np.stack([bounds, sparse.T @ self.lit.astype(np.float32), most], axis=1)
         cells = grid_cells(matrix.projector_shape, matrix.background_grid)
         parts = (sparse, csr_array(sparse.T), matrix.background, cells, samples, pixels)
         # For all frames two images of the camera and two of the projector, in whole cache lines.
