@@ -32,8 +32,7 @@ from lightmatrix.patterns.colour import ColourPatterns, colour_bernoulli
 from lightmatrix.pictures.style import COLOURS, figure, fix_ticks, save
 from lightmatrix.planning.plan import plan
 from lightmatrix.simulation import library
-from lightmatrix.simulation.colour import in_all_primaries, of_primary
-from lightmatrix.simulation.realism import camera_defocus, defocus
+from lightmatrix.simulation.realism import camera_defocus, defocus, in_all_primaries, of_primary
 from lightmatrix.simulation.simulate import SimulatedCapture, simulate
 from lightmatrix.simulation.truth import Truth, binned
 from lightmatrix.transport.matrix import LightTransport

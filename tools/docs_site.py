@@ -26,7 +26,7 @@ from mkdocs.structure.pages import Page
 import lightmatrix as lm
 
 ROOT = Path(__file__).parent.parent
-DOOR = ROOT / "src" / "lightmatrix" / "__init__.pyi"
+NAMES = ROOT / "src" / "lightmatrix" / "__init__.pyi"
 EXAMPLES = ROOT / "examples"
 # The examples of the gallery, in this order.
 GALLERY = (
@@ -124,7 +124,7 @@ def reference_pages() -> dict[str, str]:
     """The public names and the classes that they return, a page for each heading in the stub."""
     pages: dict[str, str] = {}
     shown: set[str] = set()
-    parts = re.split(r"^# (.+)\.\n(?=from)", DOOR.read_text(), flags=re.MULTILINE)[1:]
+    parts = re.split(r"^# (.+)\.\n(?=from)", NAMES.read_text(), flags=re.MULTILINE)[1:]
     for heading, part in zip(parts[::2], parts[1::2], strict=True):
         lead = "`import lightmatrix as lm` has these names, without the classes of results."
         lines = [f"# {heading}", "", lead, ""]

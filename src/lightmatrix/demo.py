@@ -7,7 +7,7 @@ many projector pixels are lit together that samples clip although hardly any sin
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -31,8 +31,9 @@ from lightmatrix.judgement.metrics import (
 from lightmatrix.patterns.bits import BernoulliPatterns
 from lightmatrix.pictures.maps import WHITE_TO_RED
 from lightmatrix.pictures.style import display, figure, mark_clipped, panel, save
+from lightmatrix.progress import Progress
 from lightmatrix.report.elements import Gallery, Section, Table, image_of_file
-from lightmatrix.report.facts import Estimator, Facts, validate
+from lightmatrix.report.facts import AnyEstimator, Facts, validate
 from lightmatrix.report.make import write_page
 from lightmatrix.reprs import percent
 from lightmatrix.simulation import library
@@ -47,7 +48,7 @@ PATTERNS = 256
 # samples clip by sums of many responses.
 UNCLIPPED_QUANTILE = 0.98
 DEFAULT = "lightmatrix"
-ESTIMATORS: dict[str, Estimator | EstimateSettings] = {
+ESTIMATORS: dict[str, AnyEstimator | EstimateSettings] = {
     "ROMP": PlainEstimator(ROMP(fidelity=Fidelity.LINEAR)),
     "ADMM": PlainEstimator(ADMM()),
     "Saturation ADMM": PlainEstimator(SaturationADMM(Fidelity.CLIPPED)),
@@ -59,7 +60,7 @@ def demo(
     folder: str | Path,
     *,
     overwrite: bool = False,
-    progress: Callable[[int, int], None] | None = None,
+    progress: Progress | None = None,
 ) -> dict[str, Any]:
     """Simulate a capture, estimate T by four methods, and write a report of the default one.
 

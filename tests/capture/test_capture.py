@@ -26,7 +26,7 @@ from lightmatrix.files.images import read_image, write_image
 from lightmatrix.patterns.bits import BernoulliPatterns
 from lightmatrix.patterns.folder import read_patterns, write_patterns
 from lightmatrix.patterns.pattern_set import ImagePatterns, PatternSet
-from lightmatrix.resources import disk
+from lightmatrix.resources import memory
 from tests.helpers.captures import (
     COUNT,
     SETS,
@@ -254,7 +254,7 @@ def test_large_captures_are_kept_in_a_temporary_file(monkeypatch: pytest.MonkeyP
     sensor = Sensor()
     frames = photographs(SETS[0], sensor)
     expected = Capture.from_arrays(SETS[0], frames, sensor)
-    monkeypatch.setattr(disk, "SCRATCH_MEMORY_BYTES", 0)
+    monkeypatch.setattr(memory, "SCRATCH_MEMORY_BYTES", 0)
     mapped = Capture.from_arrays(SETS[0], frames, sensor)
     assert isinstance(mapped.raw, np.memmap)
     assert mapped.digest == expected.digest

@@ -15,8 +15,8 @@ import lightmatrix as lm
 from lightmatrix.cli import main
 from lightmatrix.errors import InputError
 from lightmatrix.files.images import read_grey
-from lightmatrix.simulation.colour import FILTERS, in_primary
 from lightmatrix.simulation.procedural import ProceduralScene
+from lightmatrix.simulation.realism import FILTERS, in_primary
 
 PATTERNS = lm.BernoulliPatterns((12, 12), 48)
 COLOURS = ("red", "green", "blue")

@@ -15,7 +15,7 @@ from scipy.sparse import csr_array
 import lightmatrix as lm
 from lightmatrix.cli import estimate as estimate_command
 from lightmatrix.cli import main
-from lightmatrix.cli import patterns as patterns_command
+from lightmatrix.cli import plan as patterns_command
 from lightmatrix.cli.app import STAGES
 from lightmatrix.estimators import settings as estimate_settings
 from lightmatrix.judgement.judgement import verdicts

@@ -5,7 +5,7 @@
 Each run starts one estimate on the same store again and again. It is killed (SIGKILL) after a
 random time up to three times, then left alone. The store must equal that of an estimate that was
 never killed, to the last bit, and nothing may be left beside it. The frame is a small one that is
-treated as large, so that light grows from seeds, and every round has several tiles.
+treated as large, so that estimates spread from seeds, and every round has several tiles.
 
 With `--workers` so many worker processes solve the tiles. Each time one of them is killed, which
 the estimate must survive, or the process that hands out tiles, where the next one goes on, with

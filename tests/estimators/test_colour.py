@@ -20,7 +20,7 @@ from lightmatrix.estimators.colour import (
     light_of_primaries,
     unmixed_capture,
 )
-from lightmatrix.simulation.colour import in_all_primaries
+from lightmatrix.simulation.realism import in_all_primaries
 
 SIDE = 16
 SCENE = lm.ProceduralScene((SIDE, SIDE), (SIDE, SIDE)).truth()

@@ -1,4 +1,4 @@
-"""Large frames: few rows search, light grows from them, and the result is as good."""
+"""Large frames: few rows search, estimates spread from them, and the result is as good."""
 
 from __future__ import annotations
 

@@ -11,7 +11,7 @@ import pytest
 from scipy.sparse import csr_array
 
 from lightmatrix.estimators.work import SolveTile, TilesInMemory, complete
-from lightmatrix.solvers.loop import Progress
+from lightmatrix.progress import Progress
 from lightmatrix.transport.checkpoint import ROWS
 from lightmatrix.transport.sparse_rows import SparseRows
 

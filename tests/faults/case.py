@@ -7,7 +7,7 @@ import re
 import shlex
 import stat
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
@@ -27,52 +27,28 @@ Scenario = Callable[[Path], Ran]
 Snapshot = dict[str, tuple[str, bytes]]
 
 
-def nothing(folder: Path) -> None:
-    """The fault is in the command."""
-
-
 @dataclass(frozen=True)
 class Case:
-    """One fault.
-
-    Parameters
-    ----------
-    name : str
-        The fault, in unique words.
-    command : str
-        The command line after `lightmatrix`, split as a shell does.
-    says : str or tuple of str
-        Words that the message must hold, in any case; all of several. A `|` separates alternatives.
-    prepare : callable
-        Puts the fault into a fresh work folder.
-    code : int or tuple of int
-        Permitted exit codes.
-    makes : tuple of str
-        Paths, relative to the work folder, that the command may make or change when it is not
-        refused; None means its -o or --output (or second word, for export).
-    leaves : tuple of str
-        Paths that may be new or changed even if it is refused, such as finished tiles.
-    check : callable, optional
-        What else must hold.
-    then : str, optional
-        A command that must work afterwards.
-    scenario : callable, optional
-        Run in place of the command.
-    limits : Limits
-        What it gets.
-    """
+    """One fault, in unique words, and the command line after `lightmatrix` that must bear it."""
 
     name: str
     command: str = ""
+    # Words that the message must hold, in any case; all of several. A `|` separates alternatives.
     says: str | tuple[str, ...] = ()
-    prepare: Prepare = nothing
+    # Puts the fault into a fresh work folder.
+    prepare: Prepare = lambda folder: None
+    # Permitted exit codes.
     code: int | tuple[int, ...] = REFUSED
+    # What the command may make or change in the work folder unless it is refused; None: its -o or
+    # --output (or second word, for export). And what may be new even then, such as finished tiles.
     makes: tuple[str, ...] | None = None
     leaves: tuple[str, ...] = ()
+    # What else must hold, and a command that must work afterwards.
     check: Check | None = None
     then: str | None = None
+    # What runs in place of the command, and what the system gives it.
     scenario: Scenario | None = None
-    limits: Limits = field(default_factory=Limits)
+    limits: Limits | None = None
 
     def __str__(self) -> str:
         return self.name
@@ -98,10 +74,9 @@ class Case:
 
 def bear(case: Case, place: Path) -> None:
     """Put a case's fault into a work folder, run its command there, and judge."""
-    complaint = complaint_of(case, place)
-    if complaint:
+    if complaint := complaint_of(case, place):
         # Where in this file it was noticed is of no interest.
-        pytest.fail(complaint, pytrace=False)
+        pytest.fail(f"{case.name}; `{case.command}`: {complaint}", pytrace=False)
 
 
 def complaint_of(case: Case, place: Path) -> str | None:

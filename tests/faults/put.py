@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import json
 import os
 import shutil
@@ -11,7 +12,7 @@ import zlib
 from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
-from typing import Any
+from typing import Any, Concatenate, ParamSpec
 
 import numpy as np
 import zarr
@@ -24,55 +25,56 @@ from lightmatrix.transport.store import seal
 from .case import Prepare
 from .run import SkipError
 
+Given = ParamSpec("Given")
+Change = Callable[[NDArray[Any]], NDArray[Any]]
 
-def both(*faults: Prepare) -> Prepare:
+
+def fault(put: Callable[Concatenate[Path, Given], None]) -> Callable[Given, Prepare]:
+    """Make of a function a maker of faults: its other arguments come first, the folder later."""
+
+    @functools.wraps(put)
+    def made(*given: Given.args, **named: Given.kwargs) -> Prepare:
+        return lambda folder: put(folder, *given, **named)
+
+    return made
+
+
+@fault
+def both(folder: Path, *faults: Prepare) -> None:
     """Several faults, one after the other."""
-
-    def fault(folder: Path) -> None:
-        for one in faults:
-            one(folder)
-
-    return fault
+    for one in faults:
+        one(folder)
 
 
 # ---- files and what is not one
 
 
-def text(name: str, content: str | bytes = "not what it should be") -> Prepare:
+@fault
+def text(folder: Path, name: str, content: str | bytes = "not what it should be") -> None:
     """A file with that content."""
-
-    def fault(folder: Path) -> None:
-        file = folder / name
-        file.parent.mkdir(parents=True, exist_ok=True)
-        file.write_bytes(content.encode() if isinstance(content, str) else content)
-
-    return fault
+    file = folder / name
+    file.parent.mkdir(parents=True, exist_ok=True)
+    file.write_bytes(content.encode() if isinstance(content, str) else content)
 
 
-def remove(name: str) -> Prepare:
+@fault
+def remove(folder: Path, name: str) -> None:
     """No such file or folder any more."""
-
-    def fault(folder: Path) -> None:
-        place = folder / name
-        if place.is_dir() and not place.is_symlink():
-            shutil.rmtree(place)
-        else:
-            place.unlink(missing_ok=True)
-
-    return fault
+    place = folder / name
+    if place.is_dir() and not place.is_symlink():
+        shutil.rmtree(place)
+    else:
+        place.unlink(missing_ok=True)
 
 
-def copy(source: str, target: str) -> Prepare:
+@fault
+def copy(folder: Path, source: str, target: str) -> None:
     """A copy of a file or folder."""
-
-    def fault(folder: Path) -> None:
-        if (folder / source).is_dir():
-            shutil.copytree(folder / source, folder / target)
-        else:
-            (folder / target).parent.mkdir(parents=True, exist_ok=True)
-            shutil.copy(folder / source, folder / target)
-
-    return fault
+    if (folder / source).is_dir():
+        shutil.copytree(folder / source, folder / target)
+    else:
+        (folder / target).parent.mkdir(parents=True, exist_ok=True)
+        shutil.copy(folder / source, folder / target)
 
 
 def move(source: str, target: str) -> Prepare:
@@ -109,53 +111,41 @@ def device(name: str, minor: int = 3) -> Prepare:
     return both(remove(name), fault)
 
 
-def cut(name: str, size: int) -> Prepare:
+@fault
+def cut(folder: Path, name: str, size: int) -> None:
     """Only the first bytes of a file."""
-
-    def fault(folder: Path) -> None:
-        (folder / name).write_bytes((folder / name).read_bytes()[:size])
-
-    return fault
+    (folder / name).write_bytes((folder / name).read_bytes()[:size])
 
 
-def flip(name: str, position: float, bit: int = 0) -> Prepare:
+@fault
+def flip(folder: Path, name: str, position: float, bit: int = 0) -> None:
     """One bit of a file turned round, at a share of its length."""
-
-    def fault(folder: Path) -> None:
-        data = bytearray((folder / name).read_bytes())
-        data[min(len(data) - 1, int(position * len(data)))] ^= 1 << bit
-        (folder / name).write_bytes(bytes(data))
-
-    return fault
+    data = bytearray((folder / name).read_bytes())
+    data[min(len(data) - 1, int(position * len(data)))] ^= 1 << bit
+    (folder / name).write_bytes(bytes(data))
 
 
 # ---- JSON
 
 
-def json_at(name: str, *path: str, value: Any) -> Prepare:
+@fault
+def json_at(folder: Path, name: str, *path: str, value: Any) -> None:
     """One value of a JSON file set; the path leads to it."""
-
-    def fault(folder: Path) -> None:
-        file = folder / name
-        content = json.loads(file.read_text())
-        inner = content
-        for key in path[:-1]:
-            inner = inner.setdefault(key, {})
-        inner[path[-1]] = value
-        file.write_text(json.dumps(content))
-
-    return fault
+    file = folder / name
+    content = json.loads(file.read_text())
+    inner = content
+    for key in path[:-1]:
+        inner = inner.setdefault(key, {})
+    inner[path[-1]] = value
+    file.write_text(json.dumps(content))
 
 
-def json_edit(name: str, edit: Callable[[dict[str, Any]], None]) -> Prepare:
+@fault
+def json_edit(folder: Path, name: str, edit: Callable[[dict[str, Any]], None]) -> None:
     """A JSON file changed by a function."""
-
-    def fault(folder: Path) -> None:
-        content = json.loads((folder / name).read_text())
-        edit(content)
-        (folder / name).write_text(json.dumps(content))
-
-    return fault
+    content = json.loads((folder / name).read_text())
+    edit(content)
+    (folder / name).write_text(json.dumps(content))
 
 
 def described(**content: Any) -> Prepare:
@@ -231,16 +221,15 @@ def rewrite(store: Path, name: str, values: NDArray[Any]) -> None:
         seal(store)
 
 
-def stored(name: str, array_name: str, change: Callable[[NDArray[Any]], NDArray[Any]]) -> Prepare:
+@fault
+def stored(
+    folder: Path, name: str, array_name: str, change: Callable[[NDArray[Any]], NDArray[Any]]
+) -> None:
     """One array of a store changed by a function."""
-
-    def fault(folder: Path) -> None:
-        group = zarr.open_group(folder / name, mode="r", use_consolidated=False)
-        held = group[array_name]
-        assert isinstance(held, zarr.Array)
-        rewrite(folder / name, array_name, change(np.asarray(held[...])))
-
-    return fault
+    group = zarr.open_group(folder / name, mode="r", use_consolidated=False)
+    held = group[array_name]
+    assert isinstance(held, zarr.Array)
+    rewrite(folder / name, array_name, change(np.asarray(held[...])))
 
 
 def attribute(name: str, key: str, value: Any) -> Prepare:
@@ -248,23 +237,20 @@ def attribute(name: str, key: str, value: Any) -> Prepare:
     return json_at(f"{name}/zarr.json", "attributes", key, value=value)
 
 
-def packed(name: str, **changed: Any) -> Prepare:
+@fault
+def packed(folder: Path, /, name: str, **changed: Any) -> None:
     """Keys of an npz file set by a function of the old value or a value; None leaves one out."""
-
-    def fault(folder: Path) -> None:
-        with np.load(folder / name, allow_pickle=False) as held:
-            content: dict[str, Any] = {key: held[key] for key in held.files}
-        for key, value in changed.items():
-            if value is None:
-                content.pop(key, None)
-            else:
-                content[key] = value(content[key]) if callable(value) else value
-        np.savez(folder / name, **content)
-
-    return fault
+    with np.load(folder / name, allow_pickle=False) as held:
+        content: dict[str, Any] = {key: held[key] for key in held.files}
+    for key, value in changed.items():
+        if value is None:
+            content.pop(key, None)
+        else:
+            content[key] = value(content[key]) if callable(value) else value
+    np.savez(folder / name, **content)
 
 
-def with_item(index: int, value: Any) -> Callable[[NDArray[Any]], NDArray[Any]]:
+def with_item(index: int, value: Any) -> Change:
     """A change of one item of an array."""
 
     def change(values: NDArray[Any]) -> NDArray[Any]:

@@ -10,9 +10,13 @@ import numpy as np
 import pytest
 import tifffile
 
+from lightmatrix.files.images import decode_image, encode_image
+
 from .case import Case, Prepare, bear
+from .checks import if_accepted, whole_matrix
 from .put import both, chunk, endless_zeros, pipe, png, text
-from .run import Limits
+from .run import Limits, Ran
+from .work import matrix
 
 NEEDS = ("one.zarr", "scene.zarr", "photos", "projected", "shown.png", "lit")
 GIB = 1 << 30
@@ -104,7 +108,33 @@ def _bombs() -> list[Case]:
     ]
 
 
-CASES = [*_damaged(), *_bombs()]
+def _meaning() -> list[Case]:
+    """Frames that are sound, but do not mean what they seem to."""
+
+    def twelve_bits(folder: Path) -> None:
+        for file in (folder / "photos").glob("*.png"):
+            bright = np.minimum(decode_image(file).astype(np.uint16) * 64, 4095)
+            file.write_bytes(encode_image(bright.astype(np.uint16), "png"))
+
+    def not_empty(folder: Path, ran: Ran) -> str | None:
+        return None if whole_matrix(folder / "new.zarr").any() else "the estimate has no entries"
+
+    def unit(folder: Path, ran: Ran) -> str | None:
+        """The light of T is that of the truth, in the camera's unit."""
+        ratio = whole_matrix(folder / "new.zarr").sum() / (float(matrix().sum()) * 0.8 * 0.95)
+        return None if abs(ratio - 1) < 0.02 else f"T is {ratio:.3f} times what it should be"
+
+    line = "estimate --patterns projected --no-coherent -o new.zarr --images"
+    # The frames look dark, which is refused unless the clip level is stated.
+    lit = f"{line} lit/images --black lit/black.png --clip 65535"
+    check, words = if_accepted(not_empty), "levels of 12 bits in 16 without --clip"
+    return [
+        Case(words, f"{line} photos", "--clip", twelve_bits, (0, 2), check=check),
+        Case("the unit of T under room light", lit, code=0, check=unit),
+    ]
+
+
+CASES = [*_damaged(), *_bombs(), *_meaning()]
 
 
 @pytest.mark.parametrize("case", CASES, ids=str)

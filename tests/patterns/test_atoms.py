@@ -133,7 +133,7 @@ def test_the_compiled_moments_are_those_of_blurred_images(
     images = grey.reshape(count, -1)
     for plane, kernel in enumerate(atoms.kernels):
         moments = _core.blurred_moments(images, shape, kernel)
-        values = atoms._blurred(images, plane).astype(np.float64)
+        values = atoms._scaled(images, plane).astype(np.float64)
         np.testing.assert_allclose(moments, (values.sum(), (values**2).sum()), rtol=1e-5)
 
 

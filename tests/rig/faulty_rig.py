@@ -44,8 +44,8 @@ class Faults:
     unplugged: float = 0.0
     unplugged_at: float = 5.0
     # Factor by which another program changes the exposure, and when.
-    meddled: float = 1.0
-    meddled_at: float = 5.0
+    altered: float = 1.0
+    altered_at: float = 5.0
 
 
 class FaultyLight(VirtualLight):
@@ -84,7 +84,7 @@ class FaultyCamera(VirtualCamera):
         super().__init__(light, clock)
         self._faults, self._begun = faults, clock.now()
         self._last: NDArray[Any] | None = None
-        self._meddled = False
+        self._altered = False
 
     def reopen(self) -> VirtualCamera:
         self._check_there()
@@ -93,9 +93,9 @@ class FaultyCamera(VirtualCamera):
     def _check_open(self) -> None:
         super()._check_open()
         self._check_there()
-        if not self._meddled and self._clock.now() - self._begun >= self._faults.meddled_at:
-            self._meddled = True
-            self._exposure *= self._faults.meddled
+        if not self._altered and self._clock.now() - self._begun >= self._faults.altered_at:
+            self._altered = True
+            self._exposure *= self._faults.altered
 
     def _check_there(self) -> None:
         since = self._clock.now() - self._begun - self._faults.unplugged_at

@@ -69,8 +69,8 @@ def rig_of(seed: int) -> Rig:
         unplugged=5.0,
         # Frames begin after 3 s, or 17 s where the rig is not known yet.
         unplugged_at=float(draw.uniform(2, 25)),
-        meddled=float(draw.choice([0.5, 2.0])),
-        meddled_at=float(draw.uniform(2, 25)),
+        altered=float(draw.choice([0.5, 2.0])),
+        altered_at=float(draw.uniform(2, 25)),
         late=0.05,
         dropped=0.03,
         duplicate=0.02,

@@ -159,7 +159,7 @@ def test_a_camera_whose_exposure_is_set_by_hand(monkeypatch: pytest.MonkeyPatch)
         (",torn=0.2,fps=0", 3),
         (",torn=0.3,delay=0.5", 0),
         (",unplugged=5,unplugged_at=6,fps=0", 1),
-        (",meddled=2,meddled_at=6,fps=0", 1),
+        (",altered=2,altered_at=6,fps=0", 1),
     ],
 )
 def test_faults_are_noticed_and_frames_repeated(fault: str, least: int) -> None:

@@ -162,6 +162,23 @@ def test_measurements_are_kept_and_used(tmp_path: Path) -> None:
         lm.measure_rig(_rig(), settle=-1)
 
 
+def test_a_rigs_two_files_are_not_taken_for_each_other(tmp_path: Path) -> None:
+    geometry = lm.truth("corner").geometry
+    assert geometry is not None
+    measured, lines = lm.RigMeasurements({}, {}), tmp_path / "geometry.json"
+    geometry.save(lines)
+    measured.save(tmp_path / "rig.json")
+    with pytest.raises(lm.InputError, match=r"rig\.json: is not a lightmatrix-geometry") as refused:
+        lm.triangulate(lm.truth("corner").transport(), tmp_path / "rig.json")
+    assert "`lightmatrix calibrate`" in str(refused.value.hint)
+    with pytest.raises(lm.InputError, match=r"geometry\.json: is not a lightmatrix-rig"):
+        lm.measure_rig(_rig(), ["settle"], keep=lines)
+    with pytest.raises(lm.OutputError, match="not written by lightmatrix as geometry"):
+        geometry.save(tmp_path / "rig.json", overwrite=True)
+    with pytest.raises(lm.OutputError, match="not written by lightmatrix as measurements"):
+        measured.save(lines)
+
+
 @pytest.mark.parametrize(
     ("key", "value"),
     [("settle", {"seconds": 1}), ("settle", 3), ("exposure", {}), ("projector", 5)],

@@ -15,7 +15,7 @@ import lightmatrix as lm
 from lightmatrix.capture.capture import capture_of_samples
 from lightmatrix.capture.correction import Correction
 from lightmatrix.capture.samples import Samples
-from lightmatrix.rig_model.least_squares import Regression
+from lightmatrix.rig_model.choice import Regression
 from lightmatrix.rig_model.model import RigModel, _between
 from lightmatrix.rig_model.prediction import INNER, MARGIN, Prediction, displaced, slopes
 from lightmatrix.rig_model.terms import TERMS

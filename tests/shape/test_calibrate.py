@@ -435,6 +435,14 @@ def test_the_real_board_calibrates_flipped_as_it_is(monkeypatch: pytest.MonkeyPa
     np.testing.assert_allclose(measured.geometry.project_projector(points), lit[0], atol=0.5)
 
 
+def test_a_board_behind_the_projector_is_refused() -> None:
+    """As it is where an image is taken for mirrored that is not, or the other way round."""
+    seen, lit = real_corners()
+    lit[..., 0] = PROJECTOR[1] - 1 - lit[..., 0]
+    with pytest.raises(lm.InputError, match="puts the board behind a device"):
+        fitted(seen, lit)
+
+
 @pytest.mark.parametrize("exchanged", [False, True])
 def test_the_rms_has_absolute_limits(exchanged: bool, monkeypatch: pytest.MonkeyPatch) -> None:
     (seen, lit), random = real_corners(), np.random.default_rng(0)
@@ -647,7 +655,7 @@ def true_depth(known: lm.Truth) -> np.ndarray:
     return known.depth
 
 
-@pytest.mark.parametrize("name", ["metal", "gripper"])
+@pytest.mark.parametrize("name", ["metal", "gripper", "corner"])
 def test_an_axis_beside_the_middle_is_refused_unless_it_is_stated(name: str) -> None:
     known = lm.truth(name)
     assert known.geometry is not None

@@ -238,14 +238,20 @@ def test_a_black_photograph_is_named(name: str) -> None:
     assert any("frame 3: black, although" in str(each.message) for each in told)
 
 
-@pytest.mark.parametrize("name", ["graycode", "phase", "microphase"])
-def test_a_white_photograph_is_named(name: str) -> None:
+@pytest.mark.parametrize(
+    ("name", "frame"), [("graycode", 0), ("graycode", 3), ("graycode", 5), ("graycode", 8),
+                        ("phase", 3), ("microphase", 3)],
+)  # fmt: skip
+@pytest.mark.parametrize("part", [False, True])
+def test_a_white_photograph_is_named(name: str, frame: int, part: bool) -> None:
+    """Also where the camera sees a part of the image, in which some patterns are white."""
     patterns = code(name)
+    seen = np.s_[:, 6:32, 2:28] if part else np.s_[:]
     frames = photographs(patterns)
-    plain = [each.kind for each in lm.check(capture(patterns, frames))]
-    frames[3] = photographs(ImagePatterns(np.ones((1, *PROJECTOR), np.float32)))[0]
-    with pytest.warns(LightMatrixWarning, match="frame 3: white, although"):
-        lm.decode(capture(patterns, frames))
+    plain = [each.kind for each in lm.check(capture(patterns, frames[seen]))]
+    frames[frame] = photographs(ImagePatterns(np.ones((1, *PROJECTOR), np.float32)))[0]
+    told = [each.message for each in lm.check(capture(patterns, frames[seen]))]
+    assert f"frame {frame}: white, although the pattern is not" in told
     assert "frame" not in plain
 
 
@@ -319,23 +325,32 @@ def test_codes_of_blocks_place_pixels_to_blocks() -> None:
     np.testing.assert_allclose(2 * binned.place + 0.5, matches.place, atol=0.2)
 
 
-def test_bits_that_the_camera_does_not_resolve_widen_the_place() -> None:
+@pytest.mark.parametrize(
+    ("kind", "block", "most"),
+    [("graycode", 4, 0.5), ("graycode", 8, 1.0), ("phase", 2, 0.1), ("phase", 4, 0.15),
+     ("microphase", 8, 0.3)],
+)  # fmt: skip
+def test_what_the_camera_does_not_resolve_widens_the_place(
+    kind: str, block: int, most: float
+) -> None:
     known = lm.truth("corner")
-    patterns = lm.make_patterns("graycode", (64, 64), inverse=True)
+    patterns = lm.make_patterns(kind, (64, 64), inverse=kind == "graycode")
     fine = lm.simulate(known, patterns, exposure=0.2)
     places = lm.correspondence(known.transport()).place
-    for block in (4, 8):
-        matches = lm.decode(fine.bin(camera=block), check=False)
-        true = places.reshape(64 // block, block, 64 // block, block, 2)
-        plain = (np.ptp(true, axis=(1, 3)) < 1.5 * block).all(axis=-1) & matches.valid
-        error = (matches.place - true.mean(axis=(1, 3)))[plain]
-        assert matches.uncertainty is not None
-        stated = matches.uncertainty[plain]
-        assert plain.mean() > 0.7
-        assert np.sqrt((error**2).mean()) < block / 8
-        assert (np.abs(error) > 3 * stated).mean() < 0.01
+    matches = lm.decode(fine.bin(camera=block), check=False)
+    true = places.reshape(64 // block, block, 64 // block, block, 2)
+    plain = (np.ptp(true, axis=(1, 3)) < 1.5 * block).all(axis=-1) & matches.valid
+    error = (matches.place - true.mean(axis=(1, 3)))[plain]
+    assert matches.uncertainty is not None
+    stated = matches.uncertainty[plain]
+    assert plain.mean() > 0.7
+    root = float(np.sqrt((error**2).mean()))
+    assert root < most
+    assert (np.abs(error) > 3 * stated).mean() < (0.05 if kind == "microphase" else 0.01)
+    assert root < np.sqrt((stated**2).mean()) < block / 2
+    if kind == "graycode":
         # A block of pixels is known to its width.
-        assert block / 8 < np.sqrt((stated**2).mean()) < block / 2
+        assert np.sqrt((stated**2).mean()) > block / 8
 
 
 def test_patterns_in_colour_are_no_threefold_projector() -> None:

@@ -15,7 +15,7 @@ from pathlib import Path
 import psutil
 
 import lightmatrix as lm
-from lightmatrix.viewer.session import Kind
+from lightmatrix.viewer.session import MessageKind
 from tests.viewer import running
 
 CAMERA, PROJECTOR = (24, 20), (16, 18)
@@ -25,10 +25,11 @@ LARGEST = 2**32 - 1
 def messages(camera: tuple[int, int], projector: tuple[int, int]) -> list[bytes]:
     """Messages of the page, one of each kind."""
     return [
-        struct.pack("<6I", Kind.PAINT, 1, 2, 3, 4, 5) + bytes(range(20)),
-        struct.pack("<6I", Kind.PAINT, 1, 0, 0, *projector) + bytes(projector[0] * projector[1]),
-        struct.pack("<4I", Kind.ROW, 2, camera[0] - 1, 3),
-        struct.pack("<4I", Kind.COLUMN, 3, 4, projector[1] - 1),
+        struct.pack("<6I", MessageKind.PAINT, 1, 2, 3, 4, 5) + bytes(range(20)),
+        struct.pack("<6I", MessageKind.PAINT, 1, 0, 0, *projector)
+        + bytes(projector[0] * projector[1]),
+        struct.pack("<4I", MessageKind.ROW, 2, camera[0] - 1, 3),
+        struct.pack("<4I", MessageKind.COLUMN, 3, 4, projector[1] - 1),
     ]
 
 
@@ -36,7 +37,7 @@ def nonsense(camera: tuple[int, int], projector: tuple[int, int]) -> Iterator[ob
     """What no page sends: sizes, places and lengths that do not fit."""
     rows, cols = projector
     yield from (None, "text", 5, b"", b"\0" * 7, b"\0" * 8, b"\xff" * 24)
-    for kind, (height, width) in ((Kind.ROW, camera), (Kind.COLUMN, projector)):
+    for kind, (height, width) in ((MessageKind.ROW, camera), (MessageKind.COLUMN, projector)):
         for row, col in ((height, 0), (0, width), (LARGEST, LARGEST)):
             yield struct.pack("<4I", kind, 1, row, col)
         yield struct.pack("<3I", kind, 1, 0)
@@ -51,10 +52,10 @@ def nonsense(camera: tuple[int, int], projector: tuple[int, int]) -> Iterator[ob
         (1, 1, 2**16, 2**16),
     ):
         size = min(place[2] * place[3], 1000)
-        yield struct.pack("<6I", Kind.PAINT, 1, *place) + bytes(size)
-    yield struct.pack("<6I", Kind.PAINT, 1, 0, 0, 2, 2) + bytes(3)
-    yield struct.pack("<6I", Kind.PAINT, 1, 0, 0, 2, 2) + bytes(5)
-    yield struct.pack("<2I", Kind.COMPENSATE, 1) + bytes(camera[0] * camera[1] - 1)
+        yield struct.pack("<6I", MessageKind.PAINT, 1, *place) + bytes(size)
+    yield struct.pack("<6I", MessageKind.PAINT, 1, 0, 0, 2, 2) + bytes(3)
+    yield struct.pack("<6I", MessageKind.PAINT, 1, 0, 0, 2, 2) + bytes(5)
+    yield struct.pack("<2I", MessageKind.COMPENSATE, 1) + bytes(camera[0] * camera[1] - 1)
     yield struct.pack("<2I", 0, 1) + bytes(16)
     yield struct.pack("<2I", 99, 1) + bytes(16)
 

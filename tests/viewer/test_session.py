@@ -21,8 +21,8 @@ from lightmatrix.simulation.truth import binned
 from lightmatrix.transport import store as stores
 from lightmatrix.viewer import lights, packed, session
 from lightmatrix.viewer.layers import LayerSource
-from lightmatrix.viewer.scene import Scene
-from lightmatrix.viewer.session import Kind, MessageError
+from lightmatrix.viewer.scene import ViewedScene
+from lightmatrix.viewer.session import MessageError, MessageKind
 from tests.viewer import hostile, running
 
 # What a window shows may miss T p by this share of the white image.
@@ -32,7 +32,7 @@ CLOSE = 1e-3
 class Window:
     """The page's side of a session: it puts together what it is sent."""
 
-    def __init__(self, scene: Scene) -> None:
+    def __init__(self, scene: ViewedScene) -> None:
         self.session = scene.session()
         rows, cols, *channels = scene.matrix.camera_shape
         self.image = np.zeros((rows, cols, *(channels or [1])), np.float32)
@@ -42,7 +42,7 @@ class Window:
     def paint(self, top: int, left: int, levels: NDArray[np.uint8], *, finish: bool = True) -> None:
         rows, cols = levels.shape
         self.levels[top : top + rows, left : left + cols] = levels
-        numbers = (Kind.PAINT, 7, top, left, rows, cols)
+        numbers = (MessageKind.PAINT, 7, top, left, rows, cols)
         for part in self.session.answer(struct.pack("<6I", *numbers) + levels.tobytes()):
             self.receive(part)
         assert self.parts[-1]["answers"] == 7
@@ -65,7 +65,9 @@ class Window:
         elif header["kind"] == "tiles":
             place_tiles(self.image, header["tiles"], values)
 
-    def ask(self, kind: Kind, row: int, col: int, shape: tuple[int, ...]) -> NDArray[np.float32]:
+    def ask(
+        self, kind: MessageKind, row: int, col: int, shape: tuple[int, ...]
+    ) -> NDArray[np.float32]:
         (part,) = self.session.answer(struct.pack("<4I", kind, 3, row, col))
         header, values = unpack(part)
         assert (header["kind"], header["answers"]) == ("image", 3)
@@ -126,18 +128,18 @@ def store(transport: lm.LightTransport, tmp_path_factory: pytest.TempPathFactory
     store = tmp_path_factory.mktemp("session") / "scene.zarr"
     lm.save(store, transport)
     steps: list[tuple[int, int, str]] = []
-    Scene(store, page_bytes=0, progress=lambda *step: steps.append(step))
+    ViewedScene(store, page_bytes=0, progress=lambda *step: steps.append(step))
     assert steps[-1][0] == steps[-1][1]
     assert "MiB beside the matrix" in steps[-1][2]
     return store
 
 
 @pytest.fixture(params=["disk", "memory"])
-def scene(request: pytest.FixtureRequest, transport: lm.LightTransport, store: Path) -> Scene:
+def scene(request: pytest.FixtureRequest, transport: lm.LightTransport, store: Path) -> ViewedScene:
     if request.param == "memory":
-        return Scene(transport, page_bytes=0)
+        return ViewedScene(transport, page_bytes=0)
     # The index that is there is used.
-    return Scene(store, page_bytes=0, progress=lambda *_: pytest.fail("it was made again"))
+    return ViewedScene(store, page_bytes=0, progress=lambda *_: pytest.fail("it was made again"))
 
 
 def assert_shown(window: Window, transport: lm.LightTransport) -> None:
@@ -147,7 +149,7 @@ def assert_shown(window: Window, transport: lm.LightTransport) -> None:
     assert missed.max() <= CLOSE * white
 
 
-def test_strokes_and_patterns(scene: Scene, transport: lm.LightTransport) -> None:
+def test_strokes_and_patterns(scene: ViewedScene, transport: lm.LightTransport) -> None:
     window = Window(scene)
     generator = np.random.default_rng(0)
     window.paint(0, 0, np.full((16, 18), 255, np.uint8))
@@ -161,7 +163,7 @@ def test_strokes_and_patterns(scene: Scene, transport: lm.LightTransport) -> Non
 
 
 def test_a_stroke_within_a_pattern_that_is_still_relit(
-    scene: Scene, transport: lm.LightTransport
+    scene: ViewedScene, transport: lm.LightTransport
 ) -> None:
     window = Window(scene)
     generator = np.random.default_rng(1)
@@ -180,7 +182,7 @@ def test_only_what_changed_is_sent() -> None:
     places = (pixel // 18 * 20 + pixel % 18, pixel)
     matrix = csr_array((np.ones(16 * 18), places), shape=(24 * 20, 16 * 18))
     bare = lm.LightTransport.from_matrix(matrix, (24, 20), (16, 18))
-    window = Window(Scene(bare, page_bytes=0))
+    window = Window(ViewedScene(bare, page_bytes=0))
     window.paint(8, 9, np.full((1, 1), 255, np.uint8))
     first, *rest = window.parts
     assert first["arrays"]["samples"]["count"] == 1
@@ -193,10 +195,10 @@ def test_only_what_changed_is_sent() -> None:
     assert_shown(window, bare)
 
 
-def test_rows_and_columns(scene: Scene, transport: lm.LightTransport) -> None:
+def test_rows_and_columns(scene: ViewedScene, transport: lm.LightTransport) -> None:
     window = Window(scene)
     for row, col in ((0, 0), (23, 19), (7, 11)):
-        found = window.ask(Kind.ROW, row, col, (16, 18, 1))[..., 0]
+        found = window.ask(MessageKind.ROW, row, col, (16, 18, 1))[..., 0]
         first = (row * 20 + col) * (transport.shape[0] // 480)
         stop = first + transport.shape[0] // 480
         expected = transport.to_matrix(dense_background=True)[first:stop].sum(axis=0)
@@ -204,12 +206,14 @@ def test_rows_and_columns(scene: Scene, transport: lm.LightTransport) -> None:
         np.testing.assert_allclose(found, expected, atol=CLOSE * expected.max())
     for row, col in ((0, 0), (15, 17), (9, 4)):
         shape = window.image.shape
-        found = window.ask(Kind.COLUMN, row, col, shape).reshape(transport.camera_shape)
+        found = window.ask(MessageKind.COLUMN, row, col, shape).reshape(transport.camera_shape)
         expected = transport.column(row, col)
         np.testing.assert_allclose(found, expected, atol=CLOSE * expected.max())
 
 
-def test_layers_are_those_of_a_matrix_in_memory(scene: Scene, transport: lm.LightTransport) -> None:
+def test_layers_are_those_of_a_matrix_in_memory(
+    scene: ViewedScene, transport: lm.LightTransport
+) -> None:
     assert scene.light is not None
     whole, here = LayerSource(transport), LayerSource(scene.light)
     # Only matrices in memory are separated.
@@ -223,12 +227,12 @@ def test_layers_are_those_of_a_matrix_in_memory(scene: Scene, transport: lm.Ligh
     assert maps.has_diagnostic(here.facts, "estimated_error")
 
 
-def test_the_white_level_is_estimated(scene: Scene, transport: lm.LightTransport) -> None:
+def test_the_white_level_is_estimated(scene: ViewedScene, transport: lm.LightTransport) -> None:
     white = transport.relight(np.ones(transport.projector_shape))
     assert scene._white == pytest.approx(np.quantile(white, 0.995), rel=0.2)
 
 
-def test_what_the_page_would_not_send_is_refused(scene: Scene) -> None:
+def test_what_the_page_would_not_send_is_refused(scene: ViewedScene) -> None:
     window = Window(scene)
     for message in hostile.nonsense((24, 20), (16, 18)):
         with pytest.raises(MessageError):
@@ -238,17 +242,17 @@ def test_what_the_page_would_not_send_is_refused(scene: Scene) -> None:
 
 
 def test_a_matrix_that_the_page_has_takes_no_messages(transport: lm.LightTransport) -> None:
-    scene = Scene(transport)
+    scene = ViewedScene(transport)
     assert not scene.session().unfinished
     assert scene.session().finish() is None
-    for kind in (Kind.ROW, Kind.COLUMN):
+    for kind in (MessageKind.ROW, MessageKind.COLUMN):
         with pytest.raises(MessageError):
             scene.session().answer(struct.pack("<4I", kind, 1, 2, 3))
 
 
 def test_a_store_that_changes_is_told(transport: lm.LightTransport, tmp_path: Path) -> None:
     lm.save(tmp_path / "scene.zarr", transport)
-    window = Window(Scene(tmp_path / "scene.zarr", page_bytes=0))
+    window = Window(ViewedScene(tmp_path / "scene.zarr", page_bytes=0))
     window.paint(0, 0, np.full((2, 2), 255, np.uint8))
     other = replace(transport, sparse=csr_array(2 * transport.sparse))
     lm.save(tmp_path / "scene.zarr", other, overwrite=True)
@@ -261,7 +265,7 @@ def test_a_store_that_changes_is_told(transport: lm.LightTransport, tmp_path: Pa
 
 def test_direct_and_global_light_and_compensation() -> None:
     known = binned(lm.truth("l_objects"), 2).transport()
-    scene = Scene(known)
+    scene = ViewedScene(known)
     parts = lm.separate(known)
     for name, part in (("direct", parts.direct), ("global", parts.global_)):
         _, values = unpack_floats(scene.layers.get(name))
@@ -270,7 +274,7 @@ def test_direct_and_global_light_and_compensation() -> None:
     assert header["low"] < np.nanmedian(values) < header["high"]
     picture = np.full((32, 32), 200, np.uint8)
     picture[:, 10:20] = 60
-    message = struct.pack("<2I", Kind.COMPENSATE, 5) + picture.tobytes()
+    message = struct.pack("<2I", MessageKind.COMPENSATE, 5) + picture.tobytes()
     (answer,) = scene.session().answer(message)
     length = int.from_bytes(answer[8:12], "little")
     levels = np.frombuffer(answer[12 + length :], np.uint8).reshape(32, 32)
@@ -278,7 +282,7 @@ def test_direct_and_global_light_and_compensation() -> None:
     np.testing.assert_array_equal(levels, np.rint(255 * found.pattern))
     # Refused while the matrix is too large for it.
     with pytest.raises(MessageError):
-        Scene(known, page_bytes=0).session().answer(message[:-1])
+        ViewedScene(known, page_bytes=0).session().answer(message[:-1])
 
 
 def unpack_floats(part: bytes) -> tuple[dict[str, Any], NDArray[np.float32]]:
@@ -293,11 +297,11 @@ def unpack_floats(part: bytes) -> tuple[dict[str, Any], NDArray[np.float32]]:
 def test_a_matrix_that_cannot_be_separated_has_no_such_layers(tmp_path: Path) -> None:
     matrix = csr_array(([-1.0], ([0], [0])), shape=(480, 288), dtype=np.float32)
     signed = lm.LightTransport.from_matrix(matrix, (24, 20), (16, 18))
-    assert "direct" not in Scene(signed).layers.available
+    assert "direct" not in ViewedScene(signed).layers.available
     dark = lm.LightTransport.from_matrix(abs(matrix), (24, 20), (16, 18))
-    assert "direct" in Scene(dark).layers.available
+    assert "direct" in ViewedScene(dark).layers.available
     with pytest.raises(lm.InputError, match="light"):
-        Scene(dark).layers.get("direct")
+        ViewedScene(dark).layers.get("direct")
     lm.export_viewer(tmp_path / "page.html", dark)
     assert 'id="data-layer-direct"' not in (tmp_path / "page.html").read_text()
 
@@ -306,7 +310,7 @@ def test_patterns_of_the_capture(transport: lm.LightTransport) -> None:
     patterns = lm.BernoulliPatterns((32, 36), 8)
     frames = np.zeros((8, *transport.camera_shape), np.uint8)
     capture = lm.Capture.from_arrays(patterns, frames, lm.Sensor())
-    scene = Scene(transport, capture=capture)
+    scene = ViewedScene(transport, capture=capture)
     assert scene.pattern_count == 8
     # The matrix has the projector binned by 2.
     expected = patterns.images()[3].reshape(16, 2, 18, 2).mean(axis=(1, 3))
@@ -317,15 +321,15 @@ def test_patterns_of_the_capture(transport: lm.LightTransport) -> None:
             scene.pattern(number)
     other = lm.Capture.from_arrays(lm.BernoulliPatterns((8, 8), 8), frames, lm.Sensor())
     with pytest.raises(lm.InputError, match="projector of 8 x 8"):
-        Scene(transport, capture=other)
+        ViewedScene(transport, capture=other)
 
 
 def test_depth_where_the_geometry_is_known(tmp_path: Path) -> None:
     truth = binned(lm.truth("metal"), 2)
     known = truth.transport()
     assert truth.geometry is not None
-    assert "depth" not in Scene(known).layers.available
-    header, values = unpack_floats(Scene(known, geometry=truth.geometry).layers.get("depth"))
+    assert "depth" not in ViewedScene(known).layers.available
+    header, values = unpack_floats(ViewedScene(known, geometry=truth.geometry).layers.get("depth"))
     expected = lm.triangulate(known, truth.geometry).depth
     np.testing.assert_array_equal(values, expected.ravel())
     assert header["low"] < np.nanmedian(values) < header["high"]
@@ -333,7 +337,7 @@ def test_depth_where_the_geometry_is_known(tmp_path: Path) -> None:
     found = lm.layers(known, truth.geometry)
     assert np.isfinite(found.depth[..., 1]).any()
     assert found.mirrored.any()
-    whole = Scene(known, geometry=truth.geometry).layers
+    whole = ViewedScene(known, geometry=truth.geometry).layers
     scales = set()
     for name, expected_map in {
         "first": found.depth[..., 0],
@@ -346,7 +350,7 @@ def test_depth_where_the_geometry_is_known(tmp_path: Path) -> None:
         scales.add((header.get("low"), header.get("high")))
     assert len(scales) == 3
     # A matrix on disk gives depth by its correspondence, which knows one surface.
-    stored = Scene(known, page_bytes=0, geometry=truth.geometry).layers
+    stored = ViewedScene(known, page_bytes=0, geometry=truth.geometry).layers
     assert "behind" not in stored.available
     _, values = unpack_floats(stored.get("depth"))
     both = np.isfinite(values) & np.isfinite(expected.ravel())
@@ -361,4 +365,4 @@ def test_a_store_whose_name_is_no_text_is_shown(tmp_path: Path) -> None:
     lm.save(store, running.scene())
     lm.export_viewer(tmp_path / "page.html", store)
     assert "<title>sc?ne.zarr" in (tmp_path / "page.html").read_text()
-    assert b"sc?ne.zarr" in Scene(store).description
+    assert b"sc?ne.zarr" in ViewedScene(store).description

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import csv
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -19,6 +19,7 @@ from lightmatrix.files.reading import read_text
 from lightmatrix.files.stacks import list_images, natural_order
 from lightmatrix.paths import as_path
 from lightmatrix.patterns.pattern_set import ImagePatterns
+from lightmatrix.progress import Progress
 from lightmatrix.ranges import as_float
 
 
@@ -126,7 +127,7 @@ def convert(
     channel: str = "green",
     response: str = "linear",
     overwrite: bool = False,
-    progress: Callable[[int, int], None] | None = None,
+    progress: Progress | None = None,
 ) -> str:
     """Write a capture folder from patterns and photographs in the layout of another program.
 

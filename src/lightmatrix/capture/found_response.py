@@ -23,13 +23,13 @@ from lightmatrix.reprs import short_repr
 
 # The entry of an estimate's provenance that holds the response that was found.
 FOUND_RESPONSE = "found_response"
-Light = NDArray[np.float64]
+Floats = NDArray[np.float64]
 
 # Gammas of cameras, displays and projectors lie well within this range.
 GAMMAS = (0.2, 6.0)
 
 
-def bends(response: Response, levels: Light) -> Light:
+def bends(response: Response, levels: Floats) -> Floats:
     """How light may bend at levels (...) besides a gamma, which is nearly the first bend, (3, ...).
 
     They are u (1 - v) C_k(2 v - 1) with light u, level v and Chebyshev polynomials C_k, k < 3, and
@@ -40,7 +40,7 @@ def bends(response: Response, levels: Light) -> Light:
     return np.stack([shape * chebyshev(2 * levels - 1, each) for each in np.eye(3)])
 
 
-def bent(response: Response, sizes: Light) -> Response:
+def bent(response: Response, sizes: Floats) -> Response:
     """The response with bends of some sizes (3,), kept increasing."""
     levels, light = points(response)
     bent = light + np.tensordot(sizes, bends(response, levels), axes=1)
@@ -72,7 +72,7 @@ def exponent(response: Response) -> float:
     return nearest_gamma(*points(response))
 
 
-def points(response: Response) -> tuple[Light, Light]:
+def points(response: Response) -> tuple[Floats, Floats]:
     """Levels and light of a curve, both as a share of full scale, at evenly spaced levels."""
     # Four times as dense as the levels of a camera of 10 bits.
     levels = np.linspace(0, 1, 4097)

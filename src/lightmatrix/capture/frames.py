@@ -20,7 +20,7 @@ from lightmatrix.patterns.pattern_set import PatternSet
 from lightmatrix.ranges import check_finite, real_array
 from lightmatrix.regions import Region
 from lightmatrix.reprs import short_repr
-from lightmatrix.resources.disk import scratch_array
+from lightmatrix.resources.memory import scratch_array
 from lightmatrix.resources.threads import computed_once, work_ahead
 
 # Raw levels that are read together, of all frames at some camera pixels. Chosen by hand: they take

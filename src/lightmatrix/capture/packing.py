@@ -19,9 +19,9 @@ from lightmatrix.files.kinds import CAPTURE
 from lightmatrix.files.writing import atomic_folder, check_output
 from lightmatrix.files.zarr_arrays import create_array
 from lightmatrix.paths import as_path
-from lightmatrix.resources.disk import check_disk_space
+from lightmatrix.progress import Progress
+from lightmatrix.resources.memory import check_disk_space
 
-Progress = Callable[[int, int], None]
 # Bytes of one chunk. Chosen by hand: small enough that a tile of camera pixels reads little more
 # than its own samples, and large enough to compress well.
 _CHUNK_BYTES = 1 << 20

@@ -198,7 +198,9 @@ def _read(
         none = value is None and prefix + key in ("black", "mask", "provenance")
         if key in content and values[key] is None and not none:
             hint = f"give {expected}" + (", or leave it out" if value is None else "")
-            raise InputError(f'{file}: "{prefix}{key}" cannot be {_short(value)}', hint=hint)
+            shown = "null" if value is None else repr(value)
+            shown = shown if len(shown) <= 60 else f"{shown[:57]}..."
+            raise InputError(f'{file}: "{prefix}{key}" cannot be {shown}', hint=hint)
     return values
 
 
@@ -264,8 +266,3 @@ KEYS: dict[str, _Kind] = {
     "mosaic": (_of(bool), "true or false"),
 }
 _BLACK_KEYS: dict[str, _Kind] = {"file": _IMAGE, "exposure": (_above_0, "a number above 0")}
-
-
-def _short(value: Any) -> str:
-    text = "null" if value is None else repr(value)
-    return text if len(text) <= 60 else f"{text[:57]}..."

@@ -17,14 +17,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lightmatrix.check.finding import WRONG_ORDER, Finding, order_findings
-from lightmatrix.check.relation import likely_orders
+from lightmatrix.check.relation import frames_of, likely_orders
 from lightmatrix.check.survey import Survey
 from lightmatrix.errors import InputError
 from lightmatrix.patterns.codes import Code, Codes, correlate, find_codes
 from lightmatrix.patterns.pattern_set import PatternSet
 from lightmatrix.patterns.stripes import COLUMNS, ROWS
 
-Order = NDArray[np.int64]
+FrameOrder = NDArray[np.int64]
 Name = Callable[[int], str]
 # Another order explains more if what it gains exceeds this many standard errors. Chosen by hand:
 # chance reaches 4 among a thousand orders.
@@ -85,7 +85,9 @@ class CodeLattice:
             survey.patterns, codes, samples, np.hstack([*near, *far]), int(sum(map(np.sum, lit)))
         )
 
-    def lines(self, code: Code, frames: Order) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+    def lines(
+        self, code: Code, frames: FrameOrder
+    ) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
         """The lines that each camera pixel may see, (1 or 2, m), and what is not explained, (m,).
 
         Frame `frames[p]` shows pattern p; -1 for a pattern whose frame is missing, whose bit is
@@ -117,7 +119,9 @@ class CodeLattice:
             left = np.abs(sums - whole).mean(axis=0) / np.maximum(whole, 1e-6)
         return np.stack(both), left
 
-    def apart(self, code: Code, frames: Order) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    def apart(
+        self, code: Code, frames: FrameOrder
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """How many lines apart pairs see, (p,), and the share not explained of each pixel, (m,).
 
         Infinity where the bits of one are no word of the code.
@@ -169,7 +173,7 @@ class CodeLattice:
         low, high = self.samples.min(axis=0), self.samples.max(axis=0)
         return np.asarray((self.samples - low) / np.maximum(high - low, 1e-9))
 
-    def possible(self, order: Order) -> NDArray[np.bool_]:
+    def possible(self, order: FrameOrder) -> NDArray[np.bool_]:
         """Which patterns their frames can show: white is bright, and black dark, in most pixels."""
         result = np.ones(len(order), bool)
         for k, bright in ((self.codes.white, True), (self.codes.black, False)):
@@ -194,14 +198,16 @@ class CodeLattice:
             and np.abs(np.diff(self.patterns.images(k, k + 2), axis=0)).mean() > 0.05
         ]
 
-    def cost(self, code: Code, frames: Order) -> NDArray[np.float64]:
+    def cost(self, code: Code, frames: FrameOrder) -> NDArray[np.float64]:
         """How far apart pairs see, from 0 to 1, and how badly the code fits each pixel."""
         apart, left = self.apart(code, frames)
         # Up to the limit the cost is linear, so that nothing is gained by coarser lines.
         limit = np.maximum(8, 4 * self.usual[code.axis])
         return np.concatenate([np.minimum(apart / limit, 1), 0.3 * np.log(left + 0.03)])
 
-    def costs(self, frames: Order, known: dict[bytes, NDArray[np.float64]]) -> NDArray[np.float64]:
+    def costs(
+        self, frames: FrameOrder, known: dict[bytes, NDArray[np.float64]]
+    ) -> NDArray[np.float64]:
         """The costs by all codes under an order; `known` keeps those of orders seen before."""
         parts = []
         for code in self.codes.codes:
@@ -213,7 +219,7 @@ class CodeLattice:
             parts.append(known[key])
         return np.concatenate(parts)
 
-    def unrelated(self, frames: Order) -> bool:
+    def unrelated(self, frames: FrameOrder) -> bool:
         """Whether neighbours in the image see no nearer to each other than any two pixels."""
         if self.neighbours < 40:
             return False
@@ -236,17 +242,18 @@ def check_code_order(lattice: CodeLattice, name: Name) -> list[Finding]:
     count = lattice.patterns.count
     frames = np.arange(count)
     known: dict[bytes, NDArray[np.float64]] = {}
-    read, invisible, twins = lattice.readable, lattice.invisible, bool(lattice.twins)
-    best, best_order, found = -np.inf if twins else 0.0, frames, list[Finding]()
+    read, invisible = lattice.readable, lattice.invisible
     own = np.where(lattice.possible(frames), frames, -1)
     # The later of two that are the same may have the other's image; nothing is read from it then.
     own[[k + 1 for k in lattice.twins]] = -1
+    best, best_order, found = 0.0, frames, list[Finding]()
+    if lattice.twins:
+        # One of the two is certainly wrong: the later one, unless another order explains more.
+        later = lattice.twins[0] + 1
+        best_order = np.where(frames == later, -1, frames)
+        found = order_findings({later: later - 1}, name)
     for shown, findings in _orders(lattice, name):
-        # The first of several frames that show a pattern counts; a frame may show none.
-        order = np.full(count, -1)
-        first = np.unique(shown, return_index=True)[1]
-        first = first[(shown[first] >= 0) & (shown[first] < count)]
-        order[shown[first]] = first
+        order = frames_of(shown)
         # Any frames of coarser stripes fit better in the place of those that nobody can see.
         moved = order != frames
         if 2 * invisible[moved].sum() >= max(moved.sum(), 1):
@@ -261,9 +268,7 @@ def check_code_order(lattice: CodeLattice, name: Name) -> list[Finding]:
         gain[np.abs(gain) < 0.05] = 0
         total = float(gain.sum())
         certain = _CERTAIN * float(np.sqrt((gain**2).sum()))
-        # One of two frames that are the same is certainly wrong: the later one, whose own order
-        # gains exactly nothing, unless another order explains more.
-        if total > best and (total > certain or (twins and total == 0)):
+        if total > max(best, certain):
             best, best_order, found = total, order, findings
     if lattice.unrelated(best_order):
         message = (
@@ -299,34 +304,59 @@ def check_mirrored(lattice: CodeLattice) -> list[Finding]:
 def check_white(lattice: CodeLattice, name: Name) -> list[Finding]:
     """Whether a frame of a code is white although its pattern is not.
 
-    Nearly all pixels are then as bright as they ever are, and neighbours see nearer to each other
-    without the frame, more so than without another. A camera that sees only the white part of a
-    pattern shows the first alone.
+    Nearly all pixels are then as bright as they ever are. Without a coarse bit, half of the places
+    are mirrored; without a fine one, neighbours see nearer to each other than without another. A
+    camera that sees only the white part of a pattern shows the first alone.
     """
-    count = lattice.patterns.count
-    used = np.unique(np.concatenate([each.frames for each in lattice.codes.codes]))
-    bright = np.quantile(lattice.shares[used], 0.1, axis=1) > 0.8
-    if not bright.any():
+    codes = lattice.codes.codes
+    used = np.unique(np.concatenate([each.frames[np.ptp(each.values, 0) > 0] for each in codes]))
+    bright = used[np.quantile(lattice.shares[used], 0.1, axis=1) > 0.8]
+    if not len(bright):
         return []
-    frames = np.arange(count)
-    plain = lattice.costs(frames, {})
-    gains = [plain - lattice.costs(np.where(frames == k, -1, frames), {}) for k in used]
-    total = np.sum(gains, axis=1)
-    best = int(np.where(bright, total, -np.inf).argmax())
-    certain = _CERTAIN * float(np.sqrt((gains[best] ** 2).sum()))
-    if total[best] <= max(certain, 1.5 * float(np.median(total))):
-        return []
-    message = f"{name(int(used[best]))}: white, although the pattern is not"
+    frames = np.arange(lattice.patterns.count)
+    white = [k for code in codes for k in _folding(lattice, code, bright)]
+    if not white:
+        plain = lattice.costs(frames, {})
+        gains = [plain - lattice.costs(np.where(frames == k, -1, frames), {}) for k in used]
+        total = np.sum(gains, axis=1)
+        best = int(np.where(np.isin(used, bright), total, -np.inf).argmax())
+        certain = _CERTAIN * float(np.sqrt((gains[best] ** 2).sum()))
+        if total[best] > max(certain, 1.5 * float(np.median(total))):
+            white = [int(used[best])]
     advice = "take the photograph again; did the projector show something else?"
-    return [Finding("frame", (int(used[best]),), message, advice)]
+    return [
+        Finding("frame", (k,), f"{name(k)}: white, although the pattern is not", advice)
+        for k in white
+    ]
 
 
-def _orders(lattice: CodeLattice, name: Name) -> Iterator[tuple[Order, list[Finding]]]:
+def _folding(lattice: CodeLattice, code: Code, bright: NDArray[np.int64]) -> list[int]:
+    """The frame among bright ones that mirrors part of the places; empty if none are mirrored."""
+    frames = np.arange(lattice.patterns.count)
+    line = lattice.lines(code, frames)[0][0].reshape(3, -1)
+    steps = np.where((line >= 0).all(axis=0), line[1:] - line[0], 0)
+    turns = np.sign(steps[np.abs(steps).sum(axis=1).argmax()])
+    # In whole captures at most a tenth of the places are mirrored, by edges, noise and reflections.
+    if min((turns > 0).sum(), (turns < 0).sum()) < max(0.25 * np.abs(turns).sum(), 40):
+        return []
+    far = lattice.pairs[:, lattice.neighbours :]
+    apart = {}
+    for k in np.intersect1d(bright, code.frames):
+        dark = lattice.lines(code, np.where(frames == k, -1, frames))[0][0].reshape(3, -1)
+        # Either way round may be the right one.
+        for turn in (1, -1):
+            one, other = np.where(turns == turn, dark, line).ravel()[far]
+            known = np.abs(one - other)[(one >= 0) & (other >= 0)]
+            apart[k, turn] = float(np.minimum(known, 8).mean())
+    return [int(min(apart, key=apart.__getitem__)[0])] if apart else []
+
+
+def _orders(lattice: CodeLattice, name: Name) -> Iterator[tuple[FrameOrder, list[Finding]]]:
     """The pattern that each frame shows, in likely wrong orders, and the findings of each."""
     count = lattice.patterns.count
     frames = np.arange(count)
 
-    def displaced(first: int, last: int, step: int) -> tuple[Order, list[Finding]]:
+    def displaced(first: int, last: int, step: int) -> tuple[FrameOrder, list[Finding]]:
         shown = frames + step * ((frames >= first) & (frames <= last))
         if first == last:
             return shown, order_findings({first: first + step}, name)
@@ -340,7 +370,6 @@ def _orders(lattice: CodeLattice, name: Name) -> Iterator[tuple[Order, list[Find
         # One of the two is wrong: the first if a frame before it was lost, else the second.
         for start in range(twins[0] + 1):
             yield displaced(start, twins[0], 1)
-        yield displaced(twins[0] + 1, twins[0] + 1, -1)
         yield displaced(twins[0] + 1, count - 1, -1)
         return
     for message, shown in likely_orders(count):

@@ -25,7 +25,7 @@ _CERTAIN = 4.0
 # An image has 6 x 6 parts, over which its standard error is taken.
 _PARTS = 6
 
-Shift = tuple[int, int]
+Displacement = tuple[int, int]
 
 
 def check_motion(
@@ -51,7 +51,7 @@ def check_motion(
     return [motion_finding(f"from {names[start]} on", start, shift, survey.count)]
 
 
-def motion_finding(when: str, start: int, shift: Shift, count: int) -> Finding:
+def motion_finding(when: str, start: int, shift: Displacement, count: int) -> Finding:
     """The finding that frames from `start` on are shifted."""
     down, right = shift
     words = []
@@ -75,7 +75,7 @@ class _Follower:
         self.survey, self.rows, self.doubted = survey, rows, doubted
         self.here = survey.samples(rows)
 
-    def miss(self, shift: Shift = (0, 0), start: int = 0) -> NDArray[np.float64]:
+    def miss(self, shift: Displacement = (0, 0), start: int = 0) -> NDArray[np.float64]:
         """The logarithm of what the prediction of each followed row misses, (m,)."""
         samples = self.here
         if shift != (0, 0):
@@ -91,7 +91,7 @@ class _Follower:
         # Samples without noise may be predicted exactly.
         return np.asarray(np.log(np.maximum(missed, 1e-9)))
 
-    def first_shifted(self, shift: Shift) -> int | None:
+    def first_shifted(self, shift: Displacement) -> int | None:
         """The first shifted frame; None if rows followed by the shift are predicted no better."""
         # Either side must be more than an odd frame.
         first = max(3, self.survey.count // 10)
@@ -114,7 +114,7 @@ class _Follower:
 
 def find_shift(
     survey: Survey, first: NDArray[np.float32], last: NDArray[np.float32]
-) -> Shift | None:
+) -> Displacement | None:
     """By how many camera pixels (down, right) the last image (S,) is shifted; None if not."""
     before, after = (_outlines(image.reshape(survey.grid)) for image in (first, last))
     tiles, rows, cols, _ = survey.grid
@@ -123,7 +123,7 @@ def find_shift(
     valid = survey.valid.reshape(survey.grid)[inner].all(axis=-1)
     reference = before[inner]
 
-    def distances(shift: Shift) -> NDArray[np.float64]:
+    def distances(shift: Displacement) -> NDArray[np.float64]:
         down, right = MARGIN + shift[0], MARGIN + shift[1]
         moved = after[:, down : down + reference.shape[1], right : right + reference.shape[2]]
         difference = np.where(valid, ((moved - reference) ** 2).sum(axis=-1), 0)
@@ -143,7 +143,7 @@ def find_shift(
     return best
 
 
-def _closest(distances: Mapping[Shift, NDArray[np.float64]], parts: slice) -> Shift:
+def _closest(distances: Mapping[Displacement, NDArray[np.float64]], parts: slice) -> Displacement:
     """The shift at which some parts of two images are closest."""
     return min(distances, key=lambda shift: float(distances[shift][parts].sum()))
 

@@ -245,10 +245,9 @@ class Relation:
 
         Frame k shows pattern `order[k]`, or none if that is out of range.
         """
-        known = np.flatnonzero((order >= 0) & (order < len(self.frames)))
-        # The first of several frames that show a pattern counts.
-        shown, first = np.unique(order[known], return_index=True)
-        known = known[first]
+        frames = frames_of(order)
+        shown = np.flatnonzero(frames >= 0)
+        known = frames[shown]
         if len(known) < _LIMITS.frames - 1:
             return 0.0
         mean, deviation = self._chance
@@ -421,6 +420,17 @@ class Relation:
                 return False
             worst = min(worst, score)
         return worst < -_LIMITS.explains
+
+
+def frames_of(shown: NDArray[np.int64]) -> NDArray[np.int64]:
+    """The frame that shows each of K patterns, or -1; frame k shows pattern `shown[k]`, if any.
+
+    The first of several frames that show a pattern counts.
+    """
+    frames = np.full(len(shown), -1)
+    known = np.flatnonzero((shown >= 0) & (shown < len(shown)))[::-1]
+    frames[shown[known]] = known
+    return frames
 
 
 def likely_orders(count: int) -> Iterator[tuple[str, NDArray[np.int64]]]:

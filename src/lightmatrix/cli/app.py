@@ -22,26 +22,19 @@ import typer
 from typer.core import TyperGroup
 
 import lightmatrix as lm
-from lightmatrix.cli.calibrate import calibrate
+from lightmatrix.cli.calibrate import calibrate, response
 from lightmatrix.cli.capture import capture
 from lightmatrix.cli.captures import check, convert, pack
 from lightmatrix.cli.compensate import compensate
-from lightmatrix.cli.demo import demo
-from lightmatrix.cli.estimate import estimate
+from lightmatrix.cli.estimate import estimate, track
 from lightmatrix.cli.help import Command
-from lightmatrix.cli.map import map
-from lightmatrix.cli.patterns import patterns
-from lightmatrix.cli.plan import plan
-from lightmatrix.cli.project import project
-from lightmatrix.cli.response import response
+from lightmatrix.cli.plan import patterns, plan
 from lightmatrix.cli.rig import app as rig
-from lightmatrix.cli.shape import decode, layers, triangulate
-from lightmatrix.cli.show import show
-from lightmatrix.cli.simulate import render, scenes, simulate
+from lightmatrix.cli.rig import project
+from lightmatrix.cli.shape import decode, layers, map, triangulate
+from lightmatrix.cli.simulate import demo, render, scenes, simulate
 from lightmatrix.cli.terminal import as_options, say, warn
-from lightmatrix.cli.track import track
-from lightmatrix.cli.use import evaluate, export, info, relight, separate
-from lightmatrix.cli.view import view
+from lightmatrix.cli.use import evaluate, export, info, relight, separate, show, view
 from lightmatrix.errors import LightMatrixError, LightMatrixWarning
 
 # Exit codes. 70 is EX_SOFTWARE of sysexits.h, and 130 what shells give for Ctrl-C.

@@ -1,8 +1,9 @@
-"""`lightmatrix plan`: exposures, patterns and their number, from a white frame or a scene."""
+"""`lightmatrix plan` and `patterns`: what to photograph, and the patterns as images."""
 
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Literal
 
 from typer import Argument, Option
 
@@ -13,12 +14,20 @@ from lightmatrix.cli.options import (
     Json,
     Overwrite,
     ResponseCurve,
+    Seed,
     described,
     size,
 )
 from lightmatrix.cli.source import level_or_file
-from lightmatrix.cli.terminal import progress, say, show_columns, show_json
-from lightmatrix.defaults import FEWEST_BLACK_AND_WHITE, USUAL_NOISE
+from lightmatrix.cli.terminal import answer, progress, say, show_columns, show_json
+from lightmatrix.defaults import (
+    FEWEST_BLACK_AND_WHITE,
+    FEWEST_MIXED,
+    MIX_EXAMPLE,
+    USUAL_COUNT,
+    USUAL_NOISE,
+)
+from lightmatrix.errors import InputError
 
 
 @described(
@@ -148,3 +157,102 @@ def plan(
 
 def _range(pair: tuple[float, float]) -> str:
     return f"{pair[0]:.3f} to {pair[1]:.3f}"
+
+
+Kind = Literal[
+    "bernoulli", "random", "hadamard", "onepixel", "blocks", "mix", "graycode", "phase",
+    "microphase",
+]  # fmt: skip
+Primary = Literal["red", "green", "blue", "rgb"]
+Order = Literal["natural", "sequency", "random"]
+
+
+@described(
+    kind=Argument(metavar="KIND", help="Kind of patterns."),
+    output="Folder to write.",
+    count=Option(
+        "-k",
+        "--count",
+        help="Number of patterns.",
+        show_default=f"{USUAL_COUNT}; all for onepixel and blocks; as needed for codes",
+    ),
+    shape=Option("--size", help="Rows x columns of the projector."),
+    density="Bernoulli and mix: share of lit pixels.",
+    levels=Option(
+        help="Random: grey levels. A projector's curve and sharpening spoil more than 2.",
+        show_default="2 from 16 patterns on, else 3 or 4",
+    ),
+    mix="Mix: cell sizes and their shares of the patterns, "
+    f"{MIX_EXAMPLE} (the default; all fine below {FEWEST_MIXED} patterns).",
+    order="Hadamard: order of the patterns.",
+    permute="Hadamard: shuffle the pixels.",
+    block="Blocks: rows x columns of a block.",
+    inverse="Graycode and phase: follow each bit by its inverse.",
+    period=Option(
+        help="Phase and microphase: projector pixels of a period.", show_default="8 and 16"
+    ),
+    primary=Option(
+        help="Primary of a colour projector; or rgb: Bernoulli patterns in all of them, each by "
+        "itself.",
+        show_default="white",
+    ),
+    grey=Option(
+        help="--primary rgb: how many of the patterns are grey.",
+        show_default="half, at most 16",
+        min=0,
+    ),
+    bit_planes=Option(
+        metavar="ORDER",
+        help="Also write black and white patterns as bit planes of colour images, for boards with "
+        "micromirrors: grb for the LightCrafter 4500.",
+    ),
+)
+def patterns(
+    kind: Kind,
+    output: Path,
+    count: int | None = None,
+    shape: str = "128x128",
+    density: float = 0.5,
+    levels: int | None = None,
+    mix: str | None = None,
+    order: Order = "sequency",
+    permute: bool = False,
+    block: str = "8x8",
+    inverse: bool = False,
+    period: float | None = None,
+    primary: Primary | None = None,
+    grey: int | None = None,
+    bit_planes: str | None = None,
+    seed: Seed = 0,
+    overwrite: Overwrite = False,
+    as_json: Json = False,
+) -> None:
+    """Write projection patterns as a folder of PNG files."""
+    in_colour = primary == "rgb"
+    if in_colour and kind != "bernoulli":
+        hint = "write `lightmatrix patterns bernoulli --primary rgb`"
+        raise InputError(f"{kind} patterns in rgb", hint=hint)
+    if grey is not None and not in_colour:
+        raise InputError("--grey without --primary rgb", hint="all of these patterns are grey")
+    made: lm.PatternSet
+    if in_colour:
+        number = USUAL_COUNT if count is None else count
+        made = lm.colour_bernoulli(size(shape), number, grey=grey, density=density, seed=seed)
+    else:
+        made = lm.make_patterns(
+            kind, size(shape), count, density=density, levels=levels, mix=mix, order=order,
+            permute=permute, block=size(block), inverse=inverse, period=period, seed=seed,
+        )  # fmt: skip
+    lm.write_patterns(
+        output, made, colour=None if in_colour else primary, bit_planes=bit_planes,
+        overwrite=overwrite,
+    )  # fmt: skip
+    result = {**made.description, "count": made.count, "digest": made.digest, "output": output}
+    rows, cols = size(shape)
+    lines = [f"{made.count} patterns ({kind}) of {rows} x {cols} pixels in {output}"]
+    if rows > cols:
+        lines.append(
+            f"rows come first: they are for a projector in portrait, {cols} pixels wide, or for "
+            "several, one above the other"
+        )
+    answer(as_json, result, *lines)

@@ -1,4 +1,4 @@
-"""`lightmatrix scenes`, `render` and `simulate`: known matrices, and photographs under them."""
+"""`lightmatrix scenes`, `render`, `simulate` and `demo`: known matrices, and their photographs."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from typer import Argument, Option
 
 import lightmatrix as lm
 from lightmatrix.cli.options import Json, Overwrite, Seed, described, size
-from lightmatrix.cli.terminal import answer, progress, say, show_json
+from lightmatrix.cli.terminal import answer, progress, say, show_columns, show_json
 from lightmatrix.defaults import EXPOSURES_EXAMPLE, USUAL_NOISE, USUAL_SAMPLES
 from lightmatrix.errors import InputError
 from lightmatrix.files.kinds import CAPTURE, TRUTH
@@ -176,3 +176,33 @@ def _amounts(faults: list[str]) -> dict[str, float]:
         if amounts.setdefault(name, number) != number:
             raise InputError(f"{name} twice", hint="give each fault once")
     return amounts
+
+
+@described(output="Folder of the report.")
+def demo(
+    output: Path = Path("report"), overwrite: Overwrite = False, as_json: Json = False
+) -> None:
+    """Simulate and estimate a scene, and write a report."""
+    with progress("demo", "steps") as report:
+        result = lm.demo(output, overwrite=overwrite, progress=report)
+    if as_json:
+        show_json({**result, "output": output})
+        return
+    rows, cols = result["size"]
+    title = (
+        f"{result['scene']}, {rows} x {cols}, {result['patterns']} Bernoulli patterns, 8 bits: "
+        f"{100 * result['clipped_samples']:.0f} % of the samples clip, "
+        f"{100 * result['clipping_responses']:.0f} % of the single responses"
+    )
+    errors = ("relative_error", "relighting_error")
+    show_columns(
+        title,
+        ("method", "RMSE", "relative error", "relighting error"),
+        [
+            (each["method"], f"{each['rmse']:.4f}", *(f"{each[error]:.3f}" for error in errors))
+            for each in result["methods"]
+        ],
+    )
+    judged = lm.Verdicts.from_dict(result["report"]["verdicts"])
+    say(f"default estimate: {judged.transport}")
+    say(f"report: {(output / 'report.html').absolute()}")

@@ -1,9 +1,12 @@
-"""`lightmatrix info`, `evaluate`, `relight`, `separate` and `export`: what is done with a T."""
+"""`lightmatrix info`, `evaluate`, `show`, `view`, `relight`, `separate` and `export`: uses of T."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
+from contextlib import ExitStack
+from functools import cache
 from pathlib import Path
+from typing import Any
 
 from typer import Argument, Option
 
@@ -11,6 +14,7 @@ import lightmatrix as lm
 from lightmatrix.cli.options import Json, Overwrite, Store, Verbose, described
 from lightmatrix.cli.source import rectangle
 from lightmatrix.cli.terminal import answer, judged_json, progress, say, show_json, show_table
+from lightmatrix.errors import InputError
 from lightmatrix.files.colours import holds_colour
 from lightmatrix.files.kinds import export_kind
 from lightmatrix.files.writing import check_output
@@ -185,3 +189,87 @@ def export(
         note += "--dense-background adds"
     result = {"output": output, "bytes": size, "background_share_left_out": left_out}
     answer(as_json, result, f"{output}, {amount(size)}{note}")
+
+
+@described(
+    view=Argument(
+        metavar="VIEW",
+        help="row (where the light at a camera pixel comes from), column (where the light of a "
+        "projector pixel goes), dual (the scene as seen from the projector), correspondence, "
+        "spectrum (singular values); clipping, gap, footprint or estimated-error of the estimate; "
+        "changes, of `track`; depth, normals, layers or probability (that the depth is right) of "
+        "the surface, with --geometry.",
+    ),
+    pixel=Argument(metavar="R,C", help="The pixel of a row or column."),
+    output="A picture (.png), or numbers (.npz; .tiff, .exr and .npy for one image).",
+    geometry=Option(
+        metavar="GEOMETRY.json",
+        help="Where camera and projector stand, for views of the surface: of `calibrate`.",
+    ),
+)
+def show(
+    scene: Store,
+    view: str,
+    output: Path,
+    pixel: str = "",
+    geometry: Path | None = None,
+    overwrite: Overwrite = False,
+    as_json: Json = False,
+) -> None:
+    """Draw a row, column, map or view of T, or the surface seen.
+
+    Pixels count from 0; the row of a colour camera has a channel too, R,C,CHANNEL.
+    """
+    numbers = pixel.split(",") if pixel else []
+    if not all(number.isascii() and number.isdecimal() for number in numbers):
+        raise InputError(f"a pixel of {pixel}", hint="write row,column, such as 20,30")
+    index = map(int, numbers)
+    lm.show(scene, view, *index, geometry=geometry, output=output, overwrite=overwrite)
+    answer(as_json, {"output": output, "view": view}, str(output))
+
+
+@described(
+    export=Option(
+        metavar="PAGE.html",
+        help="Write the viewer and the matrix as one page that needs no server.",
+    ),
+    capture="The capture of the estimate, whose patterns the page then offers.",
+    geometry=Option(metavar="GEOMETRY.json", help="The geometry of the rig, for layers of depth."),
+    port="Port on this machine; 0 for a free one.",
+    browser=Option("--browser/--no-browser", help="Open the page in the browser."),
+)
+def view(
+    scene: Store,
+    export: Path | None = None,
+    capture: Path | None = None,
+    geometry: Path | None = None,
+    port: int = 0,
+    browser: bool = True,
+    overwrite: Overwrite = False,
+) -> None:
+    """Paint with light: show T in the browser.
+
+    Paint on the projector, and see what the camera would photograph. Ctrl-C ends the viewer. The
+    page is reachable from this machine only.
+    """
+    if export is not None:
+        if port:
+            raise InputError("--port with --export", hint="a page that is written needs none")
+        lm.export_viewer(export, scene, capture=capture, geometry=geometry, overwrite=overwrite)
+        say(f"{export}: open it in a browser")
+        return
+    shown = ExitStack()
+
+    @cache
+    def bar() -> Any:
+        return shown.enter_context(progress(f"indexing the columns of {scene.name}", "entries"))
+
+    def ready(address: str) -> None:
+        shown.close()
+        say(f"{address}\nCtrl-C ends it")
+
+    with shown:
+        lm.serve_viewer(
+            scene, port=port, browser=browser, ready=ready, progress=lambda *step: bar()(*step),
+            capture=capture, geometry=geometry,
+        )  # fmt: skip

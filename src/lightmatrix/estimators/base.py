@@ -21,10 +21,10 @@ from lightmatrix.check.finding import FINDINGS
 from lightmatrix.estimators.work import TilesInMemory, Work, WorkerPool, complete
 from lightmatrix.files.kinds import PROJECTOR_STORES, STORE
 from lightmatrix.files.writing import final_target
-from lightmatrix.resources.disk import check_disk_space
+from lightmatrix.progress import Progress
+from lightmatrix.resources.memory import check_disk_space
 from lightmatrix.resources.threads import one_blas_thread
 from lightmatrix.solvers import Solver
-from lightmatrix.solvers.loop import Progress
 from lightmatrix.solvers.problem import Result, check_regularization
 from lightmatrix.transport.checkpoint import ROWS, Checkpoint
 from lightmatrix.transport.matrix import PROJECTORS, LightTransport

@@ -30,8 +30,8 @@ from lightmatrix.files.writing import check_output
 from lightmatrix.patterns.bits import BitPatterns
 from lightmatrix.patterns.colour import ColourPatterns
 from lightmatrix.patterns.pattern_set import ImagePatterns, PatternSet
+from lightmatrix.progress import Progress
 from lightmatrix.progress_bar import progress_bar
-from lightmatrix.solvers.loop import Progress
 from lightmatrix.transport.matrix import ColourTransport, LightTransport
 from lightmatrix.transport.store import save_colour
 

@@ -13,9 +13,9 @@ from lightmatrix.check.refusals import refuse_unusable
 from lightmatrix.errors import InputError
 from lightmatrix.estimators.choice import choose_estimator
 from lightmatrix.estimators.defocused import defocused
+from lightmatrix.progress import Progress
 from lightmatrix.rig_model.model import RIG, RigModel
 from lightmatrix.rig_model.terms import TERMS, allowed_terms
-from lightmatrix.solvers.loop import Progress
 from lightmatrix.transport.matrix import LightTransport, prediction_error
 
 # Up to eight estimates follow the first one: two suffice for six faults at once, pictures that move

@@ -32,9 +32,9 @@ from lightmatrix.estimators.camera_window import window_of_light
 from lightmatrix.estimators.coherent import row_errors
 from lightmatrix.estimators.coherent.row_errors import HeldOut
 from lightmatrix.patterns.atoms import AtomPatterns
+from lightmatrix.progress import Progress
 from lightmatrix.regions import Region
 from lightmatrix.resources.threads import one_blas_thread
-from lightmatrix.solvers.loop import Progress
 from lightmatrix.transport.matrix import LightTransport, prediction_error
 from lightmatrix.transport.sparse_rows import SparseRows, footprint_sizes
 

@@ -29,9 +29,9 @@ from lightmatrix.estimators.certainty import with_certainty
 from lightmatrix.estimators.plain import PlainEstimator, PlainRows
 from lightmatrix.estimators.work import TILE_BYTES, Work, cut_rows
 from lightmatrix.patterns.inverse import Floats, Inverse
+from lightmatrix.progress import Progress
 from lightmatrix.resources.threads import computed_once
 from lightmatrix.solvers import solve
-from lightmatrix.solvers.loop import Progress
 from lightmatrix.transport.checkpoint import Span
 from lightmatrix.transport.sparse_rows import SparseRows
 

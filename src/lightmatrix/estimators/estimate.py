@@ -40,10 +40,10 @@ from lightmatrix.files.kinds import PROJECTOR_STORES, STORE
 from lightmatrix.files.writing import check_output
 from lightmatrix.patterns.colour import ColourPatterns
 from lightmatrix.patterns.projector_curve import ProjectorResponse
+from lightmatrix.progress import Progress
 from lightmatrix.progress_bar import progress_bar
 from lightmatrix.rig_model.model import RigModel
 from lightmatrix.rig_model.terms import TERMS
-from lightmatrix.solvers.loop import Progress
 from lightmatrix.transport.matrix import LightTransport, prediction_error
 
 

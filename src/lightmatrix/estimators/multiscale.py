@@ -20,8 +20,8 @@ from lightmatrix.estimators.certainty import with_certainty
 from lightmatrix.estimators.plain import PlainEstimator
 from lightmatrix.estimators.work import ReadStep, SolveTile, Work
 from lightmatrix.patterns.pattern_set import ImagePatterns, PatternSet
+from lightmatrix.progress import Progress
 from lightmatrix.solvers import solve
-from lightmatrix.solvers.loop import Progress
 from lightmatrix.solvers.problem import Problem
 from lightmatrix.transport.checkpoint import Span
 from lightmatrix.transport.sparse_rows import SparseRows

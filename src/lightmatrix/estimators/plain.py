@@ -19,9 +19,9 @@ from lightmatrix.estimators.base import (
 from lightmatrix.estimators.certainty import with_certainty
 from lightmatrix.estimators.work import TILE_BYTES, ReadStep, SolveTile, Work, cut_rows
 from lightmatrix.patterns.pattern_set import PatternSet
+from lightmatrix.progress import Progress
 from lightmatrix.ranges import check_at_least_one
 from lightmatrix.solvers import Solver, solve
-from lightmatrix.solvers.loop import Progress
 from lightmatrix.solvers.problem import Problem
 from lightmatrix.transport.checkpoint import Span
 from lightmatrix.transport.sparse_rows import SparseRows

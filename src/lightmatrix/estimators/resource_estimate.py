@@ -16,8 +16,7 @@ from lightmatrix.estimators.work import TILE_BYTES
 from lightmatrix.patterns.pattern_set import ImagePatterns, PatternSet
 from lightmatrix.patterns.stripes import stripes_of
 from lightmatrix.reprs import amount
-from lightmatrix.resources.disk import SCRATCH_MEMORY_BYTES
-from lightmatrix.resources.memory import available_bytes
+from lightmatrix.resources.memory import SCRATCH_MEMORY_BYTES, available_bytes
 from lightmatrix.resources.threads import core_threads
 
 
@@ -173,7 +172,7 @@ def _held_bytes(capture: Capture, coherent: bool, active_set: bool, sample_bytes
     if coherent:
         pixel, value, grey, row, sample = 2700, 35, 26, 1500, 6
         if _seed_spacing(capture) > GROWTH.near_seeds:
-            # Spots are kept in half precision where light grows from few seeds.
+            # Spots are kept in half precision where estimates spread from few seeds.
             pixel, value, grey, row, sample = 1700, 13, 12, 100, 12
         if in_parts(capture):
             # No atoms are kept, and patterns are as they were given.

@@ -12,7 +12,7 @@ from threading import Event
 from typing import Protocol
 
 from lightmatrix.capture.capture import Capture
-from lightmatrix.solvers.loop import Progress
+from lightmatrix.progress import Progress
 from lightmatrix.transport.checkpoint import ROWS, Checkpoint, Span, unfinished_spans
 from lightmatrix.transport.sparse_rows import SparseRows
 

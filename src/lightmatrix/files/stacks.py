@@ -100,7 +100,12 @@ def pages(path: str | Path) -> list[Page]:
     with as_image_error(str(file)):
         reader: Callable[[int], NDArray[Any]]
         if suffix == ".npz":
-            array = _single_array(file)
+            arrays = read_npz(file)
+            if len(arrays) != 1:
+                named = ", ".join(list(arrays)[:5]) or "nothing"
+                hint = "save one array of (K, rows, cols) in it, or give an npy file"
+                raise InputError(f"{file}: holds {len(arrays)} arrays ({named})", hint=hint)
+            array = _checked(file, *arrays.values())
             count, reader = len(array), partial(np.take, array, axis=0)
         elif suffix == ".npy":
             count, reader = len(_checked(file, map_npy(file))), partial(_mapped_page, map_npy, file)
@@ -132,16 +137,6 @@ def _contiguous(file: Path) -> NDArray[Any] | None:
         check_page(file, page)
     mapped: NDArray[Any] = tifffile.memmap(file, mode="r")
     return mapped.reshape(-1, *page.shape)
-
-
-def _single_array(file: Path) -> NDArray[Any]:
-    arrays = read_npz(file)
-    if len(arrays) != 1:
-        named = ", ".join(list(arrays)[:5]) or "nothing"
-        hint = "save one array of (K, rows, cols) in it, or give an npy file"
-        raise InputError(f"{file}: holds {len(arrays)} arrays ({named})", hint=hint)
-    (array,) = arrays.values()
-    return _checked(file, array)
 
 
 def _checked(file: Path, array: NDArray[Any]) -> NDArray[Any]:

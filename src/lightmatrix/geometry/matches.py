@@ -61,13 +61,6 @@ def _reweighted(
     return model
 
 
-def _random_sets(count: int, size: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """The matches that judge, and random sets (trials, size) of them."""
-    random = np.random.default_rng(0)
-    judges = random.permutation(count)[: ROBUST.judges]
-    return judges, judges[random.integers(len(judges), size=(ROBUST.trials, size))]
-
-
 def fit_fundamental(camera: Array, projector: Array, *, parallel: bool = False) -> Array:
     """F (3, 3) of norm 1 with (projector, 1) F (camera, 1)' = 0 from n >= 8 matches.
 
@@ -94,7 +87,9 @@ def fit_fundamental(camera: Array, projector: Array, *, parallel: bool = False) 
         moment = (design * weight[:, None]).T @ design
         return np.asarray(of_rank_two(np.linalg.eigh(moment)[1][:, 0])[0])
 
-    judges, sets = _random_sets(len(camera), len(free) - 1)
+    random = np.random.default_rng(0)
+    judges = random.permutation(len(camera))[: ROBUST.judges]
+    sets = judges[random.integers(len(judges), size=(ROBUST.trials, len(free) - 1))]
     candidates = of_rank_two(np.linalg.svd(design[sets])[2][:, -1])
     support = [
         (np.abs(sampson(each, camera[judges], projector[judges])) < ROBUST.support).sum()

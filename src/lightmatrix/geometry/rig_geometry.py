@@ -21,7 +21,7 @@ from lightmatrix.ranges import check_number, check_sides
 from lightmatrix.regions import Region
 from lightmatrix.reprs import jsonable, short_repr
 
-Shape = tuple[int, int]
+Size = tuple[int, int]
 Array = NDArray[np.float64]
 
 # Checks of the numbers that a geometry is made of.
@@ -50,7 +50,7 @@ def numbers(values: ArrayLike, shape: tuple[int, ...], what: str) -> Array:
     return array
 
 
-def intrinsics_of(values: ArrayLike, shape: Shape, device: str) -> Array:
+def intrinsics_of(values: ArrayLike, shape: Size, device: str) -> Array:
     """K (3, 3) of a device with images of `shape`; other conventions of K are refused."""
     matrix = numbers(values, (3, 3), f"{device}'s K")
     if not np.allclose(matrix[[1, 2, 2], [0, 0, 1]], 0, atol=1e-6 * np.abs(matrix).max()):
@@ -199,6 +199,10 @@ def projected(matrix: Array, points: ArrayLike) -> Array:
         return np.where(image[:, 2:] > 0, image[:, :2] / image[:, 2:], np.nan)
 
 
+# Columns of diamond pixels are twice as far apart as their rows.
+DIAMOND_ROWS = 2.0
+
+
 def staggered(points: Array, stagger: float, height: float = 1.0) -> Array:
     """Pixels (..., 2) as (col, row) moved to where they lie: odd rows by `stagger` columns.
 
@@ -278,8 +282,8 @@ class RigGeometry:
 
     camera_matrix: Array
     projector_matrix: Array
-    camera_shape: Shape
-    projector_shape: Shape
+    camera_shape: Size
+    projector_shape: Size
     camera_distortion: Array = field(default_factory=lambda: np.zeros(5))
     projector_distortion: Array = field(default_factory=lambda: np.zeros(5))
     units: str | None = None
@@ -320,7 +324,7 @@ class RigGeometry:
     @classmethod
     def from_intrinsics(
         cls, camera_intrinsics: ArrayLike, projector_intrinsics: ArrayLike, rotation: ArrayLike,
-        translation: ArrayLike, camera_shape: Shape, projector_shape: Shape, *,
+        translation: ArrayLike, camera_shape: Size, projector_shape: Size, *,
         camera_distortion: ArrayLike = (0, 0, 0, 0, 0),
         projector_distortion: ArrayLike = (0, 0, 0, 0, 0),
         units: str | None = None, rms: Mapping[str, float] | None = None,
@@ -469,7 +473,7 @@ class RigGeometry:
         axis = self.camera_matrix[2]
         return np.asarray(points_of(points, 3) @ axis[:3] + axis[3])
 
-    def scaled(self, camera: int | Shape = 1, projector: int | Shape = 1) -> RigGeometry:
+    def scaled(self, camera: int | Size = 1, projector: int | Size = 1) -> RigGeometry:
         """The geometry for images that are binned by blocks of (rows, cols) pixels.
 
         `camera` and `projector` are rows and columns of a block, as in `Capture.bin`; pixels that
@@ -499,7 +503,7 @@ class RigGeometry:
             changed[f"{device}_matrix"] = matrix
         return replace(self, **changed)
 
-    def cropped(self, corner: Shape, shape: Shape) -> RigGeometry:
+    def cropped(self, corner: Size, shape: Size) -> RigGeometry:
         """The geometry for photographs of which a rectangle from corner (row, col) is cut out."""
         Region(corner, shape, self.camera_shape)  # Refuses a crop beyond the photographs.
         cut = binned_matrix(self.camera_matrix, (1, 1), corner)
@@ -523,7 +527,7 @@ class RigGeometry:
 
     @staticmethod
     def load(
-        path: str | Path, *, camera_shape: Shape | None = None, projector_shape: Shape | None = None
+        path: str | Path, *, camera_shape: Size | None = None, projector_shape: Size | None = None
     ) -> RigGeometry:
         """Read a geometry that `save`, or the calibration of another program, wrote.
 
@@ -550,8 +554,8 @@ class RigGeometry:
 
 def load_rig(
     path: str | Path,
-    given: tuple[Shape | None, Shape | None] = (None, None),
-    usual: tuple[Shape | None, Shape | None] = (None, None),
+    given: tuple[Size | None, Size | None] = (None, None),
+    usual: tuple[Size | None, Size | None] = (None, None),
 ) -> RigGeometry:
     """The geometry of a file, with sizes of camera and projector that are given, or else stated.
 

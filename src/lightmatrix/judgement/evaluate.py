@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -22,10 +22,11 @@ from lightmatrix.judgement.metrics import (
     unseen_patterns,
 )
 from lightmatrix.paths import as_path
+from lightmatrix.progress import Progress
 from lightmatrix.ranges import check_list, check_number
 from lightmatrix.reprs import labelled, text_table
 from lightmatrix.simulation import library
-from lightmatrix.simulation.colour import is_of_all_primaries, of_primary
+from lightmatrix.simulation.realism import is_of_all_primaries, of_primary
 from lightmatrix.simulation.truth import Truth
 from lightmatrix.transport import store
 from lightmatrix.transport.matrix import ColourTransport, LightTransport
@@ -124,7 +125,7 @@ def evaluate(
     truth: LightTransport | Truth | str | Path,
     exposure: float = 1.0,
     *,
-    progress: Callable[[int, int], None] | None = None,
+    progress: Progress | None = None,
 ) -> Errors:
     """Compare an estimate with the truth.
 
@@ -232,7 +233,7 @@ def evaluate_colour(
 def _matrices(
     estimate: LightTransport | str | Path,
     truth: LightTransport | Truth | str | Path,
-    progress: Callable[[int, int], None] | None = None,
+    progress: Progress | None = None,
 ) -> tuple[LightTransport, LightTransport]:
     """The matrix of an estimate, and the truth of its rows."""
     matrix = estimate if isinstance(estimate, LightTransport) else store.open(estimate)

@@ -205,17 +205,13 @@ class AtomPatterns(PatternSet):
 
     def _scaled(self, x: NDArray[Any], plane: int) -> NDArray[Any]:
         """Rows (m, N) under a kernel, times its gain, in their dtype."""
-        return np.asarray(self._blurred(x, plane) * self.gains[plane], x.dtype)
-
-    def _blurred(self, x: NDArray[Any], plane: int) -> NDArray[Any]:
-        """Rows (m, N) under a kernel, in their dtype."""
         images = x.reshape(-1, *self.shape)
         kernel = self.kernels[plane]
         if len(kernel) > 1:
             whole = np.concatenate([kernel[:0:-1], kernel])
             for axis in (1, 2):
                 images = scipy.ndimage.convolve1d(images, whole, axis=axis, mode="constant")
-        return images.reshape(x.shape)
+        return np.asarray(images.reshape(x.shape) * self.gains[plane], x.dtype)
 
     def contrast(self, plane: int) -> float:
         """Standard deviation of the values of the columns of a size, without gain."""

@@ -9,7 +9,6 @@ from __future__ import annotations
 import json
 import shlex
 import shutil
-from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
 from functools import cache
 from importlib.resources import files
@@ -41,6 +40,7 @@ from lightmatrix.planning.exposure_advice import (
     clipped_share,
     single_clipped_share,
 )
+from lightmatrix.progress import Progress
 from lightmatrix.ranges import as_float, check_number, check_sides, check_whole
 from lightmatrix.reprs import text_table
 from lightmatrix.simulation import library
@@ -260,7 +260,7 @@ def plan(
     response: str | None = None,
     output: str | Path | None = None,
     overwrite: bool = False,
-    progress: Callable[[int, int], None] | None = None,
+    progress: Progress | None = None,
 ) -> Advice:
     """Advise exposures, patterns and frames from a white frame or a scene.
 

@@ -18,7 +18,7 @@ from lightmatrix.pictures.style import display, white_level
 
 
 @dataclass(frozen=True)
-class Scale:
+class ColourScale:
     """A colour scale: its colours as an image address, the values at its ends, and its label."""
 
     bar: str
@@ -37,7 +37,7 @@ class Image:
     alternative: str
     title: str = ""
     caption: str = ""
-    scale: Scale | None = None
+    scale: ColourScale | None = None
 
 
 @dataclass(frozen=True)
@@ -123,7 +123,7 @@ def image_of_map(shown: Map, caption: str = "") -> Image:
     pixels = _shrink(shown.pixels(), MOST_PIXELS, "sampled")
     steps = np.linspace(0, 1, _BAR_PIXELS)
     bar = np.asarray(shown.colour_map(steps, bytes=True))[None, :, :3]
-    scale = Scale(_address(bar), _number(shown.low), _number(shown.high), shown.label)
+    scale = ColourScale(_address(bar), _number(shown.low), _number(shown.high), shown.label)
     logarithmic = ", on a logarithmic scale" if shown.logarithmic else ""
     known = shown.values[np.isfinite(shown.values)]
     range_ = "no pixel has a value"
@@ -178,7 +178,9 @@ def difference_image(
     most = max(least, float(np.quantile(abs(grey), 0.99)))
     shown = np.clip(0.5 + 0.5 * _shrink(grey, MOST_PIXELS, "mean") / max(most, 1e-12), 0, 1)
     bar = _bytes(np.linspace(0, 1, _BAR_PIXELS)[None])
-    scale = Scale(_address(bar), _number(-most), f"+{_number(most)}", "relative to the clip level")
+    scale = ColourScale(
+        _address(bar), _number(-most), f"+{_number(most)}", "relative to the clip level"
+    )
     return _image(_bytes(shown), alternative, title, caption, scale)
 
 
@@ -191,7 +193,7 @@ def image_of_file(file: Path, alternative: str, title: str = "", caption: str = 
 
 def _image(
     pixels: NDArray[np.uint8], alternative: str, title: str, caption: str,
-    scale: Scale | None = None, *, exact: bool = True,
+    scale: ColourScale | None = None, *, exact: bool = True,
 ) -> Image:  # fmt: skip
     rows, cols = pixels.shape[:2]
     return Image(_address(pixels, exact), cols, rows, alternative, title, caption, scale)

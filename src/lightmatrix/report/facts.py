@@ -29,8 +29,8 @@ from lightmatrix.judgement.judgement import (
     verdict_by_rows,
 )
 from lightmatrix.judgement.metrics import relative_error, squared_errors
+from lightmatrix.progress import Progress
 from lightmatrix.reprs import percent
-from lightmatrix.solvers.loop import Progress
 from lightmatrix.transport.correspondence import Correspondence, correspondence
 from lightmatrix.transport.matrix import LightTransport
 
@@ -45,7 +45,7 @@ from lightmatrix.transport.matrix import LightTransport
 MOST_ROWS = 16_384
 
 
-class Estimator(Protocol):
+class AnyEstimator(Protocol):
     """The estimator of the second estimate."""
 
     def estimate(self, capture: Capture, *, progress: Progress | None = None) -> LightTransport:
@@ -72,7 +72,10 @@ class Validation:
 
 
 def validate(
-    capture: Capture, estimator: Estimator | EstimateSettings, *, progress: Progress | None = None
+    capture: Capture,
+    estimator: AnyEstimator | EstimateSettings,
+    *,
+    progress: Progress | None = None,
 ) -> Validation | str:
     """Estimate T without some frames and predict them; or the reason why that is impossible.
 

@@ -28,8 +28,9 @@ from lightmatrix.judgement.judgement import (
     stored_findings,
 )
 from lightmatrix.judgement.metrics import check_same_rig
+from lightmatrix.progress import Progress
 from lightmatrix.report.elements import Section
-from lightmatrix.report.facts import Estimator, Facts, Validation, validate
+from lightmatrix.report.facts import AnyEstimator, Facts, Validation, validate
 from lightmatrix.report.sections import (
     error_estimates,
     first_pictures,
@@ -43,7 +44,6 @@ from lightmatrix.reprs import percent
 from lightmatrix.rig_model.model import RigModel
 from lightmatrix.shape.triangulation import geometry_of
 from lightmatrix.simulation.truth import Truth
-from lightmatrix.solvers.loop import Progress
 from lightmatrix.transport.matrix import LightTransport
 from lightmatrix.viewer.export import export_viewer
 
@@ -108,7 +108,7 @@ def report(
     capture: Capture,
     *,
     truth: LightTransport | Truth | None = None,
-    estimator: Estimator | EstimateSettings | None = None,
+    estimator: AnyEstimator | EstimateSettings | None = None,
     held_out: bool = True,
     findings: Sequence[Finding] = (),
     title: str = "Light transport",

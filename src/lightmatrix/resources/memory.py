@@ -1,14 +1,20 @@
-"""Free memory, on this machine and within the limits of a container."""
+"""Free memory, on this machine and within the limits of a container, and free disk space."""
 
 from __future__ import annotations
 
 import math
+import os
 import re
+import shutil
+import tempfile
 from pathlib import Path
+from typing import Any
 
+import numpy as np
 import psutil
+from numpy.typing import NDArray
 
-from lightmatrix.errors import InputError
+from lightmatrix.errors import InputError, OutputError
 from lightmatrix.reprs import amount
 
 # Bytes of each unit, by its name in lower case.
@@ -82,3 +88,48 @@ def _bytes_left(group: Path, limit: str, used: str, prefix: str) -> int | None:
     except (OSError, ValueError, KeyError):
         return None
     return max(0, most - max(0, now - cached))
+
+
+# Arrays of up to 2 GiB are held in memory, larger ones in a temporary file. Chosen by hand: less
+# writes the samples of ordinary captures to disk, more leaves small machines no memory to solve in.
+SCRATCH_MEMORY_BYTES = 2 << 30
+
+
+def check_disk_space(folder: Path, needed: int, output: str | Path, words: str = "up to") -> None:
+    """Refuse an output of more bytes than its disk has free; `words`: "up to" or "at least"."""
+    place = next(part for part in (folder, *folder.parents) if os.path.lexists(part))
+    try:
+        free = shutil.disk_usage(place).free
+    except OSError:
+        # A file system that does not say how much is free fails when it is full.
+        return
+    if needed > free:
+        raise OutputError(
+            f"{output}: takes {words} {amount(needed)}, {amount(free)} are free",
+            hint="free some space, or choose a folder on another disk",
+        )
+
+
+def scratch_array(shape: tuple[int, ...], dtype: np.dtype[Any]) -> NDArray[Any]:
+    """An array without values; if large, in a temporary file that vanishes with it."""
+    size = math.prod(shape) * dtype.itemsize
+    if size <= SCRATCH_MEMORY_BYTES:
+        return np.empty(shape, dtype)
+    place = tempfile.gettempdir()
+    try:
+        free = shutil.disk_usage(place).free
+        if free < size:
+            raise OSError(f"{amount(free)} are free")
+        with tempfile.TemporaryFile(dir=place) as file:
+            # A hole in the file would kill the process when the disk is full at its first use.
+            if hasattr(os, "posix_fallocate"):
+                os.posix_fallocate(file.fileno(), 0, size)
+            else:  # macOS and Windows cannot reserve space; the check above must do.
+                file.truncate(size)
+            # The mapping keeps the unnamed file alive.
+            return np.memmap(file, dtype, "r+", shape=shape)
+    except OSError as error:
+        raise OutputError(
+            f"{place}: no space for {amount(size)} of temporary data ({error.strerror or error})",
+            hint="set TMPDIR to a larger disk, or bin the camera's pixels",
+        ) from error

@@ -36,7 +36,7 @@ from lightmatrix.uses.compensation import (
     write_shown,
 )
 from lightmatrix.uses.loading import Transport
-from lightmatrix.uses.wanted import Picture, wanted_samples
+from lightmatrix.uses.wanted import WantedPicture, wanted_samples
 
 USUAL_STEPS = 3
 # Frames that are averaged for each photograph, and for white and black.
@@ -78,11 +78,11 @@ class RefinedCompensation:
 def refine_compensation(
     rig: Rig,
     transport: Transport,
-    wanted: Picture,
+    wanted: WantedPicture,
     *,
     steps: int = USUAL_STEPS,
-    mask: Picture | None = None,
-    projector_mask: Picture | None = None,
+    mask: WantedPicture | None = None,
+    projector_mask: WantedPicture | None = None,
     brightness: float | None = None,
     gamma: float | None = None,
     fit: str | None = None,

@@ -30,7 +30,7 @@ from lightmatrix.simulation import library, realism
 from lightmatrix.simulation.procedural import ProceduralScene
 from lightmatrix.simulation.truth import Truth
 
-Result = TypeVar("Result")
+Returned = TypeVar("Returned")
 
 
 class UnfitRigError(DeviceError):
@@ -78,7 +78,7 @@ class Rig:
         finally:
             self.projector.close()
 
-    def persistently(self, work: Callable[[], Result]) -> Result:
+    def persistently(self, work: Callable[[], Returned]) -> Returned:
         """Do some work, and begin it anew if the camera was lost meanwhile.
 
         Raises

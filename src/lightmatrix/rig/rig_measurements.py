@@ -34,6 +34,7 @@ from lightmatrix.planning.exposure_advice import (
     advise_exposures,
     clipped_share,
 )
+from lightmatrix.progress import Progress
 from lightmatrix.ranges import check_number
 from lightmatrix.rig.devices.base import exposure_limits, same_exposure, set_exposure
 from lightmatrix.rig.photograph import (
@@ -48,7 +49,6 @@ from lightmatrix.rig.photograph import (
 from lightmatrix.rig.rig import Rig, UnfitRigError
 
 # Called with (done, total) while something is measured.
-_Report = Callable[[int, int], None]
 
 
 @dataclass(frozen=True)
@@ -65,7 +65,7 @@ class SettleTime:
     late: int
 
 
-def measure_settle(rig: Rig, whites: WhiteAndBlack, report: _Report) -> SettleTime:
+def measure_settle(rig: Rig, whites: WhiteAndBlack, report: Progress) -> SettleTime:
     """Find the shortest safe delay between showing a picture and exposing."""
     asked = set_exposure(rig.camera, whites.exposure)
     frame_time = whites.exposure + 1 / float(rig.projector.info().get("refresh") or 60.0)
@@ -163,7 +163,7 @@ class Flicker:
         return 1 / self.frequency if self.frequency else 0.0
 
 
-def measure_flicker(rig: Rig, whites: WhiteAndBlack, settle: float, report: _Report) -> Flicker:
+def measure_flicker(rig: Rig, whites: WhiteAndBlack, settle: float, report: Progress) -> Flicker:
     """Photograph a white and a black picture many times, at a short exposure.
 
     The frequencies that are tried are those of lamps on the mains (100 and 120 Hz), the projector's
@@ -282,7 +282,7 @@ def measure_exposure(
 
 
 def measure_response(
-    rig: Rig, whites: WhiteAndBlack, settle: float, report: _Report, camera: Response
+    rig: Rig, whites: WhiteAndBlack, settle: float, report: Progress, camera: Response
 ) -> ProjectorResponse:
     """Measure how much light the projector gives for each grey value, by a camera's response."""
     photographer = Photographer(rig, settle)
@@ -457,7 +457,7 @@ def measure_rig(
         check_number("a settle time", settle, most=60, hint="give seconds, such as 0.1")
     before, camera = kept_measurements(rig, keep), Response.parse(response)
 
-    def report(part: str) -> _Report:
+    def report(part: str) -> Progress:
         return lambda done, total: None if progress is None else progress(part, done, total)
 
     def measured() -> RigMeasurements:

@@ -190,19 +190,18 @@ class CaptureSession:
         for _ in range(2):
             missing = [k for k in wanted if k not in self.record.state.frames]
             for start in range(0, len(missing), _GROUP):
-                self._take_group(missing[start : start + _GROUP])
-
-    def _take_group(self, group: list[int]) -> None:
-        self._lights = {k: light for k, light in self._lights.items() if k == self._shown}
-        # Photographs of the patterns that are left, each with the number of the image before it.
-        left: dict[int, list[tuple[Shot, int]]] = {k: [] for k in group}
-        for turn in range(_TRIES):
-            # Backwards from the last but one, since the last is shown already.
-            order = [*left] if turn % 2 == 0 else [*left][-2::-1] + [*left][-1:]
-            for k in order:
-                if self._take(k, left[k]):
-                    del left[k]
-        self.record.save()
+                self._lights = {k: light for k, light in self._lights.items() if k == self._shown}
+                # Photographs of what is left, each with the number of the image before it.
+                left: dict[int, list[tuple[Shot, int]]] = {
+                    k: [] for k in missing[start : start + _GROUP]
+                }
+                for turn in range(_TRIES):
+                    # Backwards from the last but one, since the last is shown already.
+                    order = [*left] if turn % 2 == 0 else [*left][-2::-1] + [*left][-1:]
+                    for k in order:
+                        if self._take(k, left[k]):
+                            del left[k]
+                self.record.save()
 
     def _take(self, k: int, others: list[tuple[Shot, int]]) -> bool:
         """Photograph a pattern; whether the frame is kept, as it agrees with one of the others."""

@@ -112,10 +112,19 @@ def project(
     pictures, rate = _pictures(source)
 
     def on_all(picture: NDArray[Any]) -> NDArray[np.uint8]:
-        """A picture on the screen; that of several projectors must hold the pictures of all."""
+        """A picture as grey values, in the middle of a black screen.
+
+        That of several projectors must hold the pictures of all.
+        """
         if several and [cell * side for side in picture.shape[:2]] != list(screen):
             stacked([picture], several)
-        return _on_screen(picture, screen, cell, curve)
+        grey = to_grey(np.clip(picture, 0, 1)) if curve is None else curve.grey_for(picture)
+        size = (cell * grey.shape[0], cell * grey.shape[1])
+        if size[0] > screen[0] or size[1] > screen[1]:
+            what = f"a picture of {size_in_words(size)} pixels"
+            hint = "make one of the projector's size, such as by `compensate`"
+            raise InputError(f"{what}, for a projector of {size_in_words(screen)}", hint=hint)
+        return on_screen(grey, screen, cell)
 
     shown = map(on_all, pictures)
     if photograph is not None:
@@ -150,21 +159,6 @@ def _pictures(source: NDArray[Any] | str | Path) -> tuple[Iterator[NDArray[Any]]
     films = map(video_frames, itertools.repeat(source))
     frames = itertools.chain.from_iterable(films)
     return (frame / np.float32(255) for frame in frames), video_rate(source)
-
-
-def _on_screen(
-    picture: NDArray[Any], screen: tuple[int, int], cell: int, curve: ProjectorResponse | None
-) -> NDArray[np.uint8]:
-    """A picture as grey values, in the middle of a black screen."""
-    grey = to_grey(np.clip(picture, 0, 1)) if curve is None else curve.grey_for(picture)
-    size = (cell * grey.shape[0], cell * grey.shape[1])
-    if size[0] > screen[0] or size[1] > screen[1]:
-        raise InputError(
-            f"a picture of {size_in_words(size)} pixels, for a projector of "
-            f"{size_in_words(screen)}",
-            hint="make one of the projector's size, such as by `compensate`",
-        )
-    return on_screen(grey, screen, cell)
 
 
 def _photographed(

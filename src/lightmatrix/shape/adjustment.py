@@ -27,7 +27,7 @@ from lightmatrix.geometry.rig_geometry import (
     undistort,
 )
 
-Shape = tuple[int, int]
+Size = tuple[int, int]
 # Numbers of a device: two focal lengths, the principal point, two coefficients of distortion, and
 # the rotation vector and translation from the frame of the first camera to its own; of a pose of
 # the board, the last two.
@@ -55,7 +55,7 @@ class Fit:
         seen, lit = self.seen_errors[self.used.any(axis=1)], self.lit_errors[self.used]
         return {"camera": rms_of(seen), "projector": rms_of(lit)}
 
-    def geometry(self, camera: int, projector: int, shapes: tuple[Shape, Shape]) -> RigGeometry:
+    def geometry(self, camera: int, projector: int, shapes: tuple[Size, Size]) -> RigGeometry:
         """The geometry of a pair, in the frame of the first camera."""
         pair = self.devices[camera], self.devices[len(self.seen_errors) + projector]
         one, other = (_intrinsics(d) @ np.column_stack([_turn(d), d[9:]]) for d in pair)
@@ -73,7 +73,7 @@ def largest_turn(poses: Array) -> float:
     return float(np.degrees(np.arccos(np.abs(normals @ normals.T).clip(0, 1).min())))
 
 
-def fit_board(seen: Array, lit: Array, board: Array, camera_shape: Shape) -> Fit:
+def fit_board(seen: Array, lit: Array, board: Array, camera_shape: Size) -> Fit:
     """Fit all devices to all poses, and leave out corners that are far off.
 
     `seen` (cameras, poses, n, 2) are the corners in the cameras' images, `lit` (cameras,
@@ -112,6 +112,15 @@ def fit_board(seen: Array, lit: Array, board: Array, camera_shape: Shape) -> Fit
         # No geometry explains corners that are off by more.
         if settled or usual.max() > 3:
             break
+    for (_, other), shown in zip(pairs, use, strict=True):
+        corners = [board @ _turn(np.append(np.zeros(6), pose)).T + pose[3:] for pose in poses]
+        ahead = (np.stack(corners) @ _turn(devices[other]).T + devices[other][9:])[..., 2]
+        if (ahead[shown] <= 0).any():
+            raise InputError(
+                "the geometry that fits the corners puts the board behind a device",
+                hint="is an image mirrored, are poses exchanged, or do the patterns not belong to "
+                "the photographs?",
+            )
     lit_errors, used = errors[cameras:].reshape(lit.shape), use[cameras:].reshape(lit.shape[:-1])
     return Fit(devices, poses, errors[:cameras], lit_errors, used, deviations)
 
@@ -177,7 +186,7 @@ class _System:
         return *whole(found.x), np.sqrt(of_poses.sum(axis=-1)) * (180 / np.pi, 1)
 
 
-def _start(seen: Array, lit: Array, board: Array, camera_shape: Shape) -> tuple[Array, Array]:
+def _start(seen: Array, lit: Array, board: Array, camera_shape: Size) -> tuple[Array, Array]:
     """The first camera by OpenCV, without a lens, and the others from the corners in its frame."""
     cv2 = load_opencv("calibrating a rig", "shape")
     flags = cv2.CALIB_ZERO_TANGENT_DIST | cv2.CALIB_FIX_K1 | cv2.CALIB_FIX_K2 | cv2.CALIB_FIX_K3

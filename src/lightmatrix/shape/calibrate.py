@@ -13,7 +13,7 @@ and so the size of the scene, cannot be known.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import partial
@@ -33,10 +33,11 @@ from lightmatrix.files.extras import load_opencv
 from lightmatrix.files.kinds import geometry_kind
 from lightmatrix.files.writing import check_output
 from lightmatrix.geometry.matches import fit_fundamental, fit_homography, moved, sampson
-from lightmatrix.geometry.rig_geometry import Array, RigGeometry
+from lightmatrix.geometry.rig_geometry import DIAMOND_ROWS, Array, RigGeometry
 from lightmatrix.paths import as_path
 from lightmatrix.patterns.codes import find_codes
 from lightmatrix.patterns.stripes import stripes_of
+from lightmatrix.progress import Progress
 from lightmatrix.ranges import check_list, check_number
 from lightmatrix.reprs import short_repr
 from lightmatrix.shape.adjustment import Fit, fit_board, largest_turn, rms_of
@@ -46,8 +47,10 @@ from lightmatrix.transport.correspondence import Correspondence, correspondence
 from lightmatrix.transport.matrix import LightTransport
 from lightmatrix.transport.store import open_matches
 
-Shape = tuple[int, int]
-Progress = Callable[[int, int], None]
+Size = tuple[int, int]
+# Of one pose: where corners are seen (cameras, n, 2), what lights them (cameras, projectors, n, 2),
+# and which share of it is mirrored (cameras, projectors).
+Corners = tuple[Array, Array, Array]
 Pose = Capture | str | Path | Sequence[Sequence[Capture | str | Path]]
 BoardKind = Literal["chessboard", "charuco", "circles", "asymmetric-circles"]
 # A homography takes four corners; twice as many show whether they fit.
@@ -57,7 +60,7 @@ _FEWEST = 8
 # The corners of a board in the camera's image, and the projector pixels that light them.
 
 
-def find_corners(white: Array, board: Shape, kind: BoardKind = "chessboard") -> Array | None:
+def find_corners(white: Array, board: Size, kind: BoardKind = "chessboard") -> Array | None:
     """The inner corners (n, 2) of a board of (corners across, down) in a white image, or None.
 
     Corners of ChArUco boards that are not seen are NaN; all of other boards must be.
@@ -85,7 +88,7 @@ def find_corners(white: Array, board: Shape, kind: BoardKind = "chessboard") -> 
     return places
 
 
-def _all_of_grid(cv2: Any, image: NDArray[np.uint8], board: Shape, kind: BoardKind) -> Array | None:
+def _all_of_grid(cv2: Any, image: NDArray[np.uint8], board: Size, kind: BoardKind) -> Array | None:
     """The corners of a chessboard or the centres of circles, all of them or None."""
     if kind == "chessboard":
         flags = cv2.CALIB_CB_ADAPTIVE_THRESH | cv2.CALIB_CB_NORMALIZE_IMAGE
@@ -104,9 +107,7 @@ def _all_of_grid(cv2: Any, image: NDArray[np.uint8], board: Shape, kind: BoardKi
     return np.asarray(found, np.float64).reshape(-1, 2) if good else None
 
 
-def _charuco_corners(
-    cv2: Any, image: NDArray[np.uint8], board: Shape, _: BoardKind
-) -> Array | None:
+def _charuco_corners(cv2: Any, image: NDArray[np.uint8], board: Size, _: BoardKind) -> Array | None:
     """The corners of a ChArUco board that are seen, of whatever markers it has."""
     places = np.full((board[0] * board[1], 2), np.nan)
     # Older versions of OpenCV began boards of an even number of rows with a white square.
@@ -124,14 +125,14 @@ def _charuco_corners(
     return None
 
 
-def _side_of(corners: NDArray[np.floating], board: Shape) -> float:
+def _side_of(corners: NDArray[np.floating], board: Size) -> float:
     """Median side of the board's squares in the image, in pixels."""
     across, down = board
     grid = corners.reshape(down, across, 2)
     return float(np.nanmedian(np.linalg.norm(np.diff(grid, axis=1), axis=2)))
 
 
-def light_corners(corners: Array, matches: Correspondence, board: Shape) -> tuple[Array, float]:
+def light_corners(corners: Array, matches: Correspondence, board: Size) -> tuple[Array, float]:
     """The projector pixels (n, 2) that light corners (n, 2), by a homography around each.
 
     They are NaN where too few pixels around a corner see them. The share of the corners around
@@ -193,7 +194,7 @@ def pose_images(capture: Capture, stagger: float = 0.0) -> tuple[Array, list[Cor
 # The rig's geometry from the corners of a board in several poses.
 
 
-def board_points(board: Shape, square: float, kind: BoardKind = "chessboard") -> Array:
+def board_points(board: Size, square: float, kind: BoardKind = "chessboard") -> Array:
     """The inner corners (n, 3) of a board of (corners across, down), on the plane z = 0."""
     across, down = board
     row, col = np.mgrid[:down, :across]
@@ -255,17 +256,26 @@ class RigCalibration:
     def as_dict(self) -> dict[str, Any]:
         """The residuals, JSON-ready."""
         poses = [
-            {"pose": pose.name, "corners": int(pose.used.sum()),
-             "rms_camera": round(pose.rms_camera, 4), "rms_projector": round(pose.rms_projector, 4)}
+            {
+                "pose": pose.name,
+                "corners": int(pose.used.sum()),
+                "rms_camera": round(pose.rms_camera, 4),
+                "rms_projector": round(pose.rms_projector, 4),
+            }
             for pose in self.poses
-        ]  # fmt: skip
+        ]
         rms = {f"rms_{name}": round(value, 4) for name, value in self.geometry.rms.items()}
         return {
-            **rms, "corners": self.corners, "of_corners": sum(p.used.size for p in self.poses),
-            "poses": poses, "standard_errors": self.standard_errors,
-            "largest_turn": round(self.turn, 1), "baseline": round(self.geometry.baseline, 4),
-            "units": self.geometry.units, "left_out": dict(self.left_out),
-        }  # fmt: skip
+            **rms,
+            "corners": self.corners,
+            "of_corners": sum(pose.used.size for pose in self.poses),
+            "poses": poses,
+            "standard_errors": self.standard_errors,
+            "largest_turn": round(self.turn, 1),
+            "baseline": round(self.geometry.baseline, 4),
+            "units": self.geometry.units,
+            "left_out": dict(self.left_out),
+        }
 
 
 def calibrate_rig(
@@ -382,45 +392,16 @@ def calibrate_rig(
         return fit_board(seen, lit, board_points(board, square, kind), cameras[0])
 
     fit = fitted()
-    badly = {}
-    for number, (name, (_, places, _)) in enumerate(corners.items()):
-        use, lit = fit.used[:, :, number].sum(), np.isfinite(places).all(axis=-1).sum()
-        if use < 0.5 * lit:
-            badly[name] = f"only {use} of {lit} corners fit the other poses; did the board move?"
-    far = max(fit.rms().values())
-    # A pose in which something moved can bend the others to itself: without it, they fit.
-    if far > 0.5 and not badly and len(corners) > 3:
-        rest = {}
-        for name in corners:
-            # The other poses may be too few, or parallel.
-            with suppress(InputError):
-                rest[name] = max(fitted(name).rms().values())
-        name = min(rest, key=lambda each: rest[each], default="")
-        if name and rest[name] < 0.5 * far:
-            badly[name] = (
-                f"the others fit to {rest[name]:.2f} pixels without it, and to {far:.2f} with it; "
-                "did the board move?"
-            )
+    badly = _misfits(fit, corners, fitted)
     if badly:
         left_out |= badly
         corners = {name: pose for name, pose in corners.items() if name not in badly}
         _check_count(len(corners), left_out)
         fit = fitted()
+    _check_errors(fit.rms())
     seen_errors, lit_errors, used = fit.seen_errors, fit.lit_errors, fit.used
     # A corner of a camera counts if the match with some projector does, (cameras, poses, n).
     counted = np.asarray(used.any(axis=1))
-    rms = fit.rms()
-    # Good calibrations reach 0.1 to 0.5 pixels.
-    worst = max(rms.values())
-    causes = (
-        "are all poses in the order of their patterns? Is the board flat and of this many inner "
-        "corners, and did it lie still? Did the camera focus anew?"
-    )
-    off = f"{rms['camera']:.2f} camera pixels and {rms['projector']:.2f} projector pixels (RMS)"
-    if not worst <= 3:
-        raise InputError(f"no geometry explains the corners: they are off by {off}", hint=causes)
-    if worst > 1:
-        warn(f"the corners are off by {off}; good calibrations reach 0.5\n  {causes}")
 
     def geometry(camera: int, projector: int) -> RigGeometry:
         # A projector that this camera does not see is known from the others.
@@ -437,22 +418,57 @@ def calibrate_rig(
     geometries = tuple(
         tuple(geometry(c, p) for p in range(len(projectors))) for c in range(len(cameras))
     )
-    used_poses = tuple(
-        BoardPose(
-            name, seen, lit, used[:, :, k], rms_of(seen_errors[:, k][counted[:, k]]),
-            rms_of(lit_errors[:, :, k][used[:, :, k]]),
-        )
-        for k, (name, (seen, lit, _)) in enumerate(corners.items())
-    )  # fmt: skip
+    used_poses = []
+    for k, (name, (seen, lit, _)) in enumerate(corners.items()):
+        counts = used[:, :, k]
+        errors = rms_of(seen_errors[:, k][counted[:, k]]), rms_of(lit_errors[:, :, k][counts])
+        used_poses.append(BoardPose(name, seen, lit, counts, *errors))
     for name, reason in left_out.items():
         warn(f"{name} is left out: {reason}")
     for file, found in zip(files, chain(*geometries), strict=False):
         found.save(file, overwrite=overwrite)
-    stated = [(turn, place) for turn, place in fit.deviations.tolist()[1:]]
-    errors = dict(zip(names[1:], stated, strict=True))
-    return RigCalibration(
-        geometries, used_poses, left_out, largest_turn(fit.poses), errors, tuple(files)
+    stated = dict(zip(names[1:], map(tuple, fit.deviations.tolist()[1:]), strict=True))
+    turn = largest_turn(fit.poses)
+    return RigCalibration(geometries, tuple(used_poses), left_out, turn, stated, tuple(files))
+
+
+def _misfits(
+    fit: Fit, corners: Mapping[str, Corners], fitted: Callable[[str], Fit]
+) -> dict[str, str]:
+    """Which poses do not fit the others, and why; `fitted` leaves one of them out."""
+    badly = {}
+    for number, (name, (_, places, _)) in enumerate(corners.items()):
+        use, lit = fit.used[:, :, number].sum(), np.isfinite(places).all(axis=-1).sum()
+        if use < 0.5 * lit:
+            badly[name] = f"only {use} of {lit} corners fit the other poses; did the board move?"
+    far = max(fit.rms().values())
+    if not far > 0.5 or badly or len(corners) <= 3:
+        return badly
+    # A pose in which something moved can bend the others to itself: without it, they fit.
+    rest = {}
+    for name in corners:
+        # The other poses may be too few, or parallel.
+        with suppress(InputError):
+            rest[name] = max(fitted(name).rms().values())
+    name = min(rest, key=lambda each: rest[each], default="")
+    if not name or not rest[name] < 0.5 * far:
+        return {}
+    reason = f"the others fit to {rest[name]:.2f} pixels without it, and to {far:.2f} with it"
+    return {name: f"{reason}; did the board move?"}
+
+
+def _check_errors(rms: Mapping[str, float]) -> None:
+    """Refuses errors that no geometry should have, and warns of large ones, in pixels."""
+    causes = (
+        "are all poses in the order of their patterns? Is the board flat and of this many inner "
+        "corners, and did it lie still? Did the camera focus anew?"
     )
+    off = f"{rms['camera']:.2f} camera pixels and {rms['projector']:.2f} projector pixels (RMS)"
+    # Good calibrations reach 0.1 to 0.5 pixels.
+    if not max(rms.values()) <= 3:
+        raise InputError(f"no geometry explains the corners: they are off by {off}", hint=causes)
+    if max(rms.values()) > 1:
+        warn(f"the corners are off by {off}; good calibrations reach 0.5\n  {causes}")
 
 
 def _captures_of(pose: Pose) -> list[list[Capture]]:
@@ -474,9 +490,9 @@ def _captures_of(pose: Pose) -> list[list[Capture]]:
     return [[open_capture(one) for one in within(part, "camera")] for part in parts]
 
 
-def _shapes_of(opened: dict[str, list[list[Capture]]]) -> tuple[list[Shape], list[Shape]]:
+def _shapes_of(opened: dict[str, list[list[Capture]]]) -> tuple[list[Size], list[Size]]:
     """The image sizes of all cameras, and of all projectors; they must be those of each pose."""
-    usual: tuple[list[Shape], list[Shape]] | None = None
+    usual: tuple[list[Size], list[Size]] | None = None
     for name, parts in opened.items():
         seen = [
             [(rows, cols) for rows, cols, *_ in (one.camera_shape for one in part)]
@@ -502,17 +518,13 @@ def _files(output: str | Path, cameras: int, projectors: int) -> list[Path]:
 
 def _all_corners(
     opened: dict[str, list[list[Capture]]],
-    board: Shape,
+    board: Size,
     kind: BoardKind,
     progress: Progress | None,
     stagger: float = 0.0,
-) -> tuple[dict[str, tuple[Array, Array, Array]], dict[str, str]]:
-    """The corners of usable poses by name, and why other poses are not usable.
-
-    Where they are seen (cameras, n, 2), what lights them (cameras, projectors, n, 2), and how much
-    of it is mirrored (cameras, projectors).
-    """
-    found: dict[str, tuple[Array, Array, Array]] = {}
+) -> tuple[dict[str, Corners], dict[str, str]]:
+    """The corners of usable poses by name, and why other poses are not usable."""
+    found: dict[str, Corners] = {}
     left_out: dict[str, str] = {}
     for number, (name, parts) in enumerate(opened.items()):
         try:
@@ -558,7 +570,7 @@ def _all_corners(
     return found, left_out
 
 
-def _suffice(lit: Array, board: Shape) -> bool:
+def _suffice(lit: Array, board: Size) -> bool:
     """Whether enough corners (..., n, 2) of a board are lit, in two rows and columns at least."""
     finite = np.isfinite(lit).all(axis=-1).reshape(-1, board[1], board[0])
     known = np.asarray(finite.any(axis=0))
@@ -714,8 +726,7 @@ def self_calibrate(
         known = None if projector_intrinsics is None else np.asarray(projector_intrinsics, float)
         matrix = fit_fundamental(seen, own) if mirrored else fundamental
         lens = camera.camera_intrinsics
-        # Rows of diamond pixels are half as far apart as columns.
-        high = 2.0 if stagger else 1.0
+        high = DIAMOND_ROWS if stagger else 1.0
         pose, deviation = _pose(matrix, seen, own, lens, known, projector_shape, high, free)
         rig = RigGeometry.from_intrinsics(
             lens, *pose[:2], pose[2] * baseline, *sizes, camera_distortion=camera_distortion
@@ -763,7 +774,7 @@ def self_calibrate(
 def _centred(focal: float, shape: tuple[int, int], high: float = 1.0) -> Array:
     """K with an axis through the middle of an image of (rows, cols).
 
-    Columns are `high` times as far apart as rows.
+    Columns of its pixels are `high` times as far apart as rows.
     """
     rows, cols = shape
     return np.array([[focal, 0, (cols - 1) / 2], [0, high * focal, (rows - 1) / 2], [0, 0, 1]])
@@ -771,7 +782,7 @@ def _centred(focal: float, shape: tuple[int, int], high: float = 1.0) -> Array:
 
 def _pose(
     fundamental: Array, seen: Array, lit: Array, camera: Array, projector: Array | None,
-    projector_shape: Shape, high: float, free: float,
+    projector_shape: Size, high: float, free: float,
 ) -> tuple[tuple[Array, Array, Array], float]:  # fmt: skip
     """K of the projector, R and t of length 1, that bring the matches nearest to their lines.
 

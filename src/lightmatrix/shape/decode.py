@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +14,7 @@ from lightmatrix.errors import InputError, warn
 from lightmatrix.files.kinds import CORRESPONDENCE
 from lightmatrix.files.writing import check_output
 from lightmatrix.patterns.codes import find_codes, read_code
+from lightmatrix.progress import Progress
 from lightmatrix.transport.correspondence import Correspondence
 from lightmatrix.transport.npz import write_correspondence
 
@@ -25,7 +25,7 @@ def decode(
     output: str | Path | None = None,
     overwrite: bool = False,
     check: bool = True,
-    progress: Callable[[int, int], None] | None = None,
+    progress: Progress | None = None,
 ) -> Correspondence:
     """Decode a capture under stripes: Gray code, phase shifts, micro phase shifts, and others.
 

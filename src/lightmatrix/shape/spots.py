@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
-from lightmatrix.geometry.rig_geometry import RigGeometry, staggered
+from lightmatrix.geometry.rig_geometry import DIAMOND_ROWS, RigGeometry, staggered
 from lightmatrix.ranges import check_number
 from lightmatrix.resources.threads import work_ahead
 from lightmatrix.transport.correspondence import Correspondence, pixel_rows
@@ -188,10 +188,11 @@ def on_diamonds(source: Correspondence, stagger: float) -> Correspondence:
     """Matches whose places, counted in pixels, become where diamond pixels lie."""
     if not stagger:
         return source
-    # A camera whose pixels step over rows sees odd and even ones alike, which is a mean of two.
+    # A camera whose pixels step over rows sees odd and even ones alike: its pixels, as large as
+    # the distance of columns, are means of as many rows.
     steps = np.abs(np.diff(source.place[..., 0], axis=0))
     known = steps[np.isfinite(steps)]
-    height = 1.0 if known.size and np.median(known) < 1 else 2.0
+    height = 1.0 if known.size and np.median(known) < 1 else DIAMOND_ROWS
     place = staggered(source.place[..., ::-1].astype(np.float64), stagger, height)[..., ::-1]
     return replace(source, place=place.astype(np.float32))
 

@@ -17,8 +17,9 @@ from lightmatrix.defaults import PROCEDURAL, USUAL_SAMPLES
 from lightmatrix.errors import InputError, OutputError, warn
 from lightmatrix.files.numpy_files import read_npz
 from lightmatrix.paths import as_path
+from lightmatrix.progress import Progress
 from lightmatrix.simulation.procedural import ProceduralScene
-from lightmatrix.simulation.renderer import Progress, render
+from lightmatrix.simulation.renderer import render
 from lightmatrix.simulation.scenes import Scene, names, scene, seen_by
 from lightmatrix.simulation.truth import Truth, view_geometry
 

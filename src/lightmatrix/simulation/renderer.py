@@ -9,7 +9,6 @@ import re
 import subprocess
 import sys
 import time
-from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import cache
 from types import ModuleType
@@ -21,6 +20,7 @@ from scipy.sparse import csr_array, hstack
 
 from lightmatrix.errors import InputError, MissingExtraError
 from lightmatrix.geometry.rig_geometry import RigGeometry
+from lightmatrix.progress import Progress
 from lightmatrix.ranges import check_seed, check_sides
 from lightmatrix.resources.memory import available_bytes, check_memory
 from lightmatrix.simulation.scenes import Part, Scene, View, seen_by
@@ -218,9 +218,6 @@ def sum_contributions(
     row, column = np.divmod(places[starts], np.uint32(shape[1]))
     indptr = np.searchsorted(row, np.arange(shape[0] + 1))
     return csr_array((data, column.astype(np.int32), indptr.astype(np.int32)), shape=shape)
-
-
-Progress = Callable[[int, int], None]
 
 
 def render(

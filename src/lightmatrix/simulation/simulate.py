@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -25,16 +25,15 @@ from lightmatrix.paths import as_path
 from lightmatrix.patterns.colour import ColourPatterns
 from lightmatrix.patterns.folder import read_patterns
 from lightmatrix.patterns.pattern_set import PatternSet
+from lightmatrix.progress import Progress
 from lightmatrix.ranges import as_float, check_number, check_seed
 from lightmatrix.regions import Region
 from lightmatrix.simulation import library, realism
-from lightmatrix.simulation.colour import in_all_primaries, in_primary, is_of_all_primaries
 from lightmatrix.simulation.faults import Faults
+from lightmatrix.simulation.realism import in_all_primaries, in_primary, is_of_all_primaries
 from lightmatrix.simulation.truth import Truth
 from lightmatrix.transport.matrix import PROJECTORS
 from lightmatrix.transport.sparse_rows import row_blocks
-
-Progress = Callable[[int, int], None]
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -314,7 +313,7 @@ def irradiance(
     matrix: csr_array,
     patterns: PatternSet,
     *,
-    progress: Callable[[int, int], None] | None = None,
+    progress: Progress | None = None,
 ) -> NDArray[np.float32]:
     """T P' for an (M, N) sparse T and K patterns: (M, K), linear, 1 = clip level at exposure 1."""
     rows, pixels = matrix.shape

@@ -16,9 +16,9 @@ from lightmatrix import _core
 from lightmatrix.defaults import PASSES
 from lightmatrix.errors import InputError, SolverError
 from lightmatrix.patterns.pattern_set import PatternSet
+from lightmatrix.progress import Progress
 from lightmatrix.ranges import as_float, check_at_least_one
 from lightmatrix.solvers.fidelity import Fidelity
-from lightmatrix.solvers.loop import Progress
 from lightmatrix.solvers.problem import Problem, Result, Status, solved_rows
 from lightmatrix.transport.sparse_rows import SparseRows
 

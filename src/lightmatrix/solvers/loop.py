@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable
 from dataclasses import dataclass, field, fields, replace
 from typing import Any, Protocol, TypeVar
 
@@ -11,11 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
+from lightmatrix.progress import Progress
 from lightmatrix.solvers.fidelity import Fidelity
 from lightmatrix.solvers.problem import Problem, Result, Status, no_rows, objective, solved_rows
 from lightmatrix.transport.sparse_rows import SparseRows
 
-Progress = Callable[[int, int], None]
 S = TypeVar("S")
 
 

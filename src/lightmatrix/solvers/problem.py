@@ -5,7 +5,6 @@ Objectives are computed in float64 from their definitions.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from enum import StrEnum
 from functools import cached_property
@@ -19,7 +18,7 @@ from lightmatrix.capture.samples import Samples
 from lightmatrix.errors import InputError
 from lightmatrix.patterns.pattern_set import PatternSet
 from lightmatrix.reprs import short_repr
-from lightmatrix.solvers.fidelity import DataTerm, Fidelity, Observed
+from lightmatrix.solvers.fidelity import Fidelity, Observed
 from lightmatrix.transport.sparse_rows import SparseRows
 
 Floats = NDArray[np.float64]
@@ -220,7 +219,9 @@ CHUNK_BYTES = 128 << 20
 def predictions(problem: Problem, coefficients: csr_array, background: NDArray[Any]) -> Floats:
     """A x + b m for every row, (M, K) float64."""
     result = np.empty(problem.samples.values.shape)
-    for chunk in _chunks(problem):
+    size = max(1, CHUNK_BYTES // (8 * problem.patterns.pixels))
+    for start in range(0, problem.rows, size):
+        chunk = slice(start, start + size)
         rows = coefficients[chunk].toarray().astype(np.float64)
         result[chunk] = problem.patterns.forward(rows)
     if not problem.background:
@@ -234,20 +235,6 @@ def objective(
     """The problem's objective for each row, (M,) float64."""
     u = predictions(problem, coefficients, background)
     term, observed = Fidelity(fidelity).term, problem.observed.astype(np.float64)
-    return _norm(problem, coefficients) + _data_term(observed, u, term)
-
-
-def _chunks(problem: Problem) -> Iterator[slice]:
-    """Slices of the rows whose dense coefficients take up to `CHUNK_BYTES`."""
-    size = max(1, CHUNK_BYTES // (8 * problem.patterns.pixels))
-    for start in range(0, problem.rows, size):
-        yield slice(start, start + size)
-
-
-def _norm(problem: Problem, coefficients: csr_array) -> Floats:
-    sums = np.abs(coefficients).sum(axis=1, dtype=np.float64)
-    return problem.regularization * np.asarray(sums).ravel()
-
-
-def _data_term(observed: Observed, u: Floats, term: DataTerm) -> Floats:
-    return np.asarray((observed.weights * term.value(u, observed)).sum(axis=1))
+    norm = np.asarray(np.abs(coefficients).sum(axis=1, dtype=np.float64)).ravel()
+    misfit = (observed.weights * term.value(u, observed)).sum(axis=1)
+    return np.asarray(problem.regularization * norm + misfit)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,6 +9,7 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
 from lightmatrix.errors import SolverError
+from lightmatrix.progress import Progress
 from lightmatrix.ranges import check_at_least_one
 from lightmatrix.solvers.fidelity import Fidelity
 from lightmatrix.solvers.problem import (
@@ -70,7 +70,7 @@ class ROMP:
             )
         check_at_least_one(sparsity=self.sparsity, max_iterations=self.max_iterations)
 
-    def solve(self, problem: Problem, progress: Callable[[int, int], None] | None = None) -> Result:
+    def solve(self, problem: Problem, progress: Progress | None = None) -> Result:
         """Solve all rows, in chunks whose columns take up to `CHUNK_BYTES`."""
         n = self.sparsity or max(1, min(32, problem.patterns.count // 8))
         n = min(n, problem.patterns.pixels)

@@ -11,7 +11,7 @@ import itertools
 import math
 import os
 import shutil
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -26,8 +26,9 @@ from lightmatrix.files.kinds import STORE
 from lightmatrix.files.writing import claimed, temporary
 from lightmatrix.files.zarr_arrays import QUICK
 from lightmatrix.patterns.pattern_set import grid_cells
+from lightmatrix.progress import Progress
 from lightmatrix.reprs import short_repr
-from lightmatrix.resources.disk import check_disk_space
+from lightmatrix.resources.memory import check_disk_space
 from lightmatrix.transport.sparse_rows import row_blocks
 from lightmatrix.transport.store import StoredTransport, fill_store
 
@@ -45,7 +46,7 @@ _REMEDY = "make it again with index_columns"
 
 
 def index_columns(
-    path: str | Path, *, overwrite: bool = False, progress: Callable[[int, int], None] | None = None
+    path: str | Path, *, overwrite: bool = False, progress: Progress | None = None
 ) -> None:
     """Add an index of its columns to a matrix on disk.
 
@@ -101,7 +102,7 @@ def tile_places(pixels: NDArray[np.integer], projector_shape: tuple[int, int]) -
     return top * cols + left * height + (row - top) * width + col - left
 
 
-def _write_index(part: Path, matrix: StoredTransport, progress: Callable[[int, int], None]) -> None:
+def _write_index(part: Path, matrix: StoredTransport, progress: Progress) -> None:
     """Write the transposed matrix, its rows in the order of `tile_places`, in bounded memory."""
     samples, pixels = matrix.shape
     cells = math.prod(matrix.background_grid)

@@ -458,7 +458,15 @@ class StoredTransport(TransportOperator):
     def blocks(self) -> Iterator[tuple[int, SparseRows]]:
         """All rows in blocks of bounded size, without diagnostics: (first row, rows)."""
         for start, stop in zip(self._cuts[:-1], self._cuts[1:], strict=True):
-            yield int(start), self._block(int(start), int(stop))
+            block = self._kept.get(start := int(start))
+            if block is None:
+                block = self.some_rows(start, int(stop))
+                # The first blocks stay: going through all blocks in order, replacing the oldest
+                # would always remove the one that is needed next.
+                # A list, since other threads may add blocks meanwhile.
+                if sum(map(_bytes, list(self._kept.values()))) + _bytes(block) <= self.memory:
+                    self._kept[start] = block
+            yield start, block
 
     def crop(self, corner: tuple[int, int], shape: tuple[int, int]) -> LightTransport:
         """A rectangle of the camera's pixels, of which no others are read.
@@ -505,18 +513,6 @@ class StoredTransport(TransportOperator):
     def _cuts(self) -> NDArray[np.int64]:
         """First rows of the blocks, and M."""
         return row_blocks(self._indptr, _BLOCK_ENTRIES)
-
-    def _block(self, start: int, stop: int) -> SparseRows:
-        kept = self._kept.get(start)
-        if kept is not None:
-            return kept
-        block = self.some_rows(start, stop)
-        # The first blocks stay: going through all blocks in order, replacing the oldest would
-        # always remove the one that is needed next.
-        # A list, since other threads may add blocks meanwhile.
-        if sum(map(_bytes, list(self._kept.values()))) + _bytes(block) <= self.memory:
-            self._kept[start] = block
-        return block
 
 
 def _bytes(rows: SparseRows) -> int:

@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from enum import IntEnum
 from functools import cached_property, partial, reduce
@@ -28,13 +28,14 @@ from lightmatrix.files.writing import check_output
 from lightmatrix.patterns.folder import write_patterns
 from lightmatrix.patterns.pattern_set import ImagePatterns, grid_cells
 from lightmatrix.patterns.projector_curve import ProjectorResponse
+from lightmatrix.progress import Progress
 from lightmatrix.ranges import check_list, check_number
 from lightmatrix.reprs import short_repr
 from lightmatrix.resources.threads import work_ahead
 from lightmatrix.transport.matrix import LightTransport
 from lightmatrix.uses.loading import Transport, loaded
 from lightmatrix.uses.separation import pattern_or_white, separate
-from lightmatrix.uses.wanted import Picture, ambient_samples, mask_samples, wanted_samples
+from lightmatrix.uses.wanted import WantedPicture, ambient_samples, mask_samples, wanted_samples
 
 Singles = NDArray[np.float32]
 
@@ -534,9 +535,9 @@ class Compensator:
 def compensator(
     transport: Transport | Sequence[Transport],
     *,
-    ambient: Picture | None = None,
-    mask: Picture | None = None,
-    projector_mask: Picture | None = None,
+    ambient: WantedPicture | None = None,
+    mask: WantedPicture | None = None,
+    projector_mask: WantedPicture | None = None,
 ) -> Compensator:
     """What compensations of one scene share, from arguments of `compensate`."""
     light = joint_light(transport)
@@ -550,11 +551,11 @@ def compensator(
 
 def compensate(
     transport: Transport | Sequence[Transport],
-    wanted: Picture,
+    wanted: WantedPicture,
     *,
-    ambient: Picture | None = None,
-    mask: Picture | None = None,
-    projector_mask: Picture | None = None,
+    ambient: WantedPicture | None = None,
+    mask: WantedPicture | None = None,
+    projector_mask: WantedPicture | None = None,
     brightness: float | None = None,
     gamma: float | None = None,
     fit: str | None = None,
@@ -685,18 +686,18 @@ class CompensatedVideo:
 
 def compensate_video(
     transport: Transport,
-    frames: str | Path | Sequence[Picture] | NDArray[Any],
+    frames: str | Path | Sequence[WantedPicture] | NDArray[Any],
     *,
-    ambient: Picture | None = None,
-    mask: Picture | None = None,
-    projector_mask: Picture | None = None,
+    ambient: WantedPicture | None = None,
+    mask: WantedPicture | None = None,
+    projector_mask: WantedPicture | None = None,
     brightness: float | None = None,
     gamma: float | None = None,
     fit: str | None = None,
     projector_response: ProjectorResponse | str | Path | None = None,
     output: str | Path | None = None,
     overwrite: bool = False,
-    progress: Callable[[int, int], None] | None = None,
+    progress: Progress | None = None,
 ) -> CompensatedVideo:
     """The patterns under which the camera sees the frames of a video.
 

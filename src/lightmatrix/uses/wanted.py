@@ -15,11 +15,11 @@ from lightmatrix.files.extras import upright
 from lightmatrix.files.images import DISPLAY_GAMMA, given_image, is_grey, read_image, read_light
 from lightmatrix.ranges import check_number
 
-Picture = NDArray[Any] | str | Path
+WantedPicture = NDArray[Any] | str | Path
 
 
 def wanted_samples(
-    wanted: Picture,
+    wanted: WantedPicture,
     camera_shape: tuple[int, ...],
     *,
     gamma: float | None = None,
@@ -103,7 +103,7 @@ def _samples(
 
 
 def mask_samples(
-    mask: Picture | None, shape: tuple[int, ...], device: str = "camera"
+    mask: WantedPicture | None, shape: tuple[int, ...], device: str = "camera"
 ) -> NDArray[np.bool_]:
     """Which samples of a camera or a projector count, (M,): those where the mask is not 0."""
     if mask is None:
@@ -122,7 +122,9 @@ def mask_samples(
     return chosen
 
 
-def ambient_samples(ambient: Picture | None, camera_shape: tuple[int, ...]) -> NDArray[np.float32]:
+def ambient_samples(
+    ambient: WantedPicture | None, camera_shape: tuple[int, ...]
+) -> NDArray[np.float32]:
     """Light that is there without the projector, (M,) >= 0, in units of the clip level."""
     if ambient is None:
         return np.zeros(int(np.prod(camera_shape)), np.float32)

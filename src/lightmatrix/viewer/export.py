@@ -18,7 +18,7 @@ from lightmatrix.files.kinds import PAGE
 from lightmatrix.files.writing import atomic_file, check_output
 from lightmatrix.geometry.rig_geometry import RigGeometry
 from lightmatrix.transport.matrix import LightTransport
-from lightmatrix.viewer.scene import Scene, opened, page_size
+from lightmatrix.viewer.scene import ViewedScene, opened, page_size
 
 STYLE = "viewer.css"
 # How our modules import from each other: a line each.
@@ -126,7 +126,7 @@ def export_viewer(
             hint=f"at most {_MOST_BYTES >> 20} MiB fit: serve it (`serve_viewer`), crop it with "
             "LightTransport.crop, or estimate it with a larger bin_projector or bin_camera",
         )
-    scene = Scene(transport, capture=capture, geometry=geometry)
+    scene = ViewedScene(transport, capture=capture, geometry=geometry)
     size = page_size(matrix) + scene.pattern_count * matrix.shape[1]
     if size > _MOST_BYTES:
         raise InputError(

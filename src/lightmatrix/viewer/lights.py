@@ -22,7 +22,7 @@ from lightmatrix.transport.store import StoredTransport
 Singles = NDArray[np.float32]
 
 # Called with what is done, all there is, and a note.
-Progress = Callable[[int, int, str], None]
+StageProgress = Callable[[int, int, str], None]
 # Bytes of rows that are kept once they were read: with the index, which keeps as much, and a few
 # images, the server stays below 1 GiB.
 _KEPT_BYTES = 256 << 20
@@ -85,7 +85,7 @@ class StoredLight(Light):
         self._lock = threading.Lock()
 
     @classmethod
-    def open(cls, path: str | Path, progress: Progress | None = None) -> StoredLight:
+    def open(cls, path: str | Path, progress: StageProgress | None = None) -> StoredLight:
         """Open a store; without an index, make it."""
         matrix = StoredTransport.open(path, memory=_KEPT_BYTES)
         if not (matrix.place / COLUMNS).is_dir():

@@ -15,7 +15,7 @@ from lightmatrix.files.extras import load_extra
 from lightmatrix.ranges import check_finite
 from lightmatrix.transport.matrix import LightTransport
 from lightmatrix.viewer.export import STYLE, bundle, page_file
-from lightmatrix.viewer.scene import Scene
+from lightmatrix.viewer.scene import ViewedScene
 from lightmatrix.viewer.session import REST_MILLISECONDS, MessageError, Session
 
 # The largest matrix that a notebook sends to its page, where it may be kept with the notebook.
@@ -58,13 +58,13 @@ def view(transport: LightTransport | str | Path, *, page_bytes: int = _PAGE_BYTE
     (64.0, (64, 64))
     """
     widget_class = _widget_class()
-    return widget_class(Scene(transport, page_bytes=page_bytes))
+    return widget_class(ViewedScene(transport, page_bytes=page_bytes))
 
 
 class Views:
     """The views of one widget, each in a page."""
 
-    def __init__(self, scene: Scene, send: Send) -> None:
+    def __init__(self, scene: ViewedScene, send: Send) -> None:
         self._scene, self._send = scene, send
         self._sessions: dict[str, Session] = {}
 
@@ -126,7 +126,7 @@ def _widget_class() -> Any:
         matrix = traitlets.Bytes().tag(sync=True)
         levels = traitlets.Bytes().tag(sync=True)
 
-        def __init__(self, scene: Scene) -> None:
+        def __init__(self, scene: ViewedScene) -> None:
             matrix = b"" if scene.light is not None else scene.matrix_bytes
             super().__init__(description=scene.description, matrix=matrix)
             self._transport = scene.matrix

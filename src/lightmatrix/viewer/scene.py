@@ -22,12 +22,12 @@ from lightmatrix.transport.matrix import LightTransport
 from lightmatrix.transport.store import StoredTransport
 from lightmatrix.uses.compensation import compensate
 from lightmatrix.viewer.layers import COMPUTED_ENTRIES, LayerSource, matrix_data, matrix_size
-from lightmatrix.viewer.lights import Light, MemoryLight, Progress, StoredLight
+from lightmatrix.viewer.lights import Light, MemoryLight, StageProgress, StoredLight
 from lightmatrix.viewer.packed import packed
 from lightmatrix.viewer.session import HEADER_BYTES, Session
 
 
-class Scene:
+class ViewedScene:
     """A matrix as the page sees it.
 
     A matrix of more than `page_bytes` stays here, and on disk if it is a store, which gets an index
@@ -40,7 +40,7 @@ class Scene:
         transport: LightTransport | str | Path,
         *,
         page_bytes: int = PAGE_BYTES,
-        progress: Progress | None = None,
+        progress: StageProgress | None = None,
         capture: Capture | str | Path | None = None,
         geometry: RigGeometry | str | Path | None = None,
     ) -> None:

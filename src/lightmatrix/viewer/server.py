@@ -24,8 +24,8 @@ from lightmatrix.files.extras import load_extra
 from lightmatrix.geometry.rig_geometry import RigGeometry
 from lightmatrix.transport.matrix import LightTransport
 from lightmatrix.viewer.export import STYLE, frame, module_names, page_file
-from lightmatrix.viewer.lights import Progress
-from lightmatrix.viewer.scene import Scene
+from lightmatrix.viewer.lights import StageProgress
+from lightmatrix.viewer.scene import ViewedScene
 from lightmatrix.viewer.session import REST_MILLISECONDS, MessageError
 
 # Who may connect: this machine only, by the address that was handed out, and from its own page.
@@ -127,7 +127,7 @@ _BINARY, _TEXT = "application/octet-stream", "text/plain; charset=utf-8"
 class Answers:
     """The ASGI application of one scene."""
 
-    def __init__(self, scene: Scene, guard: Guard) -> None:
+    def __init__(self, scene: ViewedScene, guard: Guard) -> None:
         self._scene, self._guard = scene, guard
 
     async def __call__(self, scope: dict[str, Any], receive: Receive, send: Send) -> None:
@@ -224,7 +224,7 @@ def serve_viewer(
     browser: bool = True,
     ready: Callable[[str], None] | None = None,
     page_bytes: int = PAGE_BYTES,
-    progress: Progress | None = None,
+    progress: StageProgress | None = None,
     capture: Capture | str | Path | None = None,
     geometry: RigGeometry | str | Path | None = None,
 ) -> None:
@@ -278,7 +278,7 @@ def serve_viewer(
     )
     if not 0 <= port <= 65535:
         raise InputError(f"port {port}", hint="use 0 (any free one) to 65535")
-    scene = Scene(
+    scene = ViewedScene(
         transport, page_bytes=page_bytes, progress=progress, capture=capture, geometry=geometry
     )
     with _bound(port) as listening:

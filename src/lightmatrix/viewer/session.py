@@ -31,7 +31,7 @@ class MessageError(Exception):
     """Bytes that the page would not send."""
 
 
-class Kind(IntEnum):
+class MessageKind(IntEnum):
     """What a message asks for."""
 
     PAINT = 1
@@ -44,7 +44,7 @@ class Kind(IntEnum):
 class Message:
     """What a message asks for: its kind, its number, a pixel, and levels (rows, cols)."""
 
-    kind: Kind
+    kind: MessageKind
     number: int
     # The pixel whose row or column is asked for, or the upper left one of the levels.
     row: int
@@ -57,16 +57,16 @@ def parse(message: bytes, camera: tuple[int, int], projector: tuple[int, int]) -
     """A message of the page, checked against the sizes of camera and projector."""
     try:
         code, number = _HEADER.unpack_from(message)
-        kind, rest = Kind(code), message[_HEADER.size :]
-        if kind is Kind.COMPENSATE:
+        kind, rest = MessageKind(code), message[_HEADER.size :]
+        if kind is MessageKind.COMPENSATE:
             return Message(kind, number, 0, 0, np.frombuffer(rest, np.uint8).reshape(camera))
-        if kind is Kind.PAINT:
+        if kind is MessageKind.PAINT:
             row, col, *shape = _RECTANGLE.unpack_from(rest)
             levels = np.frombuffer(rest, np.uint8, offset=_RECTANGLE.size).reshape(shape)
         else:
             row, col = _PLACE.unpack(rest)
             levels = np.zeros((1, 1), np.uint8)
-        size = camera if kind is Kind.ROW else projector
+        size = camera if kind is MessageKind.ROW else projector
         if row + levels.shape[0] > size[0] or col + levels.shape[1] > size[1]:
             raise MessageError
     except (struct.error, ValueError) as error:
@@ -90,7 +90,7 @@ REST_MILLISECONDS = 150
 # Tiles of one message, of at most 512 KiB a channel, so that a stroke never waits for long.
 _MOST_TILES = 64
 # Computes the pattern for a picture: its levels and a few words.
-Compensator = Callable[[NDArray[np.uint8]], tuple[NDArray[np.uint8], str]]
+PictureCompensator = Callable[[NDArray[np.uint8]], tuple[NDArray[np.uint8], str]]
 
 
 class Session:
@@ -105,7 +105,7 @@ class Session:
         white: float,
         camera: tuple[int, int],
         projector: tuple[int, int],
-        compensator: Compensator | None = None,
+        compensator: PictureCompensator | None = None,
     ) -> None:
         self._camera, self._projector = camera, projector
         self._compensator = compensator
@@ -127,7 +127,7 @@ class Session:
             raise MessageError
         asked = parse(message, self._camera, self._projector)
         try:
-            if asked.kind is Kind.COMPENSATE:
+            if asked.kind is MessageKind.COMPENSATE:
                 if self._compensator is None:
                     raise MessageError
                 levels, words = self._compensator(asked.levels)
@@ -135,7 +135,7 @@ class Session:
                 return [packed(header, {"levels": levels})]
             if self._painting is None:
                 raise MessageError
-            paints = asked.kind is Kind.PAINT
+            paints = asked.kind is MessageKind.PAINT
             return self._painting.paint(asked) if paints else [self._painting.image(asked)]
         except LightMatrixError as error:
             words = error.message
@@ -211,7 +211,7 @@ class _Painting:
 
     def image(self, asked: Message) -> bytes:
         """A row or column of T."""
-        if asked.kind is Kind.ROW:
+        if asked.kind is MessageKind.ROW:
             image = self._light.row(asked.row, asked.col)[..., None]
         else:
             pixel = np.array([asked.row * self._levels.shape[1] + asked.col])

@@ -487,23 +487,17 @@ class Neighbourhood:
             return Candidates(several.indptr.astype(np.int64), several.indices, several.data)
         wider = np.full(self.atoms.planes, constants.wider_spot, np.float32)
         wider[0] = constants.wider_pixel
+        # With `enough` known samples a row can do without neighbours. It is less with fewer samples
+        # for each pixel that it may see: about as many pixels as footprints move by from one camera
+        # pixel to the next.
+        step = self.jacobian[rows].astype(np.float64) / self.spacing
+        size = np.maximum(np.hypot(step[:, 0], step[:, 2]), np.hypot(step[:, 1], step[:, 3]))
+        enough = PSEUDO_SAMPLES.enough
+        independence = np.clip(known, 1, enough) / enough / np.maximum(size, 1)
         indptr, atoms, penalties = _core.likely_pixels(
             self.rows.coefficients, self.camera, self.projector, self.jacobian, self.atoms.spots,
             constants.within_at_first if first else constants.within, wider,
             np.ones(self.rows.count, np.float32) if first else self.singles, reach, most,
-            trust * self._independence(known, rows), (0, self.rows.count), rows,
+            trust * independence, (0, self.rows.count), rows,
         )  # fmt: skip
         return Candidates(indptr, atoms, penalties)
-
-    def _independence(
-        self, known: NDArray[np.integer], rows: NDArray[np.int64]
-    ) -> NDArray[np.float64]:
-        """How far rows can do without neighbours, (m,); 1 with `enough` known samples.
-
-        It is less with fewer samples for each pixel that a row may see: about as many pixels as
-        footprints move by from one camera pixel to the next.
-        """
-        step = self.jacobian[rows].astype(np.float64) / self.spacing
-        size = np.maximum(np.hypot(step[:, 0], step[:, 2]), np.hypot(step[:, 1], step[:, 3]))
-        enough = PSEUDO_SAMPLES.enough
-        return np.asarray(np.clip(known, 1, enough) / enough / np.maximum(size, 1))

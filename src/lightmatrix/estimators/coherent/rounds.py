@@ -1,6 +1,6 @@
 """The coherent estimate as work: its rounds, each of which starts from the rows before it.
 
-Where light grows from seeds, rows stay as they are if nothing changed around them.
+Where estimates spread from seeds, rows stay as they are if nothing changed around them.
 """
 
 from __future__ import annotations
@@ -36,8 +36,8 @@ from lightmatrix.estimators.coherent.row_errors import (
 from lightmatrix.estimators.coherent.row_solver import RowSolver, coherent_row_bytes, in_parts
 from lightmatrix.estimators.coherent.schedule import GROWTH, Round
 from lightmatrix.estimators.work import TILE_BYTES, ReadStep, SolveTile, Work, cut_rows
+from lightmatrix.progress import Progress
 from lightmatrix.resources.threads import computed_once, core_threads
-from lightmatrix.solvers.loop import Progress
 from lightmatrix.solvers.problem import Result
 from lightmatrix.transport.checkpoint import ROWS, Span
 from lightmatrix.transport.sparse_rows import SparseRows, footprint_sizes
@@ -70,7 +70,7 @@ def unchanged(rows: SparseRows) -> SparseRows:
     return replace(rows, diagnostics={**rows.diagnostics, CHANGE: np.zeros(rows.count, np.float32)})
 
 
-# The diagnostic where light grows: whether a row has searched all projector pixels.
+# The diagnostic where estimates spread from seeds: whether a row has searched all projector pixels.
 SEARCHED = "searched_everywhere"
 # The step that measures the misfit under the frames held out, and the diagnostic that holds it;
 # and the diagnostic that holds the misfit of some rows under the other frames.
@@ -149,7 +149,7 @@ class Rounds(Work):
 
     @property
     def _grows(self) -> bool:
-        """Whether light grows from seeds, as in all but small frames."""
+        """Whether estimates spread from seeds, as in all but small frames."""
         return self.rounds[0].spacing > 1
 
     @computed_once
@@ -262,19 +262,6 @@ class Rounds(Work):
     def _held_out(self) -> HeldOut:
         return HeldOut.choose(self.capture.patterns)
 
-    def _in_pixels(
-        self, neighbours: Neighbourhood, samples: Samples, solved: Result, start: int
-    ) -> SparseRows:
-        """Solved rows of the last round from row `start` on, in pixels, with their diagnostics."""
-        solver = self.solver
-        shares = solver.backgrounds.spread(neighbours.centres[start : start + solved.rows.count])
-        background = solved.background[:, None] * shares
-        if solved.cells.shape[1]:
-            background += solved.cells
-        atoms = rows_with_diagnostics(samples, solved)
-        pixels = solver.atoms.expand(atoms.coefficients)
-        return replace(atoms, coefficients=pixels, background=background.astype(np.float32))
-
     def _judge(
         self, neighbours: Neighbourhood, misfit: NDArray[np.float32] | None,
         missed: NDArray[np.float32] | None, start: int, stop: int, progress: Progress,
@@ -283,7 +270,13 @@ class Rounds(Work):
         solver, rows = self.solver, np.arange(start, stop)
         samples = self.capture.samples(start, stop)
         solved, background = solver.near(samples, rows, self.rounds[-1], neighbours, progress)
-        pixels = self._in_pixels(neighbours, samples, solved, start)
+        spread = solver.backgrounds.spread(neighbours.centres[start:stop])
+        whole = solved.background[:, None] * spread
+        if solved.cells.shape[1]:
+            whole += solved.cells
+        pixels = rows_with_diagnostics(samples, solved)
+        expanded = solver.atoms.expand(pixels.coefficients)
+        pixels = replace(pixels, coefficients=expanded, background=whole.astype(np.float32))
         if misfit is None or missed is None:
             return pixels
         length = solver.backgrounds.lengths(pixels)
@@ -350,7 +343,7 @@ def _for_next_round(solved: Result, before: SparseRows | None = None) -> SparseR
 
 
 def _searched(solved: Result) -> SparseRows:
-    """Rows where light grows that have searched all atoms, as the next round needs them."""
+    """Rows of estimates from seeds that have searched all atoms, as the next round needs them."""
     ones = np.ones(solved.rows.count, np.float32)
     return replace(solved.rows.single(), diagnostics={SEARCHED: ones, CHANGE: ones})
 

@@ -156,7 +156,11 @@ class HeldOut:
             return cls(nothing, nothing)
         if judged is not None and judged < len(usual):
             usual = usual[np.linspace(0, len(usual) - 1, judged).astype(int)]
-        values = _values(patterns)
+        # The patterns, each less its mean, at some pixels, (K, n).
+        most = max(4096, 4 * patterns.count)
+        pixels = np.sort(np.random.default_rng(0).permutation(patterns.pixels)[:most])
+        values = patterns.columns(pixels).astype(np.float64)
+        values -= values.mean(axis=1, keepdims=True)
         compared = _most_alike(values, usual)
         chosen = cls._among(values[compared], np.searchsorted(compared, usual))
         return cls(compared[chosen.frames], compared[chosen.judged])
@@ -255,14 +259,6 @@ def _show_only_their_own(
     # Patterns of one pixel each have means that differ by a pixel's share.
     never = np.ptp(rest, axis=0) < 0.1
     return bool(off[:, never].sum() > off.sum() / 2)
-
-
-def _values(patterns: PatternSet) -> NDArray[np.float64]:
-    """The patterns, each less its mean, at some pixels, (K, n)."""
-    most = max(4096, 4 * patterns.count)
-    pixels = np.sort(np.random.default_rng(0).permutation(patterns.pixels)[:most])
-    values = patterns.columns(pixels).astype(np.float64)
-    return np.asarray(values - values.mean(axis=1, keepdims=True))
 
 
 # The most rows, evenly spread, whose residuals are looked at. Chosen by hand: what is wrong in all

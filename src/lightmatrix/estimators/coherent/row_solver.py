@@ -30,6 +30,7 @@ from lightmatrix.estimators.coherent.neighbourhood import (
 from lightmatrix.estimators.coherent.schedule import Round
 from lightmatrix.patterns.atoms import AtomPatterns, Sheet, boxes_around
 from lightmatrix.patterns.pattern_set import PatternSet
+from lightmatrix.progress import Progress
 from lightmatrix.resources.threads import computed_once
 from lightmatrix.solvers.active_set import (
     ActiveSet,
@@ -38,7 +39,6 @@ from lightmatrix.solvers.active_set import (
     solve_weighted,
 )
 from lightmatrix.solvers.fidelity import Fidelity
-from lightmatrix.solvers.loop import Progress
 from lightmatrix.solvers.problem import Problem, Result, Status
 from lightmatrix.transport.operator import cell_means
 from lightmatrix.transport.sparse_rows import SparseRows

@@ -2,8 +2,8 @@
 
 In a small frame every camera pixel first searches all projector pixels, which costs the product of
 both. In others only seeds search: every second camera pixel along both axes, in large frames every
-fourth to 32nd. Their light grows to all others, as matches do in PatchMatch stereo (Barnes et al.
-2009); camera pixels whose samples this does not explain then search for themselves.
+fourth to 32nd. Their estimates spread to all others, as matches do in PatchMatch stereo (Barnes et
+al. 2009); camera pixels whose samples this does not explain then search for themselves.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class Growth:
-    """How light grows from seeds.
+    """How estimates spread from seeds.
 
     With `settling` 4, a procedural capture of 512 x 512 took a third more time, and its error was
     0.05946 in place of 0.0595. Values without a measurement beside them are chosen by hand.
@@ -40,7 +40,7 @@ class Growth:
     # Seeds along the shorter side of the camera that a sequence needs; the last one needs half as
     # many. With 16, metal at 256 x 256 (64 patterns) errs by 0.0248 in place of 0.0207.
     fewest_seeds: int = 30
-    # Rounds at each finer level after the one in which light grows onto it.
+    # Rounds at each finer level after the one in which estimates spread to it.
     settling: int = 2
     # Rounds at a level after which its unexplained rows search all projector pixels.
     search_after: int = 2
@@ -69,7 +69,7 @@ class Round:
     spacing: int
     # Half widths in camera and projector pixels; None searches all projector pixels by row.
     window: Window | None
-    # Rounds that the rows, or those that they grow from, have behind them.
+    # Rounds that the rows, or those that they spread from, have behind them.
     age: int
     last: bool = False
     # The search ends early, as all its rows have close neighbours that will correct it.

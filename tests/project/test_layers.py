@@ -1,4 +1,4 @@
-"""Imports point only to lower floors, as docs/architecture.md numbers them.
+"""Imports point only to lower layers, as docs/architecture.md numbers them.
 
 And the base install suffices to import everything.
 """
@@ -13,13 +13,14 @@ from pathlib import Path
 TOP = Path(__file__).parents[2]
 ROOT = TOP / "src" / "lightmatrix"
 
-# From the ground up; a module may import from its own folder and from lower floors. The folders of
-# one floor do not know each other; the single files of the ground may.
-FLOORS = [
+# From the ground up; a module may import from its own folder and from lower layers. The folders of
+# one layer do not know each other; the single files of the ground may.
+LAYERS = [
     {
         "defaults",
         "errors",
         "paths",
+        "progress",
         "progress_bar",
         "ranges",
         "regions",
@@ -52,11 +53,11 @@ CORE = "_core"
 ENTRY = ROOT / "cli" / "__init__.py"
 
 
-def _floor(module: str) -> int:
-    for number, floor in enumerate(FLOORS):
-        if module in floor:
+def _layer(module: str) -> int:
+    for number, layer in enumerate(LAYERS):
+        if module in layer:
             return number
-    raise AssertionError(f"{module} stands on no floor: add it to FLOORS")
+    raise AssertionError(f"{module} stands in no layer: add it to LAYERS")
 
 
 def _modules() -> list[Path]:
@@ -84,24 +85,24 @@ def _is_module(name: str) -> bool:
     return place.is_dir() or place.with_suffix(".py").exists() or name == CORE
 
 
-def test_the_floors_are_those_of_the_documented_table() -> None:
+def test_the_layers_are_those_of_the_documented_table() -> None:
     table: dict[int, set[str]] = {}
     number = None
     for line in (TOP / "docs" / "architecture.md").read_text().splitlines():
         cells = [cell.strip() for cell in line.split("|")]
         if len(cells) != 5 or not cells[2].startswith("`"):
             continue
-        # A floor's number stands in its first line; the core and the API have words instead.
+        # The number of a layer stands in its first line; the core and the API have words instead.
         number = cells[1] or number
         if number is not None and number.isdigit():
             names = re.findall(r"`([a-z_]+)(?:/|\.py)`", cells[2])
             table.setdefault(int(number), set()).update(names)
-    assert table == {floor: names - {CORE} for floor, names in enumerate(FLOORS)}
+    assert table == {layer: names - {CORE} for layer, names in enumerate(LAYERS)}
 
 
-def test_everything_stands_on_a_floor() -> None:
+def test_everything_stands_on_a_layer() -> None:
     there = {path.relative_to(ROOT).parts[0].removesuffix(".py") for path in _modules()}
-    assert there | {CORE} == set().union(*FLOORS)
+    assert there | {CORE} == set().union(*LAYERS)
 
 
 @cache
@@ -114,12 +115,12 @@ def test_imports_point_down() -> None:
         place = path.relative_to(ROOT).parts[0].removesuffix(".py")
         for name in _imports(_tree(path)):
             other = name.split(".")[0]
-            ground = _floor(place) == 0
-            fine = other == place or _floor(other) < _floor(place) + ground
+            ground = _layer(place) == 0
+            fine = other == place or _layer(other) < _layer(place) + ground
             assert fine, f"{path} imports {name}, which does not lie below it"
 
 
-def test_nothing_imports_the_door_and_extras_alone_are_imported_inside_functions() -> None:
+def test_nothing_imports_the_public_names_and_extras_alone_are_imported_inside_functions() -> None:
     for path in _modules():
         tree = _tree(path)
         top = {id(node) for node in tree.body}
@@ -127,8 +128,8 @@ def test_nothing_imports_the_door_and_extras_alone_are_imported_inside_functions
         for node in ast.walk(tree):
             if isinstance(node, ast.ImportFrom):
                 names = {node.module or ""}
-                of_door = node.module == "lightmatrix"
-                whole = of_door and not all(_is_module(alias.name) for alias in node.names)
+                of_public = node.module == "lightmatrix"
+                whole = of_public and not all(_is_module(alias.name) for alias in node.names)
             elif isinstance(node, ast.Import):
                 names = {alias.name for alias in node.names}
                 whole = "lightmatrix" in names
