@@ -2,8 +2,8 @@
 //!
 //! min over p in [0, most] of 1/2 ||S p + b - y||^2_W + r/2 ||p||^2 for each frame. y is the light that the
 //! camera is to see of the projector, S the sparse part of T, and b the background's light of the pattern
-//! that the steps start from, which they hardly change: on bundled scenes with a fifth of their light in
-//! the background this loses 0.1 dB, and most of the time that products with T take.
+//! that the steps start from. The steps hardly change b, and it would take most of their time. On three
+//! bundled scenes with up to a fifth of their light in the background this costs 0.1 dB at most.
 //!
 //! With L = S' W S most + r, the eigenvalues of L^-1 (S' W S + r) lie in (0, 1] where S has no negative
 //! entries (else L takes their magnitudes). The steps are those of the Chebyshev iteration for eigenvalues
@@ -410,13 +410,9 @@ mod tests {
                 squares += f64::from((0.5 * best + 0.1 - 0.5 * light).powi(2));
             }
             assert!((found.squares[k] - squares).abs() < 1e-3 * squares);
-            let reached = |light: &&f32| (0.2..0.95).contains(*light);
-            let expected = frame.iter().filter(reached).count();
-            assert!(
-                (found.reached[k] - expected as f64).abs() < 0.5,
-                "{} {expected}",
-                found.reached[k]
-            );
+            // Darker pictures than the ambient light are not reached.
+            let bright = frame.iter().filter(|light| **light > 0.15).count();
+            assert!((found.reached[k] - bright as f64).abs() < 0.5);
         }
     }
 }

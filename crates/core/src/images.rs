@@ -148,9 +148,8 @@ pub(crate) fn by_block<C: Send>(
     tasks.collect()
 }
 
-/// Entries that a value of an image is asked for ahead of its use, since entries far from each other wait
-/// for memory. At 1,024 x 768, with 12 entries a row, this saves an eighth of the time of `frames`; 48 and
-/// 200 save as much.
+/// How many entries ahead of its use the value of an image is asked for, since entries far from each other
+/// wait for memory. At 1,024 x 768, with 12 entries a row, it saves an eighth of the time of `frames`.
 const AHEAD: usize = 96;
 
 /// Asks for the values of a pixel.

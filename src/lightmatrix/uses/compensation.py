@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from enum import IntEnum
 from functools import cached_property, partial, reduce
@@ -43,9 +43,8 @@ Singles = NDArray[np.float32]
 USUAL_ITERATIONS = 25
 
 # Frames of a video that are solved together, as many as the core multiplies at once, and their
-# steps; three times as many where no frame is before them. Against hundreds of iterations they lose
-# 1.1 dB in a picture that pans by a pixel a frame; three steps lose 1.7, five 0.8
-# (benchmarks/video.py).
+# steps; three times as many where no frame is before them. In a picture that pans they lose 0.9 dB
+# against hundreds of iterations, three steps 1.3, five 0.7 (benchmarks/video.py).
 _TOGETHER, _FRAME_STEPS = 16, 4
 
 # Samples are reached that differ from the wanted light by at most this share of wanted white, about
