@@ -69,6 +69,16 @@ def test_a_black_frame_and_one_that_shows_something_else_are_named() -> None:
     assert found(frames) == [("frame", (6, 7))]
 
 
+@pytest.mark.parametrize("copied", [(6, 7), (7, 6)])
+def test_a_pattern_and_its_inverse_that_are_the_same_are_both_named(
+    copied: tuple[int, int],
+) -> None:
+    """Nothing tells which of the two is the copy."""
+    frames = photographs(PATTERNS, exposure=0.5)
+    frames[copied[1]] = frames[copied[0]]
+    assert found(frames) == [("frame", (6, 7))]
+
+
 @pytest.mark.parametrize("start", [8, 9])
 def test_motion_is_found_to_the_pair(start: int) -> None:
     frames = photographs(PATTERNS, exposure=0.5)

@@ -13,18 +13,26 @@ from lightmatrix.capture.folder import write_capture
 from lightmatrix.cli import main
 from lightmatrix.cli.terminal import as_options
 from lightmatrix.errors import LightMatrixError
+from lightmatrix.files.images import decode_image, encode_image
 from tests.helpers.surface import PROJECTOR, photographs
 
 PATTERNS = lm.BernoulliPatterns(PROJECTOR, 32)
 BEAT = 1 + 0.05 * np.sin(1 + 1.3 * np.arange(32))
 LIGHT = photographs(PATTERNS, noise=0.001)
-# Photographs with the kind of finding that names their fault; an order is refused.
+# The surface is too smooth and small for JPEG to leave traces.
+SCENE = lm.simulate("l_objects", lm.BernoulliPatterns((64, 64), 32), exposure=0.5, bits=8)
+CODED = [encode_image(SCENE.frames.read(k), "jpeg", quality=60) for k in range(32)]
+# The faults of benchmarks/frame_checks.py: photographs and the kind of finding that names them.
+# Wrong orders and numbers are refused.
 FAULTY = {
-    "order": LIGHT[np.r_[:3, 9, 4:9, 3, 10:32]],
-    "frame": np.where(np.arange(32)[:, None, None] == 9, 0, LIGHT).astype(np.uint8),
-    "camera-curve": np.rint(255 * (LIGHT / 255) ** (1 / 2.2)).astype(np.uint8),
-    "motion": np.concatenate([LIGHT[:16], np.roll(LIGHT[16:], 2, axis=2)]),
-    "gain": photographs(PATTERNS, gain=BEAT, noise=0.001),
+    "two frames swapped": ("order", LIGHT[np.r_[:3, 9, 4:9, 3, 10:32]]),
+    "one frame dropped": ("31 images", LIGHT),
+    "one dropped, the last twice": ("order", LIGHT[np.r_[:9, 10:32, 31]]),
+    "black": ("frame", np.where(np.arange(32)[:, None, None] == 9, 0, LIGHT).astype(np.uint8)),
+    "gamma": ("camera-curve", np.rint(255 * (LIGHT / 255) ** (1 / 2.2)).astype(np.uint8)),
+    "JPEG": ("jpeg", np.stack([decode_image(each) for each in CODED])),
+    "shifted": ("motion", np.concatenate([LIGHT[:16], np.roll(LIGHT[16:], 2, axis=2)])),
+    "flicker": ("gain", photographs(PATTERNS, gain=BEAT, noise=0.001)),
 }
 
 
@@ -42,12 +50,16 @@ def from_python(folder: Path, **settings: object) -> list[str]:
     return as_options("\n".join(said + refused)).splitlines()
 
 
-@pytest.mark.parametrize("kind", FAULTY)
+@pytest.mark.parametrize("fault", FAULTY)
 def test_the_same_faults_are_named(
-    kind: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    fault: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    folder, refused = tmp_path / "capture", kind == "order"
-    write_capture(folder, PATTERNS, FAULTY[kind], sensor=lm.Sensor(0.9, read_noise=0.001))
+    folder, (kind, frames) = tmp_path / "capture", FAULTY[fault]
+    patterns = SCENE.patterns if kind == "jpeg" else PATTERNS
+    write_capture(folder, patterns, frames, sensor=lm.Sensor(0.9, read_noise=0.001))
+    refused = kind in ("order", "31 images")
+    if kind == "31 images":
+        (folder / "images" / "image_0009.png").unlink()
     said = from_python(folder, coherent=False, iterations=1)
     assert said[0].startswith("error: " if refused else f"warning: {kind}: ")
     words = f"estimate {folder} -o {tmp_path}/scene.zarr --no-coherent --iterations 1"

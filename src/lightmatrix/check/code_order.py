@@ -247,11 +247,12 @@ def check_code_order(lattice: CodeLattice, name: Name) -> list[Finding]:
     # The later of two that are the same may have the other's image; nothing is read from it then.
     own[[k + 1 for k in lattice.twins]] = -1
     best, best_order, found = 0.0, frames, list[Finding]()
-    if lattice.twins:
-        # One of the two is certainly wrong: the later one, unless another order explains more.
-        later = lattice.twins[0] + 1
-        best_order = np.where(frames == later, -1, frames)
-        found = order_findings({later: later - 1}, name)
+    if lattice.twins and not invisible[later := lattice.twins[0] + 1]:
+        # One of the two is certainly wrong: the later one, unless another order explains more. A
+        # pattern and its inverse that are the same are left to the checks of pairs.
+        without = np.where(frames == later, -1, frames)
+        if lattice.possible(without).all():
+            best_order, found = without, order_findings({later: later - 1}, name)
     for shown, findings in _orders(lattice, name):
         order = frames_of(shown)
         # Any frames of coarser stripes fit better in the place of those that nobody can see.
