@@ -1,12 +1,13 @@
-"""What a frame of a video costs at 1,024 x 768: `python -m benchmarks.video [--frames 33]`.
+"""What a frame of a video costs at 1,024 x 768: `python -m benchmarks.video [--frames 64]`.
 
 T is made up: a camera of as many pixels as the projector sees it a little turned and blurred, nine
 entries a row, and three of light from elsewhere, all told 12, as estimates have; and a background
 of 8 x 8 cells. The film pans over a photograph by a pixel a frame.
 
 First, at a sixteenth of the pixels, each frame is compared with hundreds of iterations by itself.
-Then come seconds a frame, of the clock and of all cores together, and what bounds them: the time to
-read the bytes of T, and of one product with it, on one core.
+Then come the seconds of each further frame, of the clock and of all cores together, from memory,
+from PNG files and from a video to PNG files, and what bounds them: the time to read the bytes of T,
+and of one product with it, on one core.
 """
 
 from __future__ import annotations
@@ -14,9 +15,11 @@ from __future__ import annotations
 import json
 import tempfile
 import time
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import av
 import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csr_array
@@ -29,6 +32,8 @@ from lightmatrix.uses.compensation import compensator
 from lightmatrix.uses.wanted import fitted
 
 ROWS, COLS = 768, 1024
+# Frames of the shorter film, with which the longer one is compared.
+FIRST = 32
 # Decibels that a frame may lose against hundreds of iterations.
 ALLOWED = 1.5
 
@@ -89,8 +94,8 @@ def checked() -> dict[str, float]:
 
 
 def costs(frames: int) -> dict[str, Any]:
-    """Seconds a frame in memory and of the command with its files, and what bounds them."""
-    known, wanted = made_up(ROWS, COLS), film(ROWS, COLS, frames)
+    """Seconds a further frame, in memory and with files, and what bounds them."""
+    known, wanted = made_up(ROWS, COLS), film(ROWS, COLS, frames + FIRST)
     arrays = known.sparse.data, known.sparse.indices
     light = wanted[0].ravel()
     found: dict[str, Any] = {
@@ -101,33 +106,46 @@ def costs(frames: int) -> dict[str, Any]:
         ),
         "product_s": best_seconds(lambda: known.sparse @ light, 5),
     }
-    marks: list[tuple[float, float]] = []
-    lm.compensate_video(
-        known,
-        wanted,
-        progress=lambda *_: marks.append((time.perf_counter(), time.process_time())),
-    )
-    # The first frame is solved by itself.
-    found["frame_s"], found["frame_core_s"] = (
-        (last - first) / (frames - 1) for first, last in zip(marks[0], marks[-1], strict=True)
-    )
-    with tempfile.TemporaryDirectory() as folder:
-        (place := Path(folder) / "frames").mkdir()
-        for k, frame in enumerate(wanted):
-            lm.write_image(place / f"{k:04d}.png", frame ** np.float32(1 / 2.2))
-        start = time.perf_counter(), time.process_time()
-        lm.compensate_video(known, place, output=Path(folder) / "patterns")
-        ends = time.perf_counter(), time.process_time()
-    found["with_files_s"], found["with_files_core_s"] = (
-        (last - first) / frames for first, last in zip(start, ends, strict=True)
-    )
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        sources: dict[str, Callable[[int], Any]] = {
+            "frame": lambda count: wanted[:count],
+            "with_png": lambda count: folder / f"frames{count}",
+            "with_mp4": lambda count: folder / f"{count}.mp4",
+        }
+        counts = (FIRST, FIRST + frames)
+        for count in counts:
+            as_files(wanted[:count], sources["with_png"](count), sources["with_mp4"](count))
+        for source, given in sources.items():
+            spent = []
+            for count in counts:
+                output = None if source == "frame" else folder / f"{source}{count}"
+                start = np.array([time.perf_counter(), time.process_time()])
+                lm.compensate_video(known, given(count), output=output)
+                spent.append([time.perf_counter(), time.process_time()] - start)
+            a_frame = (spent[1] - spent[0]) / frames
+            found[f"{source}_s"], found[f"{source}_core_s"] = map(float, a_frame)
     return found
+
+
+def as_files(wanted: NDArray[np.float32], pictures: Path, video: Path) -> None:
+    """Write the film as PNG files and as an H.264 video."""
+    pictures.mkdir()
+    with av.open(str(video), "w") as opened:
+        stream = opened.add_stream("libx264", rate=30, options={"crf": "18", "preset": "veryfast"})
+        stream.width, stream.height, stream.pix_fmt = COLS, ROWS, "yuv420p"
+        for k, light in enumerate(wanted):
+            grey = np.rint(255 * light ** np.float32(1 / 2.2)).astype(np.uint8)
+            lm.write_image(pictures / f"{k:04d}.png", grey)
+            colours = np.repeat(grey[..., None], 3, axis=2)
+            opened.mux(stream.encode(av.VideoFrame.from_ndarray(colours, "rgb24")))
+        opened.mux(stream.encode())
 
 
 def main(arguments: list[str] | None = None) -> None:
     """Compare the frames, then print a line of JSON."""
     parser = options_of("benchmarks.video", __doc__)
-    parser.add_argument("--frames", type=int, default=33, help="frames of the film")
+    parser.add_argument("--frames", type=int, default=64, help="frames more of the longer film")
     options = parser.parse_args(arguments)
     print(json.dumps(checked()), flush=True)
     print(json.dumps(costs(options.frames)), flush=True)

@@ -28,6 +28,23 @@ def gathered_at_places(
 def blurred_moments(
     images: NDArray[np.float32], shape: tuple[int, int], kernel: NDArray[np.float32]
 ) -> tuple[float, float]: ...
+def frame_patterns(
+    rows: SparseRows,
+    columns: SparseRows,
+    background: NDArray[np.float32],
+    cells: NDArray[np.integer],
+    samples: NDArray[np.float32],
+    pixels: NDArray[np.float32],
+    wanted: list[NDArray[np.float32]],
+    last_pattern: NDArray[np.float32],
+    last_wanted: NDArray[np.float32],
+    out: NDArray[np.float32],
+    room: NDArray[np.float32],
+    *,
+    ridge: float,
+    tolerance: float,
+    steps: int,
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]: ...
 def likely_pixels(
     rows: SparseRows,
     camera: tuple[int, int, int],

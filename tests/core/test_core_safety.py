@@ -35,6 +35,7 @@ from tests.helpers.core_arguments import (
     VALUES,
     cells,
     expected,
+    frames,
     likely,
     neighbourhood,
     pseudo_samples,
@@ -219,6 +220,8 @@ def test_any_arguments_give_an_ordinary_exception_or_a_result(values: list[Any])
         lambda: expected(background=i, reach=a),
         lambda: likely(camera=a, projector=b, reach=(c, d), most=e, range=(f, g)),
         lambda: likely(doubts=a),
+        lambda: frames(background=a, cells=b, samples=c, pixels=d),
+        lambda: frames(wanted=[e, f], out=g, room=h, last_wanted=i),
     ]
     for call in calls:
         with suppress(*ORDINARY):

@@ -175,3 +175,24 @@ def pass_only(**changes: Any) -> Any:
 
 def columns(**changes: Any) -> Any:
     return SHOWN.columns(**{"index": np.arange(3)} | changes)
+
+
+def frames(**changes: Any) -> Any:
+    ones = np.ones(ROWS, np.float32)
+    valid: dict[str, Any] = {
+        "rows": MATRIX,
+        "columns": csr_array(MATRIX.T),
+        "background": np.ones((ROWS, 2), np.float32),
+        "cells": np.arange(PIXELS) % 2,
+        "samples": np.ones((ROWS, 4), np.float32),
+        "pixels": np.ones((PIXELS, 3), np.float32),
+        "wanted": [ones, ones],
+        "last_pattern": np.zeros(PIXELS, np.float32),
+        "last_wanted": 0 * ones,
+        "out": np.zeros((2, PIXELS), np.float32),
+        "room": np.zeros(32 * (ROWS + PIXELS) + 16, np.float32),
+        "ridge": 0.1,
+        "tolerance": 0.05,
+        "steps": 2,
+    }
+    return _core.frame_patterns(**valid | changes)

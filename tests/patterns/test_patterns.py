@@ -252,6 +252,7 @@ def test_the_fast_solver_takes_a_mix_as_bits() -> None:
         (lambda: MixedPatterns((4, 4), 0, (((4, 4), 1.0),)), "0 patterns"),
         (lambda: MixedPatterns((4, 4), 3, (((4, 4), 1.0),), density=0), "density of 0"),
         (lambda: parse_mix("fine:0.5,8x8:0.6", (9, 9)), "sum to 1.1"),
+        (lambda: parse_mix("fine:0.5,fine:0.5", (9, 9)), "a name is there twice"),
         (lambda: parse_mix("fine:0.5,8by8:0.5", (9, 9)), "'8by8'"),
         (lambda: parse_mix("fine,8x8", (9, 9)), "for example"),
         (

@@ -36,7 +36,9 @@ def test_other_sizes_are_resized_if_asked(
     lm.write_image(tmp_path / "pattern.png", np.full((33, 20), 255, np.uint8))
     words = ["relight", str(tmp_path / "scene.zarr"), str(tmp_path / "pattern.png")]
     assert main([*words, "-o", str(tmp_path / "relit.npy")]) == 2
-    assert "--resize" in capsys.readouterr().err
+    message = capsys.readouterr().err
+    assert "--resize" in message
+    assert "pattern.png: a pattern of shape (33, 20)" in " ".join(message.split())
     assert main([*words, "-o", str(tmp_path / "relit.npy"), "--resize"]) == 0
     np.testing.assert_allclose(
         lm.read_image(tmp_path / "relit.npy"), binned.relight(np.ones((8, 16))), rtol=1e-4

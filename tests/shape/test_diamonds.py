@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -129,6 +130,12 @@ def test_a_board_and_a_scene_calibrate_diamonds(
     own = lm.self_calibrate(matches, given, stagger=0.5, camera_distortion=bent)
     assert own.projector_intrinsics[1, 1] == pytest.approx(2 * own.projector_intrinsics[0, 0])
     assert own.projector_intrinsics[0, 0] == pytest.approx(here[0, 0], rel=0.05)
+    # Refused before any work: there are no such matches.
+    written: dict[str, Any] = {"stagger": 0.5, "output": tmp_path / "rig.yml"}
+    with pytest.raises(lm.OutputError, match=r"rig\.yml: cannot state diamond pixels"):
+        lm.calibrate_rig(poses, BOARD, SQUARE, **written)
+    with pytest.raises(lm.OutputError, match=r"rig\.yml: cannot state diamond pixels"):
+        lm.self_calibrate("nothing.npz", given, **written)
     wrong = main(["calibrate", "x", "--board", "9x7", "--square", "24mm", "--principal", "3,4"])
     assert wrong == 2
     assert "--principal for a board" in capsys.readouterr().err

@@ -393,6 +393,24 @@ def test_the_ways_to_fit_a_picture(fit: str, expected: list[list[int]]) -> None:
     np.testing.assert_allclose(three, np.stack([picture] * 3, axis=-1), atol=1e-6)
 
 
+def test_the_command_states_the_predicted_psnr(
+    known: lm.LightTransport, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    lm.save(tmp_path / "s.zarr", known)
+    lm.write_image(tmp_path / "ramp.png", _ramp())
+    words = ["compensate", str(tmp_path / "s.zarr"), str(tmp_path / "ramp.png")]
+    assert main([*words, "-o", str(tmp_path / "shown.png")]) == 0
+    stated = capsys.readouterr().out
+    decibels = lm.compensate(known, tmp_path / "ramp.png").psnr
+    assert f"predicted PSNR {decibels:.1f} dB, " in stated
+
+
+def test_a_pattern_of_another_size_is_named(known: lm.LightTransport, tmp_path: Path) -> None:
+    lm.write_image(tmp_path / "small.png", np.ones((5, 7)))
+    with pytest.raises(lm.InputError, match=r"small\.png: the pattern has shape \(5, 7\)"):
+        lm.cancel_global(known, tmp_path / "small.png")
+
+
 def test_pixels_that_the_mask_of_the_projector_leaves_out_stay_black(
     known: lm.LightTransport,
 ) -> None:

@@ -9,6 +9,8 @@
 //! - `coherent` predicts from neighbouring rows which pixels a row holds and what its clipped samples
 //!   are, and solves rows on these pixels with the same solver.
 //! - `places` multiplies rows whose light lies at fixed places with patterns.
+//! - `frames` finds the patterns of frames of a video, with `images`, which multiplies T with sixteen images
+//!   at once.
 //! - `problem` defines what solvers take and return. `bits`, `words`, `atoms`, `hadamard` and
 //!   `product` store patterns and multiply with them.
 //! - `vector` and `octet` hold the inner loops, which `simd` compiles for each instruction set.
@@ -35,7 +37,9 @@ pub mod columns;
 pub mod correlate;
 mod dots;
 pub mod float;
+pub mod frames;
 pub mod hadamard;
+pub mod images;
 mod octet;
 pub mod places;
 pub mod problem;

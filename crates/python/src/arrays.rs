@@ -4,8 +4,8 @@
 //! first.
 
 use numpy::{
-    Element, PyArrayDescrMethods, PyArrayDyn, PyArrayMethods, PyReadonlyArrayDyn, PyUntypedArray,
-    PyUntypedArrayMethods,
+    Element, PyArrayDescrMethods, PyArrayDyn, PyArrayMethods, PyReadonlyArrayDyn,
+    PyReadwriteArrayDyn, PyUntypedArray, PyUntypedArrayMethods,
 };
 use pyo3::exceptions::{PyMemoryError, PyOverflowError, PyTypeError, PyValueError};
 use pyo3::prelude::*;
@@ -59,6 +59,28 @@ pub fn array<'py, T: Element>(
     let numpy = value.py().import("numpy")?;
     let copied = numpy.call_method("array", (array,), Some(&order))?;
     Ok(copied.cast::<PyArrayDyn<T>>()?.try_readonly()?)
+}
+
+/// A NumPy array of this dtype that results are written to: in C order and aligned, since a copy of it would
+/// not reach the caller, and not borrowed by anyone else, as an array that is given twice is.
+pub fn writable<'py, T: Element>(
+    value: &Bound<'py, PyAny>,
+    what: &str,
+) -> PyResult<PyReadwriteArrayDyn<'py, T>> {
+    let dtype = untyped(value, what)?.dtype();
+    let expected = T::get_dtype(value.py());
+    let refused = |why: String| PyTypeError::new_err(format!("{what} {why}"));
+    let Ok(array) = value.cast::<PyArrayDyn<T>>() else {
+        return Err(refused(format!(
+            "is an array of {dtype}, expected {expected}"
+        )));
+    };
+    let aligned = (array.data() as usize).is_multiple_of(align_of::<T>());
+    if !array.is_c_contiguous() || !aligned {
+        return Err(refused("is not in C order, or not aligned".into()));
+    }
+    let borrowed = array.try_readwrite();
+    borrowed.map_err(|error| refused(format!("cannot be written to: {error}")))
 }
 
 /// A NumPy array of booleans. Rejects bytes other than 0 and 1, which a view of an array can contain: they

@@ -2,11 +2,12 @@
 //! core. No arithmetic.
 //!
 //! Functions are in `products` (pattern products), `planes` (blurred images), `places` (rows at fixed places), `solver` (prepared patterns,
-//! the active-set solver) and `coherent`. `arrays` and `input` check arguments, `threads` runs the core.
+//! the active-set solver), `coherent` and `frames` (of a video). `arrays` and `input` check arguments, `threads` runs the core.
 //! `_core.pyi` documents the module for Python.
 
 mod arrays;
 mod coherent;
+mod frames;
 mod input;
 mod places;
 mod planes;
@@ -29,5 +30,6 @@ fn _core(module: &Bound<'_, PyModule>) -> PyResult<()> {
     planes::register(module)?;
     solved::register(module)?;
     solver::register(module)?;
-    coherent::register(module)
+    coherent::register(module)?;
+    frames::register(module)
 }

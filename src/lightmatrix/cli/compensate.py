@@ -167,8 +167,8 @@ def _show(summary: dict[str, Any], *, live: bool) -> None:
     plain = summary["uncompensated_psnr"]
     if plain is not None:
         say(
-            f"{summary['predicted_psnr']:.1f} dB from the picture, "
-            f"{plain:.1f} dB if it were shown as it is"
+            f"predicted PSNR {summary['predicted_psnr']:.1f} dB, "
+            f"{plain:.1f} dB if the picture were shown as it is"
         )
     reasons = {"too_dark": "too dark", "too_bright": "too bright", "shadow": "in shadow"}
     reasons |= {"masked": "masked"}

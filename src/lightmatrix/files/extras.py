@@ -8,6 +8,7 @@ or brightening, so that the levels of each channel stay proportional to light.
 from __future__ import annotations
 
 import importlib
+import re
 import warnings
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -176,11 +177,17 @@ def orientation(path: str | Path) -> int:
         return 1
 
 
+_PNG_TAGS = re.compile(rb"eXIf|Raw profile type exif")
+
+
 def _exif(path: str | Path) -> Image.Exif:
     with warnings.catch_warnings():
         # Pillow warns of unusual tags, which are of no interest here.
         warnings.simplefilter("ignore")
         with Image.open(path) as image:
+            # A PNG may hold tags behind its pixels, which Pillow would decode to look for them.
+            if image.format == "PNG" and not _PNG_TAGS.search(Path(path).read_bytes()):
+                return Image.Exif()
             tags = image.getexif()
             # Pillow reads this part on request, while the file is open, and keeps it.
             tags.get_ifd(ExifTags.IFD.Exif)
@@ -195,14 +202,14 @@ def upright(path: str | Path, image: NDArray[Any]) -> NDArray[Any]:
     return turned.get(orientation(path), image)
 
 
-def video_frames(path: str | Path) -> Iterator[NDArray[np.float32]]:
-    """The frames of a video file, (rows, cols, 3) in [0, 1], which FFmpeg decodes.
+def video_frames(path: str | Path) -> Iterator[NDArray[np.uint8]]:
+    """The frames of a video file, (rows, cols, 3), which FFmpeg decodes.
 
     An InputError says that it is none.
     """
     with _video(path) as opened:
         for frame in opened.decode(video=0):
-            yield frame.to_ndarray(format="rgb24") / np.float32(255)
+            yield frame.to_ndarray(format="rgb24")
 
 
 def video_rate(path: str | Path) -> float:

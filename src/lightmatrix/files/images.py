@@ -151,7 +151,8 @@ def as_grey(name: str, image: NDArray[Any]) -> NDArray[np.float32]:
 
 def is_grey(image: NDArray[Any]) -> bool:
     """Whether the channels of an image, (rows, cols, channels), are all the same."""
-    return bool((image == image[..., :1]).all())
+    first, *others = np.moveaxis(image, -1, 0)
+    return all(bool((first == other).all()) for other in others)
 
 
 def read_light(path: str | Path) -> NDArray[np.float32]:

@@ -99,12 +99,16 @@ def fill_pattern_folder(folder: Path, patterns: PatternSet, colour: str | None =
     """Write the files of a pattern folder into an empty folder."""
     digits = max(4, len(str(patterns.count - 1)))
     primary = np.array([name == colour for name in COLOURS], np.uint8)
-    for k in range(patterns.count):
+
+    def write(k: int) -> None:
         image = patterns.greys(k, k + 1)[0]
         if isinstance(patterns, ColourPatterns):
             image = np.stack(np.split(image, 3, axis=1), axis=-1)
         coloured = image if colour is None else image[..., None] * primary
         fill_image(folder / f"pattern_{k:0{digits}d}.png", coloured)
+
+    for _ in work_ahead(write, range(patterns.count)):
+        pass
     header = {"format": FORMAT, "version": VERSION, "digest": patterns.digest}
     content = {**header, "description": patterns.description}
     (folder / DESCRIPTION).write_text(json.dumps(content, indent=2) + "\n")

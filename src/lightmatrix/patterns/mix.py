@@ -47,6 +47,8 @@ def parse_shares(text: str, what: str, example: str) -> list[tuple[str, float]]:
         listed = [(name.strip(), float(share)) for name, _, share in parts]
     except ValueError:
         raise InputError(f"{what} of {text!r}", hint=f"write for example {example}") from None
+    if len({name for name, _ in listed}) < len(listed):
+        raise InputError(f"{what} of {text!r}: a name is there twice", hint="add up its shares")
     total = sum(share for _, share in listed)
     if min(share for _, share in listed) <= 0 or not abs(total - 1) < 1e-3:
         hint = f"use positive shares that sum to 1, for example {example}"

@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -26,6 +27,9 @@ from lightmatrix.reprs import short_repr
 CURVE = "projector_response"
 # The grey value of white.
 _WHITE = 255
+# Steps of the table of grey values, in the square root of light: with a gamma from 1 to 2.2 it
+# misses exact grey values by 0.01 levels before these are rounded.
+_STEPS = 65535
 
 
 @dataclass(frozen=True)
@@ -124,7 +128,13 @@ class ProjectorResponse:
 
     def grey_for(self, light: NDArray[np.floating]) -> NDArray[np.uint8]:
         """Grey values (uint8) that give the wanted light, in [0, 1]."""
-        root = np.asarray(light, np.float64) ** (1 / self.gamma)
+        place = np.sqrt(np.clip(light, 0, 1)) * np.float32(_STEPS) + np.float32(0.5)
+        return self._greys.take(place.astype(np.uint16))
+
+    @cached_property
+    def _greys(self) -> NDArray[np.uint8]:
+        """The grey values for light whose square roots are equal steps from 0 to 1."""
+        root = (np.arange(_STEPS + 1) / _STEPS) ** (2 / self.gamma)
         return np.rint(np.interp(root, self._root, self.levels)).astype(np.uint8)
 
     def encoded(self, light: NDArray[np.floating]) -> NDArray[np.float32]:

@@ -111,7 +111,7 @@ def relight(
     for matrix, source, channel in zip(matrices, sources, channels, strict=True):
         # Errors name the store, because its damage may be the reason why the pattern does not fit.
         with errors_naming(Path(source)) if isinstance(source, str | Path) else nullcontext():
-            light = _fitted(channel, matrix, resize)
+            light = _fitted(channel, matrix, resize, pattern)
         with np.errstate(over="ignore", invalid="ignore"):
             image += exposure * matrix.relight(light)
     if not np.isfinite(image).all():
@@ -150,7 +150,7 @@ def _opened(transport: Relit | str | Path) -> Relit:
     return store.StoredTransport.open(transport)
 
 
-def _fitted(pattern: NDArray[Any], transport: Relit, resize: bool) -> NDArray[Any]:
+def _fitted(pattern: NDArray[Any], transport: Relit, resize: bool, source: Any) -> NDArray[Any]:
     """A pattern averaged as the projector was binned, or resized if that is allowed."""
     wanted = transport.projector_shape
     if pattern.ndim != 2:
@@ -163,10 +163,9 @@ def _fitted(pattern: NDArray[Any], transport: Relit, resize: bool) -> NDArray[An
         rows, cols = (int(b) for b in block)
         return block_mean(pattern[None].astype(np.float64), (rows, cols))[0]
     if not resize:
-        raise InputError(
-            f"a pattern of shape {pattern.shape} for a projector of {wanted[0]} x {wanted[1]}",
-            hint="resize it (resize=True)",
-        )
+        name = f"{source}: " if isinstance(source, str | Path) else ""
+        what = f"{name}a pattern of shape {pattern.shape} for a projector of"
+        raise InputError(f"{what} {wanted[0]} x {wanted[1]}", hint="resize it (resize=True)")
     # Shrinking averages over pixels, which keeps the light; enlarging is bilinear.
     shrinks = pattern.shape[0] >= wanted[0] and pattern.shape[1] >= wanted[1]
     filter_ = Image.Resampling.BOX if shrinks else Image.Resampling.BILINEAR

@@ -156,9 +156,9 @@ def _pictures(source: NDArray[Any] | str | Path) -> tuple[Iterator[NDArray[Any]]
         files: list[Any] = list(list_images(source)) if folder else [source]  # type: ignore[arg-type]
         read = (given_image("a picture", one, read_light) for one in itertools.cycle(files))
         return (itertools.repeat(next(read)) if len(files) == 1 else read), 25.0
-    return itertools.chain.from_iterable(map(video_frames, itertools.repeat(source))), video_rate(
-        source
-    )
+    films = map(video_frames, itertools.repeat(source))
+    frames = itertools.chain.from_iterable(films)
+    return (frame / np.float32(255) for frame in frames), video_rate(source)
 
 
 def _photographed(

@@ -27,7 +27,7 @@ from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
 from lightmatrix.capture.capture import Capture, open_capture
-from lightmatrix.errors import InputError, warn
+from lightmatrix.errors import InputError, OutputError, warn
 from lightmatrix.estimators.estimate import estimate
 from lightmatrix.files.extras import load_opencv
 from lightmatrix.files.kinds import geometry_kind
@@ -364,7 +364,7 @@ def calibrate_rig(
     cameras, projectors = _shapes_of(opened)
     files = [] if output is None else _files(output, len(cameras), len(projectors))
     for file in files:
-        check_output(file, geometry_kind(file), overwrite=overwrite)
+        _check_file(file, stagger, overwrite)
     corners, left_out = _all_corners(opened, board, kind, progress, stagger)
     mirrored = np.mean([flipped for *_, flipped in corners.values()], axis=(0, 1)) > 0.5
     if mirrored.any():
@@ -590,6 +590,13 @@ def _check_count(usable: int, left_out: dict[str, str], device: str = "") -> Non
 # The rig's geometry from any scene that is not flat.
 
 
+def _check_file(file: str | Path, stagger: float, overwrite: bool) -> None:
+    """Refuse a file that cannot be written, before any work."""
+    check_output(file, geometry_kind(file), overwrite=overwrite)
+    if stagger and Path(file).suffix.lower() != ".json":
+        raise OutputError(f"{file}: cannot state diamond pixels", hint="save it as .json")
+
+
 def self_calibrate(
     matches: Correspondence | LightTransport | str | Path,
     camera_intrinsics: ArrayLike | None,
@@ -668,7 +675,7 @@ def self_calibrate(
         )
     check_number("a baseline", baseline, above=True, hint="give a length above 0, such as 1")
     if output is not None:
-        check_output(output, geometry_kind(output), overwrite=overwrite)
+        _check_file(output, stagger, overwrite)
     opened = open_matches(matches)
     found = correspondence(opened) if isinstance(opened, LightTransport) else opened
     found = on_diamonds(found, stagger)

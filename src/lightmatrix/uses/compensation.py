@@ -6,17 +6,18 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from enum import IntEnum
 from functools import cached_property, partial, reduce
-from itertools import chain
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.sparse import csr_array
 
+from lightmatrix import _core
 from lightmatrix.errors import InputError
 from lightmatrix.files.colours import COLOURS, holds_colour, shown_files, stores_within
 from lightmatrix.files.extras import video_frames
@@ -25,12 +26,12 @@ from lightmatrix.files.kinds import IMAGE, PATTERNS
 from lightmatrix.files.stacks import list_images
 from lightmatrix.files.writing import check_output
 from lightmatrix.patterns.folder import write_patterns
-from lightmatrix.patterns.pattern_set import ImagePatterns
+from lightmatrix.patterns.pattern_set import ImagePatterns, grid_cells
 from lightmatrix.patterns.projector_curve import ProjectorResponse
 from lightmatrix.progress import Progress
 from lightmatrix.ranges import check_list, check_number
 from lightmatrix.reprs import short_repr
-from lightmatrix.resources.threads import one_blas_thread, work_ahead
+from lightmatrix.resources.threads import work_ahead
 from lightmatrix.transport.matrix import LightTransport
 from lightmatrix.uses.loading import Transport, loaded
 from lightmatrix.uses.separation import pattern_or_white, separate
@@ -41,10 +42,14 @@ Singles = NDArray[np.float32]
 # Iterations of the solver. Against 300, 25 lose at most 0.2 dB on the bundled scenes at 64 x 64.
 USUAL_ITERATIONS = 25
 
-# Frames of a video that a thread solves together, in half of the time that one by one takes, and
-# their iterations. They lose 1.2 dB against hundreds of iterations in a picture that pans by a
-# pixel a frame; ten lose 0.4 (benchmarks/video.py).
-_TOGETHER, _FRAME_ITERATIONS = 8, 5
+# Frames of a video that are solved together, as many as the core multiplies at once, and their
+# steps; three times as many where no frame is before them. In a picture that pans they lose 0.9 dB
+# against hundreds of iterations, three steps 1.3, five 0.7 (benchmarks/video.py).
+_TOGETHER, _FRAME_STEPS = 16, 4
+
+# Samples are reached that differ from the wanted light by at most this share of wanted white, about
+# 13 levels of an 8-bit picture.
+_CLOSE = 0.05
 
 # The light of one or several projectors in one camera, c = T1 p1 + T2 p2 + ...: one operator.
 
@@ -92,8 +97,8 @@ class JointLight:
         return replace(self, matrices=tuple(magnitudes))
 
     def forward(self, light: Singles) -> Singles:
-        """T p: camera samples (M,) of patterns (N,); or (M, K) of K of them (N, K)."""
-        result = np.zeros((self.matrices[0].shape[0], *light.shape[1:]), np.float32)
+        """T p: camera samples (M,) of patterns (N,)."""
+        result = np.zeros(self.matrices[0].shape[0], np.float32)
         ends = np.cumsum([matrix.shape[1] for matrix in self.matrices])
         for pattern, matrix in zip(np.split(light, ends[:-1]), self.matrices, strict=True):
             result += matrix.sparse @ pattern
@@ -101,7 +106,7 @@ class JointLight:
         return result
 
     def adjoint(self, samples: Singles) -> Singles:
-        """T' c: projector pixels (N,) of camera samples (M,); or (N, K) of (M, K)."""
+        """T' c: projector pixels (N,) of camera samples (M,)."""
         parts = [
             matrix.sparse.T @ samples + matrix.pooling.T @ (matrix.background.T @ samples)
             for matrix in self.matrices
@@ -237,22 +242,17 @@ class BoundedFit:
         """The gradient of f, (N,), at patterns (N,) for the wanted samples y (M,)."""
         misfit = self.light.forward(light)
         misfit -= samples
-        misfit *= _columns(self.weights, samples)
+        misfit *= self.weights
         gradient = self.light.adjoint(misfit)
         gradient += np.float32(self.ridge) * light
         return gradient
 
-    def solve(
-        self, samples: Singles, start: Singles, iterations: int, momentum: float = 1.0
-    ) -> Singles:
-        """The patterns (N,) float32 in [0, 1] after so many iterations from the start (N,).
-
-        Or those of K frames (N, K) for samples (M, K).
-        """
-        bounds = _columns(self._bounds + np.float32(self.ridge), start)
-        most = 1 if self.light.usable is None else _columns(self.light.usable, start)
+    def solve(self, samples: Singles, start: Singles, iterations: int) -> Singles:
+        """The patterns (N,) float32 in [0, 1] after so many iterations from the start (N,)."""
+        bounds = self._bounds + np.float32(self.ridge)
+        most = 1 if self.light.usable is None else self.light.usable
         pattern = np.clip(start, 0, most).astype(np.float32)
-        ahead = pattern
+        ahead, momentum = pattern, 1.0
         for _ in range(iterations):
             # A projected gradient step from the point ahead.
             updated = ahead - self.gradient(ahead, samples) / bounds
@@ -265,11 +265,6 @@ class BoundedFit:
             ahead = updated + np.float32((momentum - 1) / grown) * step
             pattern, momentum = updated, grown
         return pattern
-
-
-def _columns(values: NDArray[Any], images: Singles) -> NDArray[Any]:
-    """Values (n,) as (n, 1) if there are several images, (n, K)."""
-    return values if images.ndim == 1 else values[:, None]
 
 
 class Reach(IntEnum):
@@ -458,8 +453,7 @@ class Compensator:
 
     def _means(self, asked: Singles) -> Singles:
         """For each projector pixel the mean of what the samples ask (M,) that it lights."""
-        light = self.light.adjoint(asked)
-        weight = _columns(self.light.adjoint(self.lit.astype(np.float32)), light)
+        light, weight = self.light.adjoint(asked), self.light.adjoint(self.lit.astype(np.float32))
         return np.divide(light, weight, out=np.zeros_like(light), where=weight > 0)
 
     def solve(
@@ -494,37 +488,42 @@ class Compensator:
         pattern = self.fit.solve(goal, first, iterations)
         return self._judged(pattern, self.light.forward(pattern) + self.ambient, target, brightness)
 
-    def frames(self, targets: Sequence[Singles], before: Compensation) -> list[Compensation]:
-        """The compensations of some frames of a video, for targets (M,), after an earlier one.
+    def frame_solver(self, brightness: float) -> Callable[..., tuple[NDArray[Any], NDArray[Any]]]:
+        """A function that solves up to 16 frames of a video, (M,) each, after an earlier one.
 
-        They start from its pattern, and from what gains of single pixels make of the difference.
-        All frames are solved together, so that each product reads T once for all.
+        It takes them, the pattern (N,) and the picture (M,) before, the array (K, N) to fill, and
+        the number of steps. It returns the sum of squared errors of each, and how many samples are
+        reached. The equations stand in crates/core/src/frames.rs.
         """
-        wanted, ambient = np.stack(targets, axis=1), self.ambient[:, None]
-        known, last = before.target.reshape(-1, 1), before.pattern.reshape(-1, 1)
-        # After a cut, or before black, the earlier pattern is no help.
-        near = ((wanted - known) ** 2).sum(axis=0) < (wanted**2).sum(axis=0)
-        asked = wanted - np.float32(near) * (known - ambient) - ambient
-        asked[~self.lit] = 0
-        asked /= np.where(self.lit, self.light.white, 1)[:, None]
-        start = near * last + self._means(asked)
-        # Momentum as after a few iterations gains 0.4 dB.
-        pattern = self.fit.solve(wanted - ambient, start, _FRAME_ITERATIONS, momentum=4.0)
-        predicted = self.light.forward(pattern) + ambient
-        every = zip(pattern.T.copy(), predicted.T.copy(), targets, strict=True)
-        return [self._judged(*one, before.brightness) for one in every]
+        (matrix,) = self.light.matrices
+        sparse, weights = matrix.sparse, self.fit.weights
+        usable = self.light.usable
+        most = np.ones(matrix.shape[1], np.float32) if usable is None else usable
+        bounds = abs(sparse).T @ (weights * (abs(sparse) @ most)) + np.float32(self.fit.ridge)
+        white = np.float32(brightness) * self.white_point
+        samples = np.stack([white, self.ambient, weights, self.light.white], axis=1)
+        pixels = np.stack([bounds, sparse.T @ self.lit.astype(np.float32), most], axis=1)
+        cells = grid_cells(matrix.projector_shape, matrix.background_grid)
+        parts = (sparse, csr_array(sparse.T), matrix.background, cells, samples, pixels)
+        # For all frames two images of the camera and two of the projector, in whole cache lines.
+        room = np.empty(2 * _TOGETHER * sum(matrix.shape) + _TOGETHER, np.float32)
+        how: dict[str, Any] = {"ridge": self.fit.ridge, "tolerance": _CLOSE}
+        return partial(_core.frame_patterns, *parts, room=room, **how)
+
+    def scale(self, brightness: float) -> float:
+        """The light of wanted white, a mean over channels; see `Compensation`."""
+        return brightness * float(self.white_point[: len(self._channels)].mean())
 
     def _judged(
         self, pattern: Singles, predicted: Singles, target: Singles, brightness: float
     ) -> Compensation:
         reach = np.full(len(target), Reach.REACHED, np.uint8)
-        # 1 / 20 of the light of wanted white is about 13 levels of an 8-bit picture.
-        missed, allowed = predicted - target, 0.05 * brightness * self.white_point
+        missed, allowed = predicted - target, _CLOSE * brightness * self.white_point
         reach[missed > allowed] = Reach.TOO_BRIGHT
         reach[missed < -allowed] = Reach.TOO_DARK
         reach[~self.lit] = Reach.SHADOW
         reach[~self.chosen] = Reach.MASKED
-        scale = brightness * float(self.white_point[: len(self._channels)].mean())
+        scale = self.scale(brightness)
         shape = self.light.camera_shape
         return Compensation(
             self.light.split(pattern), predicted.reshape(shape), target.reshape(shape), scale,
@@ -744,39 +743,43 @@ def compensate_video(
     shared.light.check_single()
     pictures: Any = frames
     if isinstance(frames, str | Path) and Path(frames).is_file():
-        pictures, gamma = video_frames(frames), DISPLAY_GAMMA if gamma is None else gamma
+        pictures = video_frames(frames)
     elif isinstance(frames, str | Path):
         pictures = list_images(frames)
     else:
         check_list(pictures, hint="give the frames of the video, or its file")
     shape = shared.light.camera_shape
-    fitted = partial(wanted_samples, camera_shape=shape, gamma=gamma, fit=fit, black=True)
+    how: dict[str, Any] = {"gamma": gamma, "fit": fit, "levels": isinstance(frames, str | Path)}
+    fitted = partial(wanted_samples, camera_shape=shape, black=True, **how)
     wanted = list(work_ahead(fitted, pictures, threads=2))
     if not wanted:
         raise InputError("a video without frames", hint="give at least one frame")
     if brightness is None:
         brightness = shared.automatic_brightness(reduce(np.maximum, wanted))
-    patterns = np.empty((len(wanted), *shared.light.matrices[0].projector_shape), np.float32)
-    errors, reached = np.empty(len(wanted)), np.empty(len(wanted))
-    last = shared.solve(wanted[0], brightness)
-    found = [last]
-    white = np.float32(brightness) * shared.white_point
-    for index in range(len(wanted)):
-        if index and not found:
-            starts = range(index, min(index + 2 * _TOGETHER, len(wanted)), _TOGETHER)
-            halves = [[white * one for one in wanted[k : k + _TOGETHER]] for k in starts]
-            with one_blas_thread():
-                solved = work_ahead(partial(shared.frames, before=last), halves, threads=2)
-                found = list(chain(*solved))
-        last = found.pop(0)
-        patterns[index], scale = last.pattern, last.scale
-        errors[index], reached[index] = last.psnr, last.reachable.mean()
-        if progress is not None:
-            progress(index + 1, len(wanted))
     (encoding,) = encoding_of(projector_response, shared.light)
+    shows = encoding if output is not None else None
+    count, matrix = len(wanted), shared.light.matrices[0]
+    patterns = np.empty((count, matrix.shape[1]), np.float32)
+    shown = patterns if shows is None else np.empty_like(patterns)
+    squares, reached = np.empty(count), np.empty(count)
+    solve = shared.frame_solver(brightness)
+    before = np.zeros(matrix.shape[1], np.float32), np.zeros(matrix.shape[0], np.float32)
+    for start in range(0, count, _TOGETHER):
+        some = slice(start, start + _TOGETHER)
+        steps = _FRAME_STEPS if start else 3 * _FRAME_STEPS
+        squares[some], reached[some] = solve(wanted[some], *before, patterns[some], steps=steps)
+        before = patterns[some][-1], wanted[some][-1]
+        if shows is not None:
+            shown[some] = shows.encoded(patterns[some])
+        if progress is not None:
+            progress(min(start + _TOGETHER, count), count)
+    scale = shared.scale(brightness)
+    errors = -10 * np.log10(np.maximum(squares / (shared.lit.sum() * scale**2), 1e-12))
+    images = (-1, *matrix.projector_shape)
     if output is not None:
-        shown = patterns if encoding is None else encoding.encoded(patterns)
-        write_patterns(output, ImagePatterns(shown), overwrite=overwrite)
+        write_patterns(output, ImagePatterns(shown.reshape(images)), overwrite=overwrite)
+    reached /= matrix.shape[0]
+    patterns = patterns.reshape(images)
     return CompensatedVideo(patterns, brightness, scale, errors, reached, encoding)
 
 

@@ -7,6 +7,7 @@ neighbouring camera pixels tell which of them are direct light.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from contextlib import nullcontext
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
@@ -21,6 +22,7 @@ from scipy.spatial import cKDTree
 from lightmatrix.errors import InputError
 from lightmatrix.files.images import given_image, read_grey
 from lightmatrix.files.kinds import SEPARATION
+from lightmatrix.files.reading import errors_naming
 from lightmatrix.files.writing import atomic_folder, check_output
 from lightmatrix.geometry.matches import ROBUST, fit_fundamental, spread_of_spots
 from lightmatrix.pictures.style import Picture
@@ -720,7 +722,8 @@ def pattern_or_white(
     values = given_image("a pattern", pattern, read_grey)
     if values.ndim != 2:
         raise InputError(f"a pattern of shape {values.shape}", hint="give (rows, cols)")
-    return checked_patterns(values, projector_shape)
+    with errors_naming(Path(pattern)) if isinstance(pattern, str | Path) else nullcontext():
+        return checked_patterns(values, projector_shape)
 
 
 def _with_data(matrix: csr_array, data: NDArray[np.floating]) -> csr_array:

@@ -25,11 +25,13 @@ def wanted_samples(
     gamma: float | None = None,
     fit: str | None = None,
     black: bool = False,
+    levels: bool = False,
 ) -> NDArray[np.float32]:
     """The wanted light of each camera sample, (M,) in [0, 1].
 
     A grey picture asks all channels of a colour camera for the same, and of one in colour the
-    luminance counts for a grey camera. `black` allows one that is all black.
+    luminance counts for a grey camera. `black` allows one that is all black, `levels` says that an
+    array holds whole levels, as files do.
     """
     if gamma is not None:
         check_number("a gamma", gamma, least=0.1, most=10, hint="use 0.1 to 10, such as 2.2")
@@ -38,28 +40,26 @@ def wanted_samples(
     name = str(wanted) if isinstance(wanted, str | Path) else "the wanted picture"
     # Turned as viewers show it.
     image = given_image(name, wanted, lambda path: upright(path, read_image(path)))
-    if isinstance(wanted, str | Path) and image.dtype != np.float32:
-        # Files of whole levels hold pictures for displays, files of floats hold light.
-        image = image / np.float32(np.iinfo(image.dtype).max)
-        gamma = DISPLAY_GAMMA if gamma is None else gamma
     if fit is None and image.shape[:2] != camera_shape[:2]:
         # Shapes are refused before values, which a view may have without end.
         _samples(image, camera_shape, name, _FIT)
+    if image.ndim == 3 and len(camera_shape) == 2 and is_grey(image):
+        image = image[..., 0]
+    if (levels or isinstance(wanted, str | Path)) and image.dtype != np.float32:
+        # Files of whole levels hold pictures for displays, files of floats hold light.
+        white = np.iinfo(image.dtype).max
+        curve = np.linspace(0, 1, white + 1) ** (DISPLAY_GAMMA if gamma is None else gamma)
+        light = curve.astype(np.float32).take(image)
     # Written so that it refuses NaN, too.
-    if image.size and not (image.min() >= 0 and image.max() <= 1):
+    elif image.size and not (image.min() >= 0 and image.max() <= 1):
         hint = "give values in [0, 1]: divide raw levels by their largest one, such as 255"
         raise InputError(f"{name} has values from {image.min():g} to {image.max():g}", hint=hint)
-    light = image.astype(np.float32) ** np.float32(1.0 if gamma is None else gamma)
+    else:
+        light = image.astype(np.float32) ** np.float32(1.0 if gamma is None else gamma)
     if light.ndim == 3 and len(camera_shape) == 2:
-        if not is_grey(light):
-            warn(f"{name} is in colour, for a camera that is not: its luminance is taken")
-        # The weights of linear red, green and blue (ITU-R BT.709); grey stays as it is.
-        grey = (
-            light[..., 0]
-            if is_grey(light)
-            else light @ np.array([0.2126, 0.7152, 0.0722], np.float32)
-        )
-        light = np.asarray(grey, np.float32)
+        warn(f"{name} is in colour, for a camera that is not: its luminance is taken")
+        # The weights of linear red, green and blue (ITU-R BT.709).
+        light = light @ np.array([0.2126, 0.7152, 0.0722], np.float32)
     if fit is not None and light.ndim >= 2 and light.shape[:2] != camera_shape[:2]:
         light = fitted(light, (camera_shape[0], camera_shape[1]), fit)
     samples = _samples(light, camera_shape, name, _FIT)
