@@ -69,6 +69,12 @@ def short_repr(self: Any) -> str:
     return f"{type(self).__name__}({', '.join(values)})"
 
 
+class ShortRepr:
+    """A dataclass with ``repr=False`` that is shown in one line."""
+
+    __repr__ = short_repr
+
+
 def html_table(title: str, rows: Mapping[str, Any], picture: bytes = b"") -> str:
     """Names and values as a small table of HTML, for ``_repr_html_``, below a PNG if given."""
     lines = "".join(

@@ -17,7 +17,7 @@ from lightmatrix.files.curve_file import CurveFile
 from lightmatrix.files.numpy_files import read_npy
 from lightmatrix.files.reading import read_text
 from lightmatrix.ranges import as_float, check_type, real_numbers
-from lightmatrix.reprs import short_repr
+from lightmatrix.reprs import ShortRepr
 
 # Raw levels of a camera: their range, their checks, and values that differ from frame to frame.
 
@@ -86,8 +86,8 @@ AUTOMATIC = "auto"
 _CURVES = (".json", ".txt", ".csv", ".npy")
 
 
-@dataclass(frozen=True, eq=False)
-class Response:
+@dataclass(frozen=True, eq=False, repr=False)
+class Response(ShortRepr):
     """The camera's response: which share of the full level belongs to which share of light.
 
     Parameters
@@ -112,8 +112,6 @@ class Response:
     light: NDArray[np.float64] | None = None
     name: str = "linear"
     full_scale: float | None = None
-
-    __repr__ = short_repr
 
     @classmethod
     def parse(cls, text: str, folder: Path = Path()) -> Response:

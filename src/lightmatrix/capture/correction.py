@@ -10,11 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lightmatrix.capture.samples import Samples
-from lightmatrix.reprs import short_repr
+from lightmatrix.reprs import ShortRepr
 
 
-@dataclass(frozen=True, eq=False)
-class Correction:
+@dataclass(frozen=True, eq=False, repr=False)
+class Correction(ShortRepr):
     """The changes of K frames of R binned camera rows, as found by `fit_rig`.
 
     A sample becomes (sample - ambient) / (gain * profile) - added.
@@ -39,8 +39,6 @@ class Correction:
     profile: NDArray[np.float64] | None = None
     added: NDArray[np.floating] | None = None
     lag: NDArray[np.int64] | None = None
-
-    __repr__ = short_repr
 
     def select(self, frames: NDArray[np.integer]) -> Correction:
         """The correction of some frames, in this order."""

@@ -12,11 +12,11 @@ from numpy.typing import NDArray
 from lightmatrix.capture.camera_curve import Response, check_exposures, check_levels, per_frame
 from lightmatrix.capture.samples import Samples
 from lightmatrix.errors import InputError
-from lightmatrix.reprs import short_repr
+from lightmatrix.reprs import ShortRepr
 
 
-@dataclass(frozen=True, eq=False)
-class Decoder:
+@dataclass(frozen=True, eq=False, repr=False)
+class Decoder(ShortRepr):
     """From raw levels to linear samples.
 
     Parameters
@@ -61,8 +61,6 @@ class Decoder:
     black_frame: NDArray[Any] | None = None
     black_exposure: float | None = None
     clip_assumed: bool = False
-
-    __repr__ = short_repr
 
     def __post_init__(self) -> None:
         check_levels(self.clip, self.black_level, self.full_scale)

@@ -19,7 +19,7 @@ from lightmatrix.files.curve_file import CurveFile
 from lightmatrix.files.kinds import RESPONSE
 from lightmatrix.files.writing import check_output
 from lightmatrix.patterns.projector_curve import ProjectorResponse
-from lightmatrix.reprs import short_repr
+from lightmatrix.reprs import ShortRepr
 
 # The entry of an estimate's provenance that holds the response that was found.
 FOUND_RESPONSE = "found_response"
@@ -79,8 +79,8 @@ def points(response: Response) -> tuple[Floats, Floats]:
     return levels, response.linearise(levels)
 
 
-@dataclass(frozen=True, eq=False)
-class FoundResponse:
+@dataclass(frozen=True, eq=False, repr=False)
+class FoundResponse(ShortRepr):
     """A camera's response as the photographs of a capture show it; made by `find_response`.
 
     Parameters
@@ -108,8 +108,6 @@ class FoundResponse:
     estimates: int
     projector: ProjectorResponse | None = None
     projector_uncertainty: float = 0.0
-
-    __repr__ = short_repr
 
     def __str__(self) -> str:
         kind = "gamma" if self.is_gamma else "a curve near gamma"

@@ -19,7 +19,7 @@ from lightmatrix.errors import InputError
 from lightmatrix.patterns.pattern_set import PatternSet
 from lightmatrix.ranges import check_finite, real_array
 from lightmatrix.regions import Region
-from lightmatrix.reprs import short_repr
+from lightmatrix.reprs import ShortRepr
 from lightmatrix.resources.memory import scratch_array
 from lightmatrix.resources.threads import computed_once, work_ahead
 
@@ -99,13 +99,11 @@ def levels_at(frames: Frames, places: NDArray[np.int64]) -> NDArray[Any]:
     return levels
 
 
-@dataclass(frozen=True, eq=False)
-class ArrayStack:
+@dataclass(frozen=True, eq=False, repr=False)
+class ArrayStack(ShortRepr):
     """Frames in memory, (K, rows, cols[, channels]) uint8, uint16 or float32."""
 
     array: NDArray[Any]
-
-    __repr__ = short_repr
 
     @property
     def count(self) -> int:

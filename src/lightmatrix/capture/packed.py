@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from lightmatrix.files.reading import check_image_size
 from lightmatrix.files.zarr_arrays import CHUNK, StoredArray, as_damage_error, read_group
-from lightmatrix.reprs import short_repr
+from lightmatrix.reprs import ShortRepr
 
 # The attributes of all packed frames state their format and version; others are refused.
 FORMAT, VERSION = "lightmatrix-frames", 1
@@ -25,8 +25,8 @@ PACKED, FRAMES = "images.zarr", "frames"
 _REMEDY = "restore it, or pack the capture again"
 
 
-@dataclass(frozen=True, eq=False)
-class PackedFrames:
+@dataclass(frozen=True, eq=False, repr=False)
+class PackedFrames(ShortRepr):
     """Frames `index` (K',) of a packed capture, read a tile of camera pixels at a time.
 
     `array` has the raw levels, (K, rows, cols[, channels]), of which the pixels in `rows` and
@@ -40,8 +40,6 @@ class PackedFrames:
     cols: slice
     # The strip of chunks that was read last. Tiles are smaller than it, and follow each other.
     _last: dict[int, NDArray[Any]] = field(default_factory=dict, repr=False)
-
-    __repr__ = short_repr
 
     @property
     def count(self) -> int:

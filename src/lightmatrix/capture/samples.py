@@ -10,11 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lightmatrix.errors import InputError
-from lightmatrix.reprs import short_repr
+from lightmatrix.reprs import ShortRepr
 
 
-@dataclass(frozen=True, eq=False)
-class Samples:
+@dataclass(frozen=True, eq=False, repr=False)
+class Samples(ShortRepr):
     """Linear camera samples of m rows under K patterns, every one with its own clip state.
 
     Parameters
@@ -41,8 +41,6 @@ class Samples:
     clipped: NDArray[np.bool_]
     clip_level: NDArray[Any]
     weights: NDArray[Any] | None = None
-
-    __repr__ = short_repr
 
     @property
     def count(self) -> int:

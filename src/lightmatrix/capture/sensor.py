@@ -25,14 +25,14 @@ from lightmatrix.capture.camera_curve import check_exposures, check_levels, per_
 from lightmatrix.capture.decoder import Decoder
 from lightmatrix.errors import InputError
 from lightmatrix.ranges import check_number, check_seed
-from lightmatrix.reprs import short_repr
+from lightmatrix.reprs import ShortRepr
 
 # Bits of a raw level that simulated cameras can have.
 BIT_DEPTHS = (8, 10, 12, 16)
 
 
-@dataclass(frozen=True, eq=False)
-class Sensor:
+@dataclass(frozen=True, eq=False, repr=False)
+class Sensor(ShortRepr):
     """A linear camera that can be simulated.
 
     Parameters
@@ -69,8 +69,6 @@ class Sensor:
     shot_noise: float = 0.0
     bits: int | None = 8
     clip: float | None = None
-
-    __repr__ = short_repr
 
     def __post_init__(self) -> None:
         if self.bits is not None and self.bits not in BIT_DEPTHS:

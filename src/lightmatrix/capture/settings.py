@@ -23,11 +23,11 @@ from lightmatrix.errors import InputError
 from lightmatrix.files.reading import errors_naming, read_json, within
 from lightmatrix.patterns.projector_curve import ProjectorResponse
 from lightmatrix.ranges import as_float, check_number, real_numbers
-from lightmatrix.reprs import short_repr
+from lightmatrix.reprs import ShortRepr
 
 
-@dataclass(frozen=True, eq=False)
-class ReadSettings:
+@dataclass(frozen=True, eq=False, repr=False)
+class ReadSettings(ShortRepr):
     """How the photographs of a capture are read.
 
     These are the options of the command line and the keys of capture.json. The defaults describe a
@@ -90,8 +90,6 @@ class ReadSettings:
     projector_response: str | Path | ProjectorResponse | None = None
     mask: str | Path | None = None
     mosaic: bool = False
-
-    __repr__ = short_repr
 
     def __post_init__(self) -> None:
         if isinstance(self.black, (int, float)):

@@ -35,7 +35,7 @@ from lightmatrix.files.images import (
 from lightmatrix.files.numpy_files import map_npy, read_npz
 from lightmatrix.files.reading import check_image_size, regular_file
 from lightmatrix.paths import as_path
-from lightmatrix.reprs import short_repr
+from lightmatrix.reprs import ShortRepr
 
 tifffile = lazy_loader.load("tifffile")
 
@@ -214,8 +214,8 @@ def nonlinear_tag(path: str | Path | Page) -> str | None:
     return f"tagged with gamma {1 / gamma:.2g}" if gamma not in (0, 1) else None
 
 
-@dataclass(frozen=True)
-class ImageStack:
+@dataclass(frozen=True, repr=False)
+class ImageStack(ShortRepr):
     """Images of one shape and type, read one at a time."""
 
     # The files, or the pages of one, in the order of the frames.
@@ -227,8 +227,6 @@ class ImageStack:
     grey: bool = False
     # Read raw camera files as they are; see `read_image`.
     mosaic: bool = False
-
-    __repr__ = short_repr
 
     @classmethod
     def open(

@@ -19,7 +19,7 @@ from lightmatrix.geometry.rig_files import read_rig, write_rig
 from lightmatrix.paths import as_path
 from lightmatrix.ranges import check_number, check_sides
 from lightmatrix.regions import Region
-from lightmatrix.reprs import jsonable, short_repr
+from lightmatrix.reprs import ShortRepr, jsonable
 
 Size = tuple[int, int]
 Array = NDArray[np.float64]
@@ -232,8 +232,8 @@ def checked_fields(content: Any, file: str) -> dict[str, Any]:
     return fields
 
 
-@dataclass(frozen=True, eq=False)
-class RigGeometry:
+@dataclass(frozen=True, eq=False, repr=False)
+class RigGeometry(ShortRepr):
     """The geometry of a projector-camera rig.
 
     Points of the world are (X, Y, Z) in the unit `units`. Points of an image are (col, row) in
@@ -290,8 +290,6 @@ class RigGeometry:
     rms: Mapping[str, float] = field(default_factory=dict)
     projector_mirrored: bool = False
     projector_stagger: float = 0.0
-
-    __repr__ = short_repr
 
     def __post_init__(self) -> None:
         for device in ("camera", "projector"):

@@ -19,7 +19,6 @@ from lightmatrix.patterns.pattern_set import (
     seed_sequence,
 )
 from lightmatrix.ranges import as_float, check_seed, real_array
-from lightmatrix.reprs import short_repr
 from lightmatrix.resources.threads import computed_once
 
 # The iterative solvers multiply the same patterns many times. A product of float matrices is then
@@ -89,7 +88,7 @@ class BinaryPatterns(PatternSet):
         return BitPatterns(self.shape, self.bits[np.asarray(index)])
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class BitPatterns(BinaryPatterns):
     """Black and white patterns given as bits, such as some patterns of another set.
 
@@ -110,8 +109,6 @@ class BitPatterns(BinaryPatterns):
 
     shape: tuple[int, int]
     bits: NDArray[np.uint8]
-
-    __repr__ = short_repr
 
     def __post_init__(self) -> None:
         bits = real_array("bits", self.bits)

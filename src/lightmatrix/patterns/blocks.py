@@ -13,10 +13,9 @@ from scipy.sparse import csr_array
 from lightmatrix.errors import InputError
 from lightmatrix.patterns.pattern_set import PatternSet, check_geometry
 from lightmatrix.ranges import check_sides, real_array
-from lightmatrix.reprs import short_repr
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class BlockPatterns(PatternSet):
     """One block of projector pixels lit at a time; by default, one pixel: T column by column.
 
@@ -44,7 +43,6 @@ class BlockPatterns(PatternSet):
     selected: NDArray[np.int64] | None = None
 
     kind: ClassVar[str] = "blocks"
-    __repr__ = short_repr
 
     def __post_init__(self) -> None:
         check_geometry(self.shape, 1)

@@ -14,10 +14,9 @@ from lightmatrix.errors import InputError
 from lightmatrix.patterns.bits import BernoulliPatterns, BitPatterns
 from lightmatrix.patterns.pattern_set import ImagePatterns, PatternSet, check_geometry
 from lightmatrix.ranges import whole
-from lightmatrix.reprs import short_repr
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class ColourPatterns(PatternSet):
     """K patterns of a colour projector, which shows red, green and blue at once.
 
@@ -46,8 +45,6 @@ class ColourPatterns(PatternSet):
     red: PatternSet
     green: PatternSet
     blue: PatternSet
-
-    __repr__ = short_repr
 
     def __post_init__(self) -> None:
         for other in (self.green, self.blue):

@@ -27,7 +27,7 @@ from lightmatrix import _core
 from lightmatrix.errors import InputError
 from lightmatrix.patterns.inverse import Inverse, inverse_of
 from lightmatrix.ranges import check_sides, check_whole, real_array
-from lightmatrix.reprs import jsonable, short_repr
+from lightmatrix.reprs import ShortRepr, jsonable
 from lightmatrix.resources.threads import computed_once, work_ahead
 
 # The longest side of a bin in pixels, more than any camera or projector has.
@@ -129,7 +129,7 @@ _CORRELATION_BYTES, _PIXELS_AT_ONCE = 64 << 20, 1 << 13
 _MOST_PATTERNS = 1_000_000
 
 
-class PatternSet(ABC):
+class PatternSet(ShortRepr, ABC):
     """K patterns over a projector of (rows, cols) pixels.
 
     Attributes
@@ -415,7 +415,7 @@ def check_geometry(shape: tuple[int, int], count: int) -> None:
     check_whole("patterns", count, most=_MOST_PATTERNS, hint=hint)
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class ImagePatterns(PatternSet):
     """Patterns given as images of any grey values: a dense matrix.
 
@@ -434,8 +434,6 @@ class ImagePatterns(PatternSet):
     stack: NDArray[np.float32]
 
     has_matrix: ClassVar[bool] = True
-
-    __repr__ = short_repr
 
     def __post_init__(self) -> None:
         stack = real_array("patterns", self.stack)

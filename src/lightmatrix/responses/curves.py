@@ -30,7 +30,7 @@ from lightmatrix.files.writing import check_output
 from lightmatrix.patterns.projector_curve import ProjectorResponse
 from lightmatrix.pictures.style import COLOURS, Picture, figure
 from lightmatrix.ranges import as_float, check_positive, real_array, real_numbers
-from lightmatrix.reprs import short_repr
+from lightmatrix.reprs import ShortRepr
 
 Photographs = str | Path | NDArray[Any]
 # The level at which the camera clips, on the scale that OpenCV fits curves to; also the projector's
@@ -196,8 +196,8 @@ def measure_residuals(curve: NDArray[np.float64], series: PixelSeries) -> NDArra
     return np.stack([(np.arange(16) + 0.5)[keep] / 16, total[keep] / count[keep]])
 
 
-@dataclass(frozen=True, eq=False)
-class CameraResponse:
+@dataclass(frozen=True, eq=False, repr=False)
+class CameraResponse(ShortRepr):
     """A camera's measured response.
 
     Parameters
@@ -227,8 +227,6 @@ class CameraResponse:
     exposures: NDArray[np.float64]
     channels: float | None
     residuals: NDArray[np.float64]
-
-    __repr__ = short_repr
 
     def as_dict(self) -> dict[str, Any]:
         """Everything besides the curve, JSON-ready."""

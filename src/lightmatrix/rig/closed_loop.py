@@ -16,7 +16,7 @@ from lightmatrix.errors import InputError, warn
 from lightmatrix.files.kinds import IMAGE
 from lightmatrix.files.writing import check_output
 from lightmatrix.patterns.pattern_set import ImagePatterns
-from lightmatrix.reprs import short_repr
+from lightmatrix.reprs import ShortRepr
 from lightmatrix.rig.devices.base import set_exposure
 from lightmatrix.rig.devices.several import pattern_sizes, stacked
 from lightmatrix.rig.photograph import (
@@ -43,8 +43,8 @@ USUAL_STEPS = 3
 _FRAMES = 4
 
 
-@dataclass(frozen=True, eq=False)
-class RefinedCompensation:
+@dataclass(frozen=True, eq=False, repr=False)
+class RefinedCompensation(ShortRepr):
     """A compensation on a rig, step by step; made by `refine_compensation`.
 
     Parameters
@@ -61,8 +61,6 @@ class RefinedCompensation:
     compensation: Compensation
     photograph: NDArray[np.float32]
     photographed_psnr: NDArray[np.float64]
-
-    __repr__ = short_repr
 
     @property
     def pattern(self) -> NDArray[np.float32]:

@@ -39,7 +39,7 @@ from lightmatrix.patterns.codes import find_codes
 from lightmatrix.patterns.stripes import stripes_of
 from lightmatrix.progress import Progress
 from lightmatrix.ranges import check_list, check_number
-from lightmatrix.reprs import short_repr
+from lightmatrix.reprs import ShortRepr
 from lightmatrix.shape.adjustment import Fit, fit_board, largest_turn, rms_of
 from lightmatrix.shape.decode import decode
 from lightmatrix.shape.spots import on_diamonds
@@ -203,8 +203,8 @@ def board_points(board: Size, square: float, kind: BoardKind = "chessboard") -> 
     return np.column_stack([col.ravel(), row.ravel(), np.zeros(across * down)]) * float(square)
 
 
-@dataclass(frozen=True, eq=False)
-class BoardPose:
+@dataclass(frozen=True, eq=False, repr=False)
+class BoardPose(ShortRepr):
     """One pose of the board, by the name of its folder."""
 
     name: str
@@ -220,11 +220,9 @@ class BoardPose:
     rms_camera: float
     rms_projector: float
 
-    __repr__ = short_repr
 
-
-@dataclass(frozen=True, eq=False)
-class RigCalibration:
+@dataclass(frozen=True, eq=False, repr=False)
+class RigCalibration(ShortRepr):
     """A calibrated rig, and how well it explains the board."""
 
     # Each camera has a geometry with each projector, all in the frame of the first camera; their
@@ -240,8 +238,6 @@ class RigCalibration:
     standard_errors: dict[str, tuple[float, float]]
     # What was written, in the order of the geometries.
     files: tuple[Path, ...]
-
-    __repr__ = short_repr
 
     @property
     def geometry(self) -> RigGeometry:

@@ -18,15 +18,15 @@ from lightmatrix.paths import as_path
 from lightmatrix.pictures.maps import Map
 from lightmatrix.pictures.style import Picture, display, figure, panel, white_level
 from lightmatrix.pictures.transport import draw_into
-from lightmatrix.reprs import short_repr
+from lightmatrix.reprs import ShortRepr
 from lightmatrix.shape.shape import depth_map, write_cloud
 from lightmatrix.shape.spots import check_thresholds, seen_by, surface_probability
 from lightmatrix.shape.triangulation import geometry_of
 from lightmatrix.uses.loading import Transport, loaded
 
 
-@dataclass(frozen=True, eq=False)
-class Layers:
+@dataclass(frozen=True, eq=False, repr=False)
+class Layers(ShortRepr):
     """Up to three surfaces that each camera pixel sees: near to far, then what mirrors show.
 
     Parameters
@@ -54,8 +54,6 @@ class Layers:
     width: NDArray[np.float32]
     mirrored: NDArray[np.bool_]
     geometry: RigGeometry
-
-    __repr__ = short_repr
 
     def summary(self) -> dict[str, int]:
         """Pixels that see one, two and three surfaces, and those that see mirrored light."""

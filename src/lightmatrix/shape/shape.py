@@ -22,7 +22,7 @@ from lightmatrix.paths import as_path
 from lightmatrix.pictures.maps import UNKNOWN, Map
 from lightmatrix.pictures.style import COLOURS, Picture, figure, panel
 from lightmatrix.pictures.transport import draw_into
-from lightmatrix.reprs import short_repr
+from lightmatrix.reprs import ShortRepr
 from lightmatrix.uses.separation import shifted
 
 
@@ -217,8 +217,8 @@ class ShapeTest(IntEnum):
     IMPROBABLE = 4
 
 
-@dataclass(frozen=True, eq=False)
-class Shape:
+@dataclass(frozen=True, eq=False, repr=False)
+class Shape(ShortRepr):
     """The surface that a camera sees, pixel by pixel.
 
     Parameters
@@ -260,8 +260,6 @@ class Shape:
     place: NDArray[np.float32]
     from_line: NDArray[np.float32]
     geometry: RigGeometry
-
-    __repr__ = short_repr
 
     @property
     def kept(self) -> NDArray[np.bool_]:

@@ -24,7 +24,7 @@ from lightmatrix.files.reading import parse_json
 from lightmatrix.files.writing import atomic_file
 from lightmatrix.geometry.rig_geometry import RigGeometry, checked_fields
 from lightmatrix.regions import Region
-from lightmatrix.reprs import short_repr
+from lightmatrix.reprs import ShortRepr
 from lightmatrix.simulation.scenes import Scene, names, scene
 from lightmatrix.simulation.shapes import Mesh, merge
 from lightmatrix.transport.matrix import LightTransport
@@ -135,8 +135,8 @@ def _hits(
     return inside & (total != 0) & (depth > 0), depth
 
 
-@dataclass(frozen=True, eq=False)
-class Truth:
+@dataclass(frozen=True, eq=False, repr=False)
+class Truth(ShortRepr):
     """A known light transport matrix, direct and global light kept apart.
 
     Parameters
@@ -174,8 +174,6 @@ class Truth:
     projector_shape: tuple[int, int]
     metadata: Mapping[str, Any] = field(default_factory=dict)
     geometry: RigGeometry | None = None
-
-    __repr__ = short_repr
 
     @property
     def direct(self) -> csr_array:

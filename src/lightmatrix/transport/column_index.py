@@ -27,7 +27,7 @@ from lightmatrix.files.writing import claimed, temporary
 from lightmatrix.files.zarr_arrays import QUICK
 from lightmatrix.patterns.pattern_set import grid_cells
 from lightmatrix.progress import Progress
-from lightmatrix.reprs import short_repr
+from lightmatrix.reprs import ShortRepr
 from lightmatrix.resources.memory import check_disk_space
 from lightmatrix.transport.sparse_rows import row_blocks
 from lightmatrix.transport.store import StoredTransport, fill_store
@@ -145,8 +145,8 @@ def _write_index(part: Path, matrix: StoredTransport, progress: Progress) -> Non
     fill_store(part, parts(), shapes, {}, _CHUNK, QUICK)
 
 
-@dataclass(frozen=True, eq=False)
-class ColumnIndex:
+@dataclass(frozen=True, eq=False, repr=False)
+class ColumnIndex(ShortRepr):
     """The columns of a matrix on disk, of which only the requested ones are read.
 
     Made by `open`.
@@ -170,8 +170,6 @@ class ColumnIndex:
     # Rows of the transposed matrix from some place on, kept because the next stroke is near the
     # last.
     _kept: dict[int, csr_array] = field(default_factory=dict, repr=False)
-
-    __repr__ = short_repr
 
     @classmethod
     def open(cls, path: str | Path) -> ColumnIndex:

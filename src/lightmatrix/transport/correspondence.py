@@ -13,7 +13,7 @@ from scipy.sparse import csr_array
 
 from lightmatrix.errors import InputError
 from lightmatrix.ranges import check_sides, check_type, real_array
-from lightmatrix.reprs import short_repr
+from lightmatrix.reprs import ShortRepr
 from lightmatrix.transport.matrix import LightTransport
 from lightmatrix.transport.operator import HOW_TO_GIVE, TransportOperator
 
@@ -25,8 +25,8 @@ REACH = 2
 _ENTRIES = 1 << 23
 
 
-@dataclass(frozen=True, eq=False)
-class Correspondence:
+@dataclass(frozen=True, eq=False, repr=False)
+class Correspondence(ShortRepr):
     """The projector pixel that each camera pixel sees most.
 
     Parameters
@@ -61,8 +61,6 @@ class Correspondence:
     uncertainty: NDArray[np.float32] | None = None
     light: NDArray[np.float32] | None = None
     projector_shape: tuple[int, int] | None = None
-
-    __repr__ = short_repr
 
     def __post_init__(self) -> None:
         grid = real_array("a confidence", self.confidence).shape

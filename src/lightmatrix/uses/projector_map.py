@@ -21,7 +21,7 @@ from lightmatrix.files.images import fill_image
 from lightmatrix.files.writing import atomic_file, atomic_files, atomic_folder, check_output
 from lightmatrix.geometry.rig_geometry import RigGeometry
 from lightmatrix.paths import as_path
-from lightmatrix.reprs import short_repr
+from lightmatrix.reprs import ShortRepr
 from lightmatrix.transport.correspondence import REACH, Correspondence, pixel_rows, strongest_places
 from lightmatrix.transport.matrix import LightTransport
 from lightmatrix.transport.sparse_rows import footprint_sizes
@@ -29,8 +29,8 @@ from lightmatrix.uses.compensation import compensate, joint_light
 from lightmatrix.uses.loading import Transport, loaded
 
 
-@dataclass(frozen=True, eq=False)
-class ProjectorMap:
+@dataclass(frozen=True, eq=False, repr=False)
+class ProjectorMap(ShortRepr):
     """The camera place that receives most of each projector pixel's light; by `map_projector`.
 
     Parameters
@@ -64,8 +64,6 @@ class ProjectorMap:
     source_shape: tuple[int, int]
     reverse: ProjectorMap | None = None
     blend: NDArray[np.float32] | None = None
-
-    __repr__ = short_repr
 
     @property
     def known(self) -> NDArray[np.bool_]:

@@ -27,7 +27,7 @@ from lightmatrix.files.writing import atomic_folder, check_output
 from lightmatrix.geometry.matches import ROBUST, fit_fundamental, spread_of_spots
 from lightmatrix.pictures.style import Picture
 from lightmatrix.pictures.transport import draw_parts
-from lightmatrix.reprs import short_repr
+from lightmatrix.reprs import ShortRepr
 from lightmatrix.transport import store
 from lightmatrix.transport.correspondence import pixel_rows
 from lightmatrix.transport.matrix import LightTransport
@@ -40,8 +40,8 @@ Floats = NDArray[np.float64]
 # The epipolar geometry of a projector and a camera, from where camera pixels see their light.
 
 
-@dataclass(frozen=True, eq=False)
-class EpipolarGeometry:
+@dataclass(frozen=True, eq=False, repr=False)
+class EpipolarGeometry(ShortRepr):
     """Where direct light can come from: on the line F (camera row, col, 1) of the projector.
 
     Lines are parallel (the affine epipolar geometry, Koenderink & van Doorn 1991) unless the data
@@ -65,8 +65,6 @@ class EpipolarGeometry:
     spread: float
     surface: Floats
     parallax_range: tuple[float, float]
-
-    __repr__ = short_repr
 
     def distance(self, camera: Floats, projector: Floats) -> Floats:
         """Signed distances of projector pixels (n, 2) to the lines of camera pixels (n, 2)."""
@@ -510,8 +508,8 @@ def _check_direct_light(good: NDArray[np.bool_]) -> None:
         )
 
 
-@dataclass(frozen=True, eq=False)
-class Separation:
+@dataclass(frozen=True, eq=False, repr=False)
+class Separation(ShortRepr):
     """T = direct + global, both non-negative; the sum is exact.
 
     Parameters
@@ -538,8 +536,6 @@ class Separation:
     parallax: NDArray[np.float32]
     geometry: EpipolarGeometry
     spot: float
-
-    __repr__ = short_repr
 
     def show(self) -> Picture:
         """A Matplotlib figure of direct and global light under white; notebooks show it."""
