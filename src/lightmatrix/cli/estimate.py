@@ -50,7 +50,7 @@ _reporting = functools.partial(Option, rich_help_panel="Check and report")
     solver=_solving(
         help="active-set (one-sided, rejection, linear; certifies a duality gap), "
         "saturation-admm (clipped, one-sided, rejection, linear), admm (linear), "
-        "romp (linear, rejection), total-variation (one-sided, linear; for single-pixel detectors, "
+        "romp (linear, rejection), total-variation (one-sided; for single-pixel detectors, "
         "which see the whole scene)."
     ),
     fidelity=_solving(

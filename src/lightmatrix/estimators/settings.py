@@ -11,15 +11,8 @@ from lightmatrix.defaults import COHERENT_UP_TO
 from lightmatrix.errors import InputError
 from lightmatrix.ranges import check_at_least_one, check_number, check_whole
 from lightmatrix.resources.memory import memory_bytes
-from lightmatrix.solvers import (
-    ADMM,
-    ROMP,
-    ActiveSet,
-    Fidelity,
-    SaturationADMM,
-    Solver,
-    TotalVariation,
-)
+from lightmatrix.solvers import ADMM, ROMP, ActiveSet, Fidelity, SaturationADMM, Solver
+from lightmatrix.solvers.total_variation import TotalVariation
 
 # The solvers by name, each with the fidelity that it has unless the user asks for another, and with
 # the parameter that limits its iterations.
@@ -113,12 +106,13 @@ class EstimateSettings:
         solver, usual, limit = SOLVERS[self.solver]
         fidelity = usual if self.fidelity is None else Fidelity(self.fidelity)
         limits = {} if self.iterations is None else {limit: self.iterations}
-        if solver is not ADMM:
+        if solver not in (ADMM, TotalVariation):
             return solver(fidelity=fidelity, **limits)
-        if fidelity is not Fidelity.LINEAR:
-            hint = "use the solver saturation-admm, or the fidelity linear"
-            raise InputError(f"the solver admm cannot use the fidelity {fidelity}", hint=hint)
-        return ADMM(**limits)
+        if fidelity is not usual:
+            hint = f"use the solver saturation-admm, or the fidelity {usual}"
+            message = f"the solver {self.solver} cannot use the fidelity {fidelity}"
+            raise InputError(message, hint=hint)
+        return solver(**limits)
 
     @property
     def memory_limit(self) -> int | None:

@@ -5,10 +5,10 @@ picture rather than a few spots. Pictures consist of surfaces, so their differen
 
     min_x  lambda TV(x) + sum_k w_k f_k(a_k . x)  with x >= 0
 
-(Rudin, Osher & Fatemi 1992; for one detector, Duarte et al. 2008). ADMM splits x into a copy z that
-the patterns see, the differences g = D x, and a copy v >= 0, as Goldstein & Osher 2009 do. The
-update of x then is a filter, of which the cosine transform is diagonal. Diffuse light is a constant
-picture, which has no variation, so a background adds nothing.
+(Rudin, Osher & Fatemi, Physica D 60, 1992; for one detector, Duarte et al. 2008). ADMM splits x
+into a copy z that the patterns see, the differences g = D x, and a copy v >= 0, as Goldstein &
+Osher 2009 (split Bregman) do. The update of x then is a filter, of which the cosine transform is
+diagonal. Diffuse light is a constant picture, which has no variation, so a background adds nothing.
 """
 
 from __future__ import annotations
@@ -22,7 +22,6 @@ from scipy.fft import dctn, idctn
 from scipy.sparse import csr_array
 
 from lightmatrix.defaults import ADMM_ITERATIONS
-from lightmatrix.errors import SolverError
 from lightmatrix.solvers.admm import (
     Splitting,
     System,
@@ -53,19 +52,12 @@ class TotalVariation(Splitting):
 
     Parameters
     ----------
-    fidelity : Fidelity
-        one-sided: a clipped sample is a lower bound; or linear.
     penalty_x : float or None
         As in `ADMM`.
     max_iterations : int
         Limit of iterations, at least 1. A row that reaches it is returned as it is.
     tolerance : float
         A row stops when its relative primal and dual residuals are at most this, > 0.
-
-    References
-    ----------
-    Rudin, Osher & Fatemi 1992, Nonlinear total variation based noise removal algorithms; Goldstein
-    & Osher 2009, The split Bregman method for L1-regularized problems.
 
     Examples
     --------
@@ -80,18 +72,12 @@ class TotalVariation(Splitting):
     True
     """
 
-    fidelity: Fidelity = Fidelity.ONE_SIDED
     penalty_x: float | None = None
     max_iterations: int = ADMM_ITERATIONS
     tolerance: float = 1e-4
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if self.fidelity not in (Fidelity.ONE_SIDED, Fidelity.LINEAR):
-            raise SolverError(
-                f"the solver total-variation cannot use the fidelity {self.fidelity}",
-                hint="use the fidelity one-sided or linear",
-            )
+    # A clipped sample is a lower bound.
+    fidelity = Fidelity.ONE_SIDED
 
     def init(self, problem: Problem) -> VariationState:
         mu = self.penalty_x or automatic_penalty_x(problem)
@@ -105,10 +91,9 @@ class TotalVariation(Splitting):
         values, x = problem.samples.values, state.x
         if state.system.row_scale is not None:
             values = values * state.system.row_scale.astype(values.dtype)
-        if self.fidelity is Fidelity.ONE_SIDED:
-            # What is predicted above a clipped sample may be right.
-            bound = np.maximum(values, state.prediction)
-            values = np.where(problem.samples.clipped, bound, values)
+        # What is predicted above a clipped sample may be right.
+        bound = np.maximum(values, state.prediction)
+        values = np.where(problem.samples.clipped, bound, values)
         z, prediction = state.system.solve(values, _flat(x) - state.of_z)
         v = x - state.of_v
         v = np.maximum(v, 0) if problem.nonnegative else v
