@@ -21,7 +21,6 @@ from lightmatrix.reprs import ShortRepr
 
 # Raw levels of a camera: their range, their checks, and values that differ from frame to frame.
 
-
 # The highest raw level that is accepted. No camera counts further; a larger number is a typing
 # error.
 MOST_LEVEL = 2.0**32

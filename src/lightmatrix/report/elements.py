@@ -107,7 +107,6 @@ class Section:
 
 # Arrays as images of the report: small enough for one page, with alternative texts and scales.
 
-
 # The longer side of a picture has at most this many pixels, which fills a column of the page.
 MOST_PIXELS = 320
 # Photographs of up to this many pixels a side are stored without loss: single pixels are visible on
@@ -186,9 +185,7 @@ def difference_image(
 
 def image_of_file(file: Path, alternative: str, title: str = "", caption: str = "") -> Image:
     """A picture from a file, such as a figure."""
-    pixels = read_image(file)
-    rows, cols = pixels.shape[:2]
-    return Image(_address(pixels), cols, rows, alternative, title, caption)
+    return _image(read_image(file), alternative, title, caption)
 
 
 def _image(

@@ -40,7 +40,6 @@ from lightmatrix.transport.matrix import LightTransport
 # sees, only unseen photographs can show. So some frames are held out, T is estimated again from the
 # others, and its predictions are compared with the frames.
 
-
 # Cameras of more samples are tested on a rectangle of about this many, as the docs say.
 MOST_ROWS = 16_384
 

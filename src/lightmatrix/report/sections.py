@@ -66,7 +66,6 @@ def _flat(values: Mapping[str, Any], before: str = "") -> Iterator[tuple[str, st
 
 # What this T can be used for: direct and global light, the shape.
 
-
 # Larger cameras are left out. This many camera samples (512 x 512) take 11 s of one processor core,
 # nearly all of it for the separation, in proportion to their number.
 _MOST_SAMPLES = 1 << 18

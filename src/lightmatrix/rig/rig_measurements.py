@@ -48,8 +48,6 @@ from lightmatrix.rig.photograph import (
 )
 from lightmatrix.rig.rig import Rig, UnfitRigError
 
-# Called with (done, total) while something is measured.
-
 
 @dataclass(frozen=True)
 class SettleTime:

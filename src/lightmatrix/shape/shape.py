@@ -171,7 +171,6 @@ def write_cloud(
 
 # A shape as pictures: maps of depth and normals, and why pixels have none.
 
-
 _NORMALS = "Normals: right, up, near as red, green, blue"
 
 

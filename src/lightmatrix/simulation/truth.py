@@ -38,7 +38,6 @@ tifffile = lazy_loader.load("tifffile")
 # Every pixel's ray meets the planes of the triangles whose images cover the pixel, and the nearest
 # one counts.
 
-
 # Pairs of a triangle and a pixel that are tested at a time: about 300 MB of temporary arrays.
 _PAIRS = 1 << 21
 # Rays through an edge belong to both triangles: they may miss each by this share of its area.

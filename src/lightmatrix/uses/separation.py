@@ -203,7 +203,6 @@ _TUNING = _Tuning()
 
 # Which spots of neighbouring camera pixels lie near each other on the projector.
 
-
 Places = tuple[slice, slice, slice]
 # One neighbour of all camera pixels that have it: these pixels and their neighbours, in images
 # (SPOTS, rows, cols), and which spot here lies near which spot there, (SPOTS, SPOTS, ..., ...).

@@ -30,7 +30,6 @@ from lightmatrix.viewer.packed import halves, packed
 
 # T as the page takes it: column by column, in half precision.
 
-
 # Row indices below this number take two bytes.
 _SHORT_ROWS = 1 << 16
 
@@ -175,26 +174,14 @@ def packed_map(shown: maps.Map) -> bytes:
     return packed(header, {"values": values, "colours": _colours(shown.colour_map)})
 
 
-def _dual(source: LayerSource) -> bytes:
-    image = source.whole.dual_image()
-    header = {"title": "Dual image: seen from the projector", "white": white_level(image)}
-    return packed(header, {"values": image})
+def _image(image: NDArray[np.floating], **more: Any) -> bytes:
+    """An image over the camera or the projector, with the light that is shown as white."""
+    return packed({**more, "white": white_level(image)}, {"values": image})
 
 
-def _light(part: Callable[[Separation], LightTransport]) -> Callable[[LayerSource], bytes]:
-    """A part of the light under a white pattern, shown like the photograph."""
-
-    def make(source: LayerSource) -> bytes:
-        light = part(source.separation)
-        image = light.relight(np.ones(light.projector_shape))
-        return packed({"white": white_level(image), "gained": True}, {"values": image})
-
-    return make
-
-
-def _mirrors(source: LayerSource) -> bytes:
-    light = source.surfaces.mirrored_light
-    return packed({"white": white_level(light)}, {"values": light})
+def _light(light: LightTransport) -> bytes:
+    """Light under a white pattern, shown like the photograph."""
+    return _image(light.relight(np.ones(light.projector_shape)), gained=True)
 
 
 def _parallax(source: LayerSource) -> maps.Map:
@@ -217,8 +204,12 @@ def _diagnostic(title: str, make: Callable[[LightTransport], maps.Map], name: st
 
 
 LAYERS = {
-    "direct": Layer("Direct light of white", _light(lambda s: s.direct), lambda s: s.separable),
-    "global": Layer("Global light of white", _light(lambda s: s.global_), lambda s: s.separable),
+    "direct": Layer(
+        "Direct light of white", lambda s: _light(s.separation.direct), lambda s: s.separable
+    ),
+    "global": Layer(
+        "Global light of white", lambda s: _light(s.separation.global_), lambda s: s.separable
+    ),
     "depth": Layer("Depth", lambda s: s.shape.depth_map, lambda s: s.geometry is not None),
     "probability": Layer(
         "Probability of the depth",
@@ -231,9 +222,15 @@ LAYERS = {
     "behind": Layer(
         "Depth of the surface behind it", lambda s: s.surfaces.depth_maps[1], lambda s: s.layered
     ),
-    "mirrors": Layer("Light by mirrors", _mirrors, lambda s: s.layered),
+    "mirrors": Layer(
+        "Light by mirrors", lambda s: _image(s.surfaces.mirrored_light), lambda s: s.layered
+    ),
     "parallax": Layer("Parallax", _parallax, lambda s: s.separable),
-    "dual": Layer("Dual image", _dual, side="projector"),
+    "dual": Layer(
+        "Dual image",
+        lambda s: _image(s.whole.dual_image(), title="Dual image: seen from the projector"),
+        side="projector",
+    ),
     "row": _places("row", 0),
     "column": _places("column", 1),
     "confidence": _places("confidence", 2),

@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 
 # Tiles of an image: those that changed, and their values in half precision.
 
-
 # Rows and columns of a tile.
 TILE = 64
 # The largest number in half precision is 65504. The largest value becomes this one, so that values

@@ -33,7 +33,6 @@ from lightmatrix.viewer.session import REST_MILLISECONDS, MessageError
 # A page of another site could otherwise reach a server on the loopback: by a name that it makes
 # point there (DNS rebinding), or by a WebSocket, which browsers let any page open.
 
-
 LOOPBACK = "127.0.0.1"
 
 
@@ -114,7 +113,6 @@ def _header(scope: dict[str, Any], name: bytes) -> list[str]:
 
 
 # What the server answers, as an ASGI application: the page, the matrix, its layers.
-
 
 Receive = Callable[[], Awaitable[dict[str, Any]]]
 Send = Callable[[dict[str, Any]], Awaitable[None]]

@@ -21,7 +21,6 @@ from lightmatrix.viewer.packed import Tiles, halves, packed, tile_values, tiles_
 # A message consists of numbers of 4 bytes, little endian, and perhaps levels of one byte: its kind,
 # its own number, and what the kind needs.
 
-
 _HEADER = struct.Struct("<II")
 _RECTANGLE, _PLACE = struct.Struct("<IIII"), struct.Struct("<II")
 HEADER_BYTES = _HEADER.size + _RECTANGLE.size
