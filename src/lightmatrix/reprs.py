@@ -63,16 +63,12 @@ _SHARES = {
 }
 
 
-def short_repr(self: Any) -> str:
-    """The ``__repr__`` of a dataclass in one line, with type and shape in place of arrays."""
-    values = (f"{field.name}={_short(getattr(self, field.name))}" for field in fields(self))
-    return f"{type(self).__name__}({', '.join(values)})"
-
-
 class ShortRepr:
-    """A dataclass with ``repr=False`` that is shown in one line."""
+    """A dataclass with ``repr=False``, shown in one line, with type and shape for arrays."""
 
-    __repr__ = short_repr
+    def __repr__(self) -> str:
+        values = (f"{one.name}={_short(getattr(self, one.name))}" for one in fields(self))  # type: ignore[arg-type]
+        return f"{type(self).__name__}({', '.join(values)})"
 
 
 def html_table(title: str, rows: Mapping[str, Any], picture: bytes = b"") -> str:

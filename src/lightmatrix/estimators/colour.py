@@ -272,8 +272,7 @@ def estimate_colour(
             "responses are to be found (auto), which photographs in colour do not allow yet",
             hint="state the curves, which `lightmatrix response` measures",
         )
-    if output is not None:
-        check_output(output, COLOUR_STORES, overwrite=overwrite)
+    check_output(output, COLOUR_STORES, overwrite=overwrite)
     refuse_unusable(capture)
     findings = refuse_unordered(capture) if check else []
     warn_of(findings)

@@ -34,12 +34,14 @@ RUNNING = "lightmatrix running results"
 _NO_LOCKS = {errno.ENOLCK, errno.ENOSYS, errno.ENOTSUP, errno.EOPNOTSUPP, errno.EINVAL}
 
 
-def check_output(path: str | Path, kind: OutputKind, *, overwrite: bool = False) -> Path:
-    """Check that an output may be written, make nothing, and return where its links lead.
+def check_output(path: str | Path | None, kind: OutputKind, *, overwrite: bool = False) -> None:
+    """Check that an output may be written, if there is one, and make nothing.
 
     An empty folder may always be replaced, other outputs of this kind with `overwrite`. An
     OutputError refuses a wrong ending, anything else there, and a folder without write access.
     """
+    if path is None:
+        return
     output = as_path(path)
     if kind.suffixes and output.suffix.lower() not in kind.suffixes:
         raise OutputError(
@@ -62,7 +64,6 @@ def check_output(path: str | Path, kind: OutputKind, *, overwrite: bool = False)
                 f"{output}: cannot be written (no permission to write in {parent})",
                 hint="choose another folder, or change its permissions",
             )
-    return target
 
 
 def final_target(path: str | Path) -> Path:
@@ -163,7 +164,8 @@ def claimed(path: str | Path, kind: OutputKind, *, overwrite: bool = False) -> I
 
     What killed runs left of it is put back or removed, and new parent folders that stay empty too.
     """
-    target = check_output(path, kind, overwrite=overwrite)
+    check_output(path, kind, overwrite=overwrite)
+    target = final_target(path)
     made = [folder for folder in target.parents if not os.path.lexists(folder)]
     try:
         with as_output_error(path):

@@ -21,7 +21,7 @@ from lightmatrix.paths import as_path
 from lightmatrix.patterns.colour import ColourPatterns
 from lightmatrix.patterns.pattern_set import ImagePatterns, PatternSet
 from lightmatrix.ranges import as_float, check_number
-from lightmatrix.reprs import short_repr
+from lightmatrix.reprs import ShortRepr
 
 # This entry of a capture's description holds the response of its projector.
 CURVE = "projector_response"
@@ -32,8 +32,8 @@ _WHITE = 255
 _STEPS = 65535
 
 
-@dataclass(frozen=True)
-class ProjectorResponse:
+@dataclass(frozen=True, repr=False)
+class ProjectorResponse(ShortRepr):
     """The projector's response: the light of each grey value.
 
     Parameters
@@ -56,8 +56,6 @@ class ProjectorResponse:
     levels: tuple[int, ...]
     light: tuple[float, ...]
     gamma: float
-
-    __repr__ = short_repr
 
     @classmethod
     def of_light(

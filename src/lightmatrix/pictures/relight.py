@@ -17,6 +17,7 @@ from lightmatrix.files.images import DISPLAY_GAMMA, given_image, read_grey, read
 from lightmatrix.files.kinds import IMAGE
 from lightmatrix.files.reading import errors_naming
 from lightmatrix.files.writing import check_output
+from lightmatrix.paths import as_path
 from lightmatrix.patterns.pattern_set import block_mean
 from lightmatrix.ranges import check_number, check_type
 from lightmatrix.transport import store
@@ -85,13 +86,13 @@ def relight(
     check_number("an exposure", exposure, most=1e9, above=True, hint=hint)
     shown = DISPLAY_GAMMA if gamma is None else gamma
     check_number("a gamma", shown, least=0.1, most=10, hint="use 0.1 to 10, such as 2.2")
-    if output is not None:
-        target = check_output(output, IMAGE, overwrite=overwrite)
-        if gamma not in (None, 1) and target.suffix.lower() != ".png":
-            raise InputError(
-                f"a gamma of {gamma:g} for {target}, which holds linear values",
-                hint="write a .png, or leave out the gamma",
-            )
+    check_output(output, IMAGE, overwrite=overwrite)
+    as_png = output is not None and as_path(output).suffix.lower() == ".png"
+    if output is not None and gamma not in (None, 1) and not as_png:
+        raise InputError(
+            f"a gamma of {gamma:g} for {output}, which holds linear values",
+            hint="write a .png, or leave out the gamma",
+        )
     if isinstance(transport, str | Path) and holds_colour(transport):
         transport = colour_paths(transport)
     several = isinstance(transport, Sequence | ColourTransport) and not isinstance(transport, str)
@@ -120,9 +121,7 @@ def relight(
             hint="use a lower exposure, such as 1",
         )
     if output is not None:
-        written = image
-        if target.suffix.lower() == ".png":
-            written = np.clip(image, 0, 1) ** (1 / shown)
+        written = np.clip(image, 0, 1) ** (1 / shown) if as_png else image
         write_image(output, written.astype(np.float32), overwrite=overwrite)
     return image
 

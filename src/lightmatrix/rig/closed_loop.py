@@ -151,8 +151,7 @@ def refine_compensation(
     if not hasattr(steps, "__index__") or not 0 <= steps <= 100:
         raise InputError(f"{steps} corrections", hint="use 0 to 100, such as 3")
     check_brightness(brightness)
-    if output is not None:
-        check_output(output, IMAGE, overwrite=overwrite)
+    check_output(output, IMAGE, overwrite=overwrite)
     shared = compensator(transport, mask=mask, projector_mask=projector_mask)
     count, several = len(shared.light.matrices), len(pattern_sizes(rig.projector)) or 1
     if count != several:

@@ -83,8 +83,7 @@ def decode(
     >>> matches.pixel[20, 30].tolist()
     [20, 30]
     """
-    if output is not None:
-        check_output(output, CORRESPONDENCE, overwrite=overwrite)
+    check_output(output, CORRESPONDENCE, overwrite=overwrite)
     opened = open_capture(capture)
     codes = find_codes(opened.patterns)
     blocks = [code.block for code in codes.codes]

@@ -17,7 +17,7 @@ from scipy.sparse import csr_array
 from lightmatrix.capture.samples import Samples
 from lightmatrix.errors import InputError
 from lightmatrix.patterns.pattern_set import PatternSet
-from lightmatrix.reprs import short_repr
+from lightmatrix.reprs import ShortRepr
 from lightmatrix.solvers.fidelity import Fidelity, Observed
 from lightmatrix.transport.sparse_rows import SparseRows
 
@@ -32,8 +32,8 @@ class Status(StrEnum):
     NOT_FINITE = "left the finite numbers: check the samples, raise the regularization"
 
 
-@dataclass(frozen=True)
-class Problem:
+@dataclass(frozen=True, repr=False)
+class Problem(ShortRepr):
     """Estimate M rows of the light transport matrix from K samples each.
 
     For each row: min_{x, b} regularization * ||x||_1 + sum_k w_k f_k(a_k . x + b m_k), with a_k
@@ -77,8 +77,6 @@ class Problem:
     nonnegative: bool = True
     background: bool = True
     background_column: NDArray[Any] | None = None
-
-    __repr__ = short_repr
 
     def __post_init__(self) -> None:
         self.samples.check(self.patterns.count)
@@ -124,8 +122,8 @@ def check_regularization(value: float) -> None:
         raise InputError(f"regularization is {value}", hint=hint)
 
 
-@dataclass(frozen=True)
-class Result:
+@dataclass(frozen=True, repr=False)
+class Result(ShortRepr):
     """The solution of a problem.
 
     Parameters
@@ -148,8 +146,6 @@ class Result:
 
     rows: SparseRows
     status: Status
-
-    __repr__ = short_repr
 
     @property
     def coefficients(self) -> csr_array:

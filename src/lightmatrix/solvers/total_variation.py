@@ -101,11 +101,10 @@ class TotalVariation(Splitting):
         threshold = problem.regularization / state.system.ridge
         length = np.linalg.norm(steps, axis=1, keepdims=True)
         g = steps * (np.maximum(length - threshold, 0) / np.maximum(length, 1e-30))
-        sources = (z + state.of_z).reshape(x.shape) + v + state.of_v + adjoint(g + state.of_g)
-        x = _filtered(sources)
-        of_z, of_v = state.of_z + z - _flat(x), state.of_v + v - x
-        of_g = state.of_g + g - differences(x)
-        return VariationState(x, v, prediction, of_z, of_v, of_g, state.system)
+        of_z, of_v, of_g = state.of_z + z, state.of_v + v, state.of_g + g
+        x = _filtered(of_z.reshape(x.shape) + of_v + adjoint(of_g))
+        left = of_z - _flat(x), of_v - x, of_g - differences(x)
+        return VariationState(x, v, prediction, *left, state.system)
 
     def residuals(
         self, problem: Problem, before: VariationState, after: VariationState
@@ -136,10 +135,7 @@ class TotalVariation(Splitting):
 
 
 def differences(x: NDArray[Any]) -> NDArray[Any]:
-    """From each pixel of pictures (M, rows, cols) to the next row and column, (M, 2, rows, cols).
-
-    They are 0 at the last row and column.
-    """
+    """Steps (M, 2, rows, cols) of pictures to the next row and column; 0 from the last ones."""
     result = np.zeros((len(x), 2, *x.shape[1:]), x.dtype)
     np.subtract(x[:, 1:], x[:, :-1], out=result[:, 0, :-1])
     np.subtract(x[:, :, 1:], x[:, :, :-1], out=result[:, 1, :, :-1])

@@ -30,7 +30,7 @@ from lightmatrix.patterns.pattern_set import ImagePatterns, grid_cells
 from lightmatrix.patterns.projector_curve import ProjectorResponse
 from lightmatrix.progress import Progress
 from lightmatrix.ranges import check_list, check_number
-from lightmatrix.reprs import short_repr
+from lightmatrix.reprs import ShortRepr
 from lightmatrix.resources.threads import work_ahead
 from lightmatrix.transport.matrix import LightTransport
 from lightmatrix.uses.loading import Transport, loaded
@@ -281,8 +281,8 @@ class Reach(IntEnum):
     TOO_BRIGHT = 4
 
 
-@dataclass(frozen=True, eq=False)
-class Compensation:
+@dataclass(frozen=True, eq=False, repr=False)
+class Compensation(ShortRepr):
     """The pattern for a wanted picture, and what the camera will see; made by `compensate`.
 
     Parameters
@@ -318,8 +318,6 @@ class Compensation:
     encoding: tuple[ProjectorResponse | None, ...] = ()
     uncompensated_psnr: float | None = None
     in_colour: bool = False
-
-    __repr__ = short_repr
 
     @property
     def encoded(self) -> tuple[Singles, ...]:
@@ -627,8 +625,7 @@ def compensate(
     (64, 64)
     """
     check_brightness(brightness)
-    if output is not None:
-        check_output(output, IMAGE, overwrite=overwrite)
+    check_output(output, IMAGE, overwrite=overwrite)
     shared = compensator(transport, ambient=ambient, mask=mask, projector_mask=projector_mask)
     samples = wanted_samples(wanted, shared.light.camera_shape, gamma=gamma, fit=fit)
     found = shared.solve(samples, brightness)
@@ -647,8 +644,8 @@ def check_brightness(brightness: float | None) -> None:
         check_number("a brightness", brightness, most=10, above=True, hint=hint)
 
 
-@dataclass(frozen=True, eq=False)
-class CompensatedVideo:
+@dataclass(frozen=True, eq=False, repr=False)
+class CompensatedVideo(ShortRepr):
     """The patterns for the frames of a video; made by `compensate_video`.
 
     Parameters
@@ -671,8 +668,6 @@ class CompensatedVideo:
     predicted_psnr: NDArray[np.float64]
     reached: NDArray[np.float64]
     encoding: ProjectorResponse | None = None
-
-    __repr__ = short_repr
 
     def as_dict(self) -> dict[str, Any]:
         """Number of frames, brightness, scale, and the means over the frames; JSON-ready."""
@@ -737,8 +732,7 @@ def compensate_video(
     3
     """
     check_brightness(brightness)
-    if output is not None:
-        check_output(output, PATTERNS, overwrite=overwrite)
+    check_output(output, PATTERNS, overwrite=overwrite)
     shared = compensator(transport, ambient=ambient, mask=mask, projector_mask=projector_mask)
     shared.light.check_single()
     pictures: Any = frames
@@ -828,8 +822,7 @@ def cancel_global(
     >>> bool(found.pattern.mean() < 1)
     True
     """
-    if output is not None:
-        check_output(output, IMAGE, overwrite=overwrite)
+    check_output(output, IMAGE, overwrite=overwrite)
     light = joint_light(transport)
     light.check_single()
     matrix = light.matrices[0]

@@ -644,8 +644,7 @@ def separate(
     >>> bool(parts.direct.relight(white).sum() > parts.global_.relight(white).sum())
     True
     """
-    if output is not None:
-        check_output(output, SEPARATION, overwrite=overwrite)
+    check_output(output, SEPARATION, overwrite=overwrite)
     # A megapixel camera with 29 entries a row and 64 values of background took 4.1 times the memory
     # of its matrix (python -m benchmarks.uses_at_scale).
     matrix = loaded(transport, 4.1)
