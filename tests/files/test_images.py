@@ -15,10 +15,12 @@ import pytest
 import tifffile
 from numpy.typing import NDArray
 from PIL import Image
+from PIL.PngImagePlugin import PngInfo
 
 import lightmatrix as lm
 from lightmatrix.errors import InputError, OutputError
 from lightmatrix.files import reading
+from lightmatrix.files.extras import orientation
 from lightmatrix.files.images import encode_image, read_grey, read_image, write_image
 from lightmatrix.files.stacks import list_images, nonlinear_tag
 from tests.helpers.systems import PIPES
@@ -638,3 +640,16 @@ def test_a_picture_in_hdr_is_named(tmp_path: Path, transfer: int) -> None:
         np.testing.assert_array_equal(read_image(file), np.full((4, 4), 9))
     # 13 is sRGB.
     assert ["is in HDR" in str(each.message) for each in said] == [True] * (transfer != 13)
+
+
+@pytest.mark.parametrize("kind", ["exif", "xmp", "none"])
+def test_a_png_is_turned_as_its_tags_say(kind: str, tmp_path: Path) -> None:
+    image, tags = Image.new("L", (6, 4)), PngInfo()
+    if kind == "xmp":
+        said = '<x xmlns:tiff="http://ns.adobe.com/tiff/1.0/" tiff:Orientation="6"/>'
+        tags.add_itxt("XML:com.adobe.xmp", said)
+    exif = Image.Exif()
+    exif[274] = 6
+    more: dict[str, Any] = {"exif": exif} if kind == "exif" else {}
+    image.save(tmp_path / "p.png", pnginfo=tags, **more)
+    assert orientation(tmp_path / "p.png") == (1 if kind == "none" else 6)

@@ -78,6 +78,17 @@ def test_a_fault_is_named_and_taken_out(
     assert error(transport, capture) < times * error(intact[1], intact[0])
 
 
+@pytest.mark.parametrize(("torn", "least", "most"), [(0.0, 0.0, 0.0), (0.1, 0.08, 0.13)])
+def test_late_rows_are_found_in_sixteen_photographs(torn: float, least: float, most: float) -> None:
+    """Pixels then follow some projector pixel in the wrong order too, at a correlation of 0.8."""
+    patterns = lm.BernoulliPatterns((64, 64), 16)
+    capture = lm.simulate("metal", patterns, exposure=0.3, faults={"torn": torn} if torn else {})
+    plain = lm.estimate(capture, check=False, progress=False, correct="none")
+    found = TERMS["torn"]().found(Prediction.of(capture, capture, plain))
+    late = 0.0 if found is None else float((found != 0).mean())
+    assert least <= late <= most
+
+
 def test_the_numbers_are_those_of_the_fault() -> None:
     model = lm.fit_rig(photographed(previous=0.1))
     assert model.names == ("previous",)

@@ -435,12 +435,23 @@ def test_the_real_board_calibrates_flipped_as_it_is(monkeypatch: pytest.MonkeyPa
     np.testing.assert_allclose(measured.geometry.project_projector(points), lit[0], atol=0.5)
 
 
-def test_a_board_behind_the_projector_is_refused() -> None:
-    """As it is where an image is taken for mirrored that is not, or the other way round."""
+def test_a_board_behind_the_projector_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    """An image that is mirrored or turned fits well, from the other side."""
     seen, lit = real_corners()
-    lit[..., 0] = PROJECTOR[1] - 1 - lit[..., 0]
-    with pytest.raises(lm.InputError, match="puts the board behind a device"):
-        fitted(seen, lit)
+    flipped = lit * [-1, 1] + [PROJECTOR[1] - 1, 0]
+    for wrong in (flipped, lit[..., ::-1]):
+        given = monkeypatch, seen, wrong, (9, 7), SIDE, (CAMERA, PROJECTOR)
+        with pytest.raises(lm.InputError, match="puts the board behind a device"):
+            calibrated_from(*given)
+
+
+def test_poses_that_are_exchanged_are_left_out_by_name(monkeypatch: pytest.MonkeyPatch) -> None:
+    seen, lit = real_corners()
+    with pytest.warns(lm.LightMatrixWarning, match="pose_[34] is left out"):
+        measured = calibrated_from(
+            monkeypatch, seen, lit[[0, 1, 2, 4, 3]], (9, 7), SIDE, (CAMERA, PROJECTOR)
+        )
+    assert sorted(measured.left_out) == ["pose_3", "pose_4"]
 
 
 @pytest.mark.parametrize("exchanged", [False, True])

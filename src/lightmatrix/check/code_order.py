@@ -324,7 +324,7 @@ def check_white(lattice: CodeLattice, name: Name) -> list[Finding]:
         certain = _CERTAIN * float(np.sqrt((gains[best] ** 2).sum()))
         if total[best] > max(certain, 1.5 * float(np.median(total))):
             white = [int(used[best])]
-    advice = "take the photograph again; did the projector show something else?"
+    advice = "take the photograph again, unless part of the scene is seen in a mirror"
     return [
         Finding("frame", (k,), f"{name(k)}: white, although the pattern is not", advice)
         for k in white

@@ -59,8 +59,9 @@ def reached_level(capture: Capture) -> float:
     return float(min(np.quantile(largest, 0.99), capture.reference_level))
 
 
-# Of total variation, the regularization is this share of the same threshold. Twice of it errs by up
-# to 8 % less in `benchmarks.buckets` at a usual camera's noise, and by 12 % more at a tenth of it.
+# Of total variation, the regularization is this share of the noise's universal threshold. In
+# `benchmarks.buckets`, twice as much errs by up to 8 % less at a usual camera's noise, and by 12 %
+# more at a tenth of it.
 VARIATION_SHARE = 0.05
 
 

@@ -37,7 +37,7 @@ class PlainEstimator(Estimator):
         ADMM, SaturationADMM, ROMP, ActiveSet or TotalVariation.
     regularization : float or None
         The paper's lambda in units of camera sample at exposure 1. None: 0.16 times the level that
-        samples reach, or more where noise asks for it (see `automatic_regularization`).
+        samples reach, or more where noise asks for it; of total variation, what noise asks for.
     nonnegative : bool
         Whether light is held to be not negative.
     background : bool

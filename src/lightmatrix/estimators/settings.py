@@ -97,7 +97,9 @@ class EstimateSettings:
             raise InputError(f"the coherent estimate {reason}", hint="leave out one of the two")
         if self.multi_scale and self.solver == "total-variation":
             hint = "leave out one of the two"
-            raise InputError("total variation of projector blocks (multi-scale)", hint=hint)
+            raise InputError(
+                "total variation cannot be estimated in blocks (multi-scale)", hint=hint
+            )
         _ = self.row_solver  # Checks that solver and fidelity fit each other.
 
     @cached_property
@@ -109,7 +111,8 @@ class EstimateSettings:
         if solver not in (ADMM, TotalVariation):
             return solver(fidelity=fidelity, **limits)
         if fidelity is not usual:
-            hint = f"use the solver saturation-admm, or the fidelity {usual}"
+            other = ", or the solver saturation-admm" if solver is ADMM else ""
+            hint = f"use the fidelity {usual}{other}"
             message = f"the solver {self.solver} cannot use the fidelity {fidelity}"
             raise InputError(message, hint=hint)
         return solver(**limits)

@@ -177,7 +177,8 @@ def orientation(path: str | Path) -> int:
         return 1
 
 
-_PNG_TAGS = re.compile(rb"eXIf|Raw profile type exif")
+# Where Pillow finds the orientation of a PNG: chunks of EXIF, as bytes or text, and of XMP.
+_PNG_TAGS = re.compile(rb"eXIf|Raw profile type exif|XML:com\.adobe\.xmp")
 
 
 def _exif(path: str | Path) -> Image.Exif:

@@ -166,7 +166,7 @@ class Torn(Term):
     advice = Previous.advice
 
     def found(self, seen: Prediction) -> Array | None:
-        """A band of rows is late if most of its pixels follow a projector pixel better then.
+        """A band of rows is late if nearly half of its pixels follow a projector pixel better then.
 
         Half of all bands are in order. T is not asked, since it is wrong.
         """
@@ -186,7 +186,8 @@ class Torn(Term):
         lit = follow.max(axis=0) > 0.8
         better = (follow - follow[1] > 0.1) & lit
         share = better.sum(axis=2) / np.maximum(lit.sum(axis=1), 1)
-        # Of 12 to 32 frames in order it reached 0.3 by chance, and 0.53 in late bands.
+        # The share reached 0.3 by chance in bundled scenes under 16 and 32 patterns, and was 0.53
+        # or more in late bands.
         late = np.where(lit.sum(axis=1) >= _PIXELS // 4, share, 0) > 0.45
         found = np.where(late[2], 1.0, np.where(late[0], -1.0, 0.0))
         if not found.any() or np.mean(found != 0) > 0.5:

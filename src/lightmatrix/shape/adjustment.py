@@ -49,6 +49,8 @@ class Fit:
     used: NDArray[np.bool_]
     # Standard errors of each device's turn in degrees and of its place, (devices, 2).
     deviations: Array
+    # Whether a corner lies behind a device.
+    behind: bool
 
     def rms(self) -> dict[str, float]:
         """Root mean squares of what cameras and projectors are off by, in pixels."""
@@ -81,6 +83,8 @@ def fit_board(seen: Array, lit: Array, board: Array, camera_shape: Size) -> Fit:
     unknown; the corners are `board` (n, 3). The first camera, whose size is given, sees each pose.
     """
     devices, poses = _start(seen, lit, board, camera_shape)
+    if not np.isfinite(devices).all():
+        raise InputError("no geometry explains the corners", hint="do poses and patterns match?")
     cameras, projectors = lit.shape[:2]
     # Each camera, with itself and with each projector.
     pairs = [(one, one) for one in range(cameras)]
@@ -112,17 +116,12 @@ def fit_board(seen: Array, lit: Array, board: Array, camera_shape: Size) -> Fit:
         # No geometry explains corners that are off by more.
         if settled or usual.max() > 3:
             break
-    for (_, other), shown in zip(pairs, use, strict=True):
-        corners = [board @ _turn(np.append(np.zeros(6), pose)).T + pose[3:] for pose in poses]
-        ahead = (np.stack(corners) @ _turn(devices[other]).T + devices[other][9:])[..., 2]
-        if (ahead[shown] <= 0).any():
-            raise InputError(
-                "the geometry that fits the corners puts the board behind a device",
-                hint="is an image mirrored, are poses exchanged, or do the patterns not belong to "
-                "the photographs?",
-            )
+    turns = Rotation.from_rotvec(poses[:, :3]).as_matrix()
+    corners = board @ turns.transpose(0, 2, 1) + poses[:, None, 3:]
+    depths = [(corners @ _turn(devices[d]).T + devices[d][9:])[..., 2] for d in of_device]
+    behind = bool((np.stack(depths)[use] <= 0).any())
     lit_errors, used = errors[cameras:].reshape(lit.shape), use[cameras:].reshape(lit.shape[:-1])
-    return Fit(devices, poses, errors[:cameras], lit_errors, used, deviations)
+    return Fit(devices, poses, errors[:cameras], lit_errors, used, deviations, behind)
 
 
 @dataclass(frozen=True, eq=False)

@@ -395,6 +395,9 @@ def calibrate_rig(
         _check_count(len(corners), left_out)
         fit = fitted()
     _check_errors(fit.rms())
+    if fit.behind:
+        hint = "is an image mirrored or turned, or are patterns and photographs of two series?"
+        raise InputError("the geometry that fits puts the board behind a device", hint=hint)
     seen_errors, lit_errors, used = fit.seen_errors, fit.lit_errors, fit.used
     # A corner of a camera counts if the match with some projector does, (cameras, poses, n).
     counted = np.asarray(used.any(axis=1))

@@ -219,7 +219,7 @@ class ADMMState:
 
 
 class Splitting(IterativeSolver):
-    """What both solvers share: they end at z, the part of the split x = z that is sparse."""
+    """What these solvers share; both ADMMs end at z, the part of the split x = z that is sparse."""
 
     penalty_x: float | None
 
