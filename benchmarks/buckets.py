@@ -21,6 +21,7 @@ from experiments.harness import markdown, options
 SCENES = ("l_objects", "gripper", "metal")
 SHAPE, COUNT, NOISE = (64, 64), 1024, 0.001
 Images = NDArray[Any]
+# scikit-image states no types.
 denoise: Any = denoise_tv_chambolle
 
 

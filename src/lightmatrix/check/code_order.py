@@ -337,7 +337,8 @@ def _folding(lattice: CodeLattice, code: Code, bright: NDArray[np.int64]) -> lis
     line = lattice.lines(code, frames)[0][0].reshape(3, -1)
     steps = np.where((line >= 0).all(axis=0), line[1:] - line[0], 0)
     turns = np.sign(steps[np.abs(steps).sum(axis=1).argmax()])
-    # In whole captures at most a tenth of the places are mirrored, by edges, noise and reflections.
+    # Edges, noise and reflections mirror at most a tenth of the places of a whole capture. A
+    # lattice has 40 pixels at least.
     if min((turns > 0).sum(), (turns < 0).sum()) < max(0.25 * np.abs(turns).sum(), 40):
         return []
     far = lattice.pairs[:, lattice.neighbours :]

@@ -59,9 +59,9 @@ def reached_level(capture: Capture) -> float:
     return float(min(np.quantile(largest, 0.99), capture.reference_level))
 
 
-# Of total variation, the regularization is this share of the noise's universal threshold. In
-# `benchmarks.buckets`, twice as much errs by up to 8 % less at a usual camera's noise, and by 12 %
-# more at a tenth of it.
+# The regularization of total variation is this share of the noise's universal threshold. With twice
+# this share, T errs in `benchmarks.buckets` by up to 8 % less at a usual camera's noise, and by up
+# to 12 % more at a tenth of it.
 VARIATION_SHARE = 0.05
 
 

@@ -204,7 +204,7 @@ def upright(path: str | Path, image: NDArray[Any]) -> NDArray[Any]:
 
 
 def video_frames(path: str | Path) -> Iterator[NDArray[np.uint8]]:
-    """The frames of a video file, (rows, cols, 3), which FFmpeg decodes.
+    """The frames of a video file as a display shows them, (rows, cols, 3), 0 to 255, by FFmpeg.
 
     An InputError says that it is none.
     """

@@ -48,8 +48,8 @@ from lightmatrix.transport.matrix import LightTransport
 from lightmatrix.transport.store import open_matches
 
 Size = tuple[int, int]
-# Of one pose: where corners are seen (cameras, n, 2), what lights them (cameras, projectors, n, 2),
-# and which share of it is mirrored (cameras, projectors).
+# A pose has places where corners are seen (cameras, n, 2), those that light them (cameras,
+# projectors, n, 2), and says which share of this light is mirrored (cameras, projectors).
 Corners = tuple[Array, Array, Array]
 Pose = Capture | str | Path | Sequence[Sequence[Capture | str | Path]]
 BoardKind = Literal["chessboard", "charuco", "circles", "asymmetric-circles"]

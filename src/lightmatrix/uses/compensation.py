@@ -710,7 +710,7 @@ def compensate_video(
     overwrite : bool
         Whether an existing folder of patterns may be replaced.
     progress : callable, optional
-        Called with (done, total) frames.
+        Called with (done, total) frames after every 16.
 
     Returns
     -------
