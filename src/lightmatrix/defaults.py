@@ -3,8 +3,6 @@
 This module imports nothing, so that a help text loads no numerical library.
 """
 
-from __future__ import annotations
-
 # Standard deviation of a sample's noise where it is not known, as a share of the clip level: that
 # of a decent machine vision camera, about one level of 8 bits. Simulations add as much.
 USUAL_NOISE = 0.003

@@ -1,7 +1,5 @@
 """Paths that a caller gives. This file needs no NumPy, as the help of commands does not."""
 
-from __future__ import annotations
-
 from os import PathLike
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """How long calls report their progress."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 # Called with what is done and the total, in the unit that the call states.

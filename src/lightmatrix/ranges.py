@@ -1,7 +1,5 @@
 """Checks that numbers are in their range, with messages that say what would work."""
 
-from __future__ import annotations
-
 import math
 import operator
 from typing import Any

@@ -1,7 +1,5 @@
 """Objects as text: in one line, as a table in a notebook, and as JSON."""
 
-from __future__ import annotations
-
 import base64
 import html
 from collections.abc import Mapping

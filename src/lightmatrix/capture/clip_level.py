@@ -1,7 +1,5 @@
 """The level at which photographs clip, where that is not the end of the range of their files."""
 
-from __future__ import annotations
-
 from typing import Any, NamedTuple
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Exposures of frames: which frame has which, how much each weighs, and its share of white."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 

@@ -12,8 +12,6 @@ Either folder may be replaced by one file of all its images, such as images.tif;
 images.zarr, which `pack` writes.
 """
 
-from __future__ import annotations
-
 import json
 import math
 import os

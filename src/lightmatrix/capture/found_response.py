@@ -3,8 +3,6 @@
 `responses/curves.py` measures curves from photographs that are taken for this purpose.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path

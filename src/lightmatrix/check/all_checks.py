@@ -4,8 +4,6 @@ Later checks use what earlier ones found. `lm.check` (`estimators/rig_findings.p
 rig did in the course of the capture.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """One thing that is wrong with a capture, and every kind of it."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any

@@ -5,8 +5,6 @@ same image, whatever the pattern. That reveals more, and more exactly, than any 
 frame and motion show as differences between the sums of pairs.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

@@ -7,8 +7,6 @@ come out nearly as they went in, and at no other quality. A camera with its own 
 shows as coefficients that lie on combs.
 """
 
-from __future__ import annotations
-
 import io
 from collections.abc import Sequence
 from dataclasses import replace

@@ -6,8 +6,6 @@ at which the two images agree best, and from the frame on from which camera pixe
 by that shift are predicted best.
 """
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Mapping, Sequence
 

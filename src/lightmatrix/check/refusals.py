@@ -1,7 +1,5 @@
 """Captures from which no estimate can come are refused before any work, with what to do."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 
 import numpy as np

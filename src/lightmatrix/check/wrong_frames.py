@@ -3,8 +3,6 @@
 A frame is judged by what its high-variance rows should show, predicted from their other frames.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Sequence
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The regularization that an estimate chooses from its capture."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

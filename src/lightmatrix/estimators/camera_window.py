@@ -1,7 +1,5 @@
 """A part of the camera that stands for all of it, where the whole would take too long."""
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 

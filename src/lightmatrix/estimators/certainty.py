@@ -12,8 +12,6 @@ row's estimated error is too small to raise another pixel above it, and the patt
 same surroundings elsewhere.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

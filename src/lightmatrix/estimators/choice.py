@@ -6,8 +6,6 @@ mislead. Then the estimate row by row predicts photographs that it has not seen 
 coherent one.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

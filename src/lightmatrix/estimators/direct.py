@@ -10,8 +10,6 @@ noise in the mean energy of these (Wiener's filter). Of smooth scenes the error 
 times that of an oracle that knows which entries exceed the noise.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from typing import ClassVar

@@ -1,7 +1,5 @@
 """The names of colour channels, in the order of an image's last axis, and folders of stores."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from lightmatrix.paths import as_path

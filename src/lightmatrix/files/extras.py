@@ -5,8 +5,6 @@ subtracted, 1 where the sensor clips. LibRaw reads them without white balance, c
 or brightening, so that the levels of each channel stay proportional to light.
 """
 
-from __future__ import annotations
-
 import importlib
 import re
 import warnings

@@ -9,8 +9,6 @@ Kinds stand apart from the code that writes outputs, so that a command can check
 before it loads anything slow.
 """
 
-from __future__ import annotations
-
 import json
 import os
 from collections.abc import Iterator

@@ -1,7 +1,5 @@
 """Image files that other programs leave in a folder, each read when it is whole."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable
 from pathlib import Path

@@ -1,7 +1,5 @@
 """NumPy's files (npy, npz), which hold no Python objects and must fit into memory."""
 
-from __future__ import annotations
-
 import math
 import zipfile
 from pathlib import Path

@@ -4,8 +4,6 @@ Checked before a file is read: it is a regular one, not too large, and not outsi
 pipe hangs, a device never ends, and a link in a folder from elsewhere may lead anywhere.
 """
 
-from __future__ import annotations
-
 import json
 import math
 import os

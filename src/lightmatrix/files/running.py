@@ -6,8 +6,6 @@ folder is, each further one is the name of a file that was kept in it. Only thos
 replaced or removed.
 """
 
-from __future__ import annotations
-
 import os
 import re
 import secrets

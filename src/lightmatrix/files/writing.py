@@ -10,8 +10,6 @@ Meanwhile the output is locked, so that one thread of one process writes it at a
 system holds the lock on ``.NAME.lock``, so that it ends with its owner, however that ends.
 """
 
-from __future__ import annotations
-
 import errno
 import os
 import shutil

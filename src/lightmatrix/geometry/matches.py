@@ -6,8 +6,6 @@ matches that are off by several standard deviations hardly count. Points are (n,
 row and column that both devices share.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 

@@ -3,8 +3,6 @@
 `READERS` holds how each program's files are read, `write_rig` how they are written.
 """
 
-from __future__ import annotations
-
 import json
 import re
 from collections.abc import Callable, Mapping

@@ -1,7 +1,5 @@
 """Metrics of an estimate against the truth, for users, experiments and benchmarks alike."""
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Iterator, Sequence
 from typing import Any

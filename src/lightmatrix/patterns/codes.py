@@ -5,8 +5,6 @@ bit by bit, any other by the best correlation with the samples. Then the samples
 mixture of two neighbouring projector pixels, for the place within the pixel.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import cached_property
 

@@ -5,8 +5,6 @@ is that the light of the levels between black and white must be known: a project
 unsharp mask, change these, and leave black and white patterns as they are.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

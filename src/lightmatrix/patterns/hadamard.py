@@ -1,7 +1,5 @@
 """Walsh-Hadamard patterns, multiplied by a fast transform."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, ClassVar

@@ -1,7 +1,5 @@
 """Patterns that determine T: each camera sample of all of them follows from T, and T from these."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any

@@ -5,8 +5,6 @@ hardly changes between them, since each lights about half of it. A pattern of ce
 patch turns it on and off.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property

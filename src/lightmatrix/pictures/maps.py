@@ -3,8 +3,6 @@
 `lightmatrix show`, `lightmatrix info` and the report draw the same maps.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import matplotlib as mpl

@@ -1,7 +1,5 @@
 """The style of all figures, and the panels that several of them share."""
 
-from __future__ import annotations
-
 import io
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager

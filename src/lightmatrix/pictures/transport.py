@@ -1,7 +1,5 @@
 """Pictures of a light transport matrix and of its diagnostics; `lm.show` draws them by name."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any

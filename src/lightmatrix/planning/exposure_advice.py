@@ -5,8 +5,6 @@ rows hold most of w in one spot, which is lit in half of the random patterns. Th
 w if it is lit and near the rest of w otherwise. So w alone predicts what will clip.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """`Facts`: an estimate, its capture, and everything computed from the two for the report."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Protocol

@@ -1,7 +1,5 @@
 """The sections of a report: photographs, T in pictures, its accuracy, relighting, uses."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Free memory, on this machine and within the limits of a container, and free disk space."""
 
-from __future__ import annotations
-
 import math
 import os
 import re

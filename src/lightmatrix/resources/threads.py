@@ -1,7 +1,5 @@
 """Threads of this process: how many, what they work on ahead, and what only one computes."""
 
-from __future__ import annotations
-
 import os
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence, Sized

@@ -6,8 +6,6 @@ are the black and white frames at the start of a capture: they show whether two 
 same light, and whether the rig has changed since.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any

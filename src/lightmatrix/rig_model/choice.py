@@ -14,8 +14,6 @@ normal equations are sums over rows of products of two frames' values. The weigh
 the variance of what a row misses, and the standard errors are right as far as they are.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property

@@ -1,7 +1,5 @@
 """What changes from frame to frame: the light, pictures that come late, the place of the camera."""
 
-from __future__ import annotations
-
 from functools import partial
 
 import numpy as np

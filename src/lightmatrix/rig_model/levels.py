@@ -1,7 +1,5 @@
 """Levels that are not the light: undeclared curves, tone mapping, a wrong black frame."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """The base class of the terms: one thing that a rig does wrong."""
 
-from __future__ import annotations
-
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass, field

@@ -4,8 +4,6 @@ Those of pixels that change with their neighbours stand here: crosstalk, unsharp
 camera.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from functools import partial
 from typing import Any

@@ -7,8 +7,6 @@ corner. Such matches hold to a few hundredths of a pixel, and they tell how the 
 each other; compared with the corners, they would take over the camera's errors.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

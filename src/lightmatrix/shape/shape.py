@@ -1,7 +1,5 @@
 """`Shape`: the surface that a camera sees, pixel by pixel."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import dataclass
 from enum import IntEnum

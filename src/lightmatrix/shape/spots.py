@@ -1,7 +1,5 @@
 """What camera pixels see: spots on the projector, where each lies, and how probably it is right."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np

@@ -6,8 +6,6 @@ projector over time, on the light of the room, on where the camera stands, and i
 mean light, seen from the camera's mean position.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any

@@ -3,8 +3,6 @@
 They change T itself, so that relighting and estimation see one consistent matrix.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -5,8 +5,6 @@ plane z = 0, as after the paper's alignment by a homography, and points above th
 parallax. A `View` with a target is turned towards it instead.
 """
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace

@@ -5,8 +5,6 @@ towards them: by 0.3 % of the sum under one block of the corner scene. So every 
 neighbours leaves one entry that stands for them all.
 """
 
-from __future__ import annotations
-
 import itertools
 
 import numpy as np

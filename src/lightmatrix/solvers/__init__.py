@@ -1,7 +1,5 @@
 """Solvers of rows of the light transport matrix. All take a `Problem` and return a `Result`."""
 
-from __future__ import annotations
-
 from lightmatrix.solvers.active_set import ActiveSet
 from lightmatrix.solvers.admm import ADMM, SaturationADMM
 from lightmatrix.solvers.fidelity import Fidelity

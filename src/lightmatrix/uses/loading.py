@@ -1,7 +1,5 @@
 """T in memory for a use that needs all of it, or a message that says what would work."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from lightmatrix.errors import InputError

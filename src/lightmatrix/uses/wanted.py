@@ -1,7 +1,5 @@
 """Pictures that are wanted, masks and ambient light, as one value for each camera sample."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """Layers: maps over the camera, and the dual image, that the page shows on request."""
 
-from __future__ import annotations
-
 import threading
 from collections.abc import Callable
 from dataclasses import dataclass

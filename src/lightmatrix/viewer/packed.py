@@ -1,7 +1,5 @@
 """The format in which numbers travel to the page: a header in JSON, then plain arrays."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Mapping
 from typing import Any

@@ -1,7 +1,5 @@
 """One matrix that is being viewed: what the page asks for."""
 
-from __future__ import annotations
-
 import threading
 from functools import cached_property
 from pathlib import Path

@@ -1,7 +1,5 @@
 """What one window shows of a matrix that Python keeps, and what it has to be told."""
 
-from __future__ import annotations
-
 import struct
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass

@@ -3,8 +3,6 @@
 Where estimates spread from seeds, rows stay as they are if nothing changed around them.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from functools import partial

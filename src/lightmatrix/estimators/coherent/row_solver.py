@@ -6,8 +6,6 @@ unpenalised coefficient for a halo around its sparse part, and penalised coeffic
 cells of projector pixels for light that differs from the halo.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import lru_cache

@@ -6,8 +6,6 @@ fourth to 32nd. Their estimates spread to all others, as matches do in PatchMatc
 al. 2009); camera pixels whose samples this does not explain then search for themselves.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 

@@ -1,7 +1,5 @@
 """GigE Vision and USB3 Vision cameras through Aravis."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Sequence
 from contextlib import suppress

@@ -1,7 +1,5 @@
 """Digital cameras on a USB cable, tethered through gphoto2."""
 
-from __future__ import annotations
-
 import math
 import re
 import tempfile

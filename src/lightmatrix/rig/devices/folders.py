@@ -1,7 +1,5 @@
 """Folders as devices: images for another program to show, and frames that another program takes."""
 
-from __future__ import annotations
-
 import re
 import time
 from pathlib import Path

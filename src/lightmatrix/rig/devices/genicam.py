@@ -1,7 +1,5 @@
 """What cameras with GenICam features do alike: setting up features, pixel format and trigger."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass

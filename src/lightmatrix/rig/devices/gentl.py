@@ -1,7 +1,5 @@
 """Cameras of any maker through the GenTL producer that comes with them, by harvesters."""
 
-from __future__ import annotations
-
 import logging
 import os
 import time

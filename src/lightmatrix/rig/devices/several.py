@@ -1,7 +1,5 @@
 """Several projectors as one, whose picture holds those of all, one above the other."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from contextlib import ExitStack
 from typing import Any

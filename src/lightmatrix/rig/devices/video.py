@@ -4,8 +4,6 @@ FFmpeg reads them: V4L2 on Linux, AVFoundation on macOS, DirectShow on Windows. 
 the time, so that no old frame waits in the driver.
 """
 
-from __future__ import annotations
-
 import re
 import sys
 import threading

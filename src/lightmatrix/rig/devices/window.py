@@ -4,8 +4,6 @@ Each screen pixel is one texel fetch at the monitor's own resolution: no scaling
 colour management, no dither. The graphics card's gamma ramp acts behind that.
 """
 
-from __future__ import annotations
-
 import os
 import re
 import time
