@@ -216,3 +216,35 @@ def test_few_frames_of_two_exposures_follow_their_patterns() -> None:
     other = replace(capture, patterns=replace(patterns, seed=2))
     assert relation(capture) == []
     assert [each.kind for each in relation(other)] == ["unrelated"]
+
+
+@pytest.mark.parametrize(
+    ("scene", "fault", "amount"),
+    [
+        ("l_objects", "shake", 0.3),
+        ("metal", "creep", 1.0),
+        ("metal", "breathing", 1.0),
+        ("metal", "previous", 0.15),
+    ],
+)
+def test_what_a_rig_does_to_all_camera_pixels_hides_no_relation(
+    scene: str, fault: str, amount: float
+) -> None:
+    """A camera that moves, or a bit of the picture before, under 16 patterns."""
+    patterns = lm.BernoulliPatterns((64, 64), 16, seed=1)
+    exposure = "0.587:0.5,0.146:0.5" if scene == "metal" else 0.445
+    capture = lm.simulate(scene, patterns, exposure=exposure, noise=0.003, faults={fault: amount})
+    other = replace(capture, patterns=replace(patterns, seed=21))
+    assert relation(capture) == []
+    assert [each.kind for each in relation(other)] == ["unrelated"]
+
+
+def test_patterns_of_any_density_under_two_exposures_are_no_other_series() -> None:
+    """Such photographs are divided by their mean brightness, and so must their patterns be."""
+    generator = np.random.default_rng(1)
+    shares = generator.uniform(0.2, 0.8, (2, 16, 1, 1))
+    images = (generator.random((2, 16, 64, 64)) < shares).astype(np.float32)
+    shown, others = (lm.ImagePatterns(each) for each in images)
+    capture = lm.simulate("metal", shown, exposure="0.587:0.5,0.146:0.5", noise=0.003)
+    assert relation(capture) == []
+    assert [each.kind for each in relation(replace(capture, patterns=others))] == ["unrelated"]

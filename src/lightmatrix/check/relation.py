@@ -162,15 +162,17 @@ class Relation:
     """Standardised photographs beside the cosines of their patterns.
 
     `samples` are those of K frames from `first` on, of mean 0 and variance 1 in each camera pixel,
-    (m, K). `features` are the cosines of the patterns through several blurs and in several parts of
-    the projector, (F, K, K); `shown` some pixels of the patterns at each blur, (F', n, K),
-    standardised. `patterns` are all, and `pixels` is the number of the projector's pixels once
-    binned. `contrasted` tells whether the usual camera pixel varies by far more than noise, and
-    `overlap` how much of the light of either half of the frames the other one has, too.
+    (m, K); `rest` is what is left of them without what all camera pixels share. `features` are the
+    cosines of the patterns through several blurs and in several parts of the projector, (F, K, K);
+    `shown` some pixels of the patterns at each blur, (F', n, K), standardised. `patterns` are all,
+    and `pixels` is the number of the projector's pixels once binned. `contrasted` tells whether the
+    usual camera pixel varies by far more than noise, and `overlap` how much of the light of either
+    half of the frames the other one has, too.
     """
 
     patterns: PatternSet
     samples: Floats
+    rest: Floats
     features: Floats
     shown: tuple[Floats, ...]
     pixels: int
@@ -202,6 +204,7 @@ class Relation:
         least = np.maximum(_LIMITS.contrast * known.highest[rows], least)
         rows = np.sort(np.random.default_rng(0).permutation(rows)[: _LIMITS.most_samples // count])
         values = survey.samples(rows).values[:, frames].copy()
+        images = _binned(survey.patterns, frames, step)
         # Under a curve that is not declared, frames differ most by their exposure. The frames of
         # each exposure are therefore standardised by themselves first.
         exposures = np.broadcast_to(survey.decoder.exposure, survey.count)[frames]
@@ -210,19 +213,20 @@ class Relation:
         # A displaced frame may have another exposure than that of its place.
         if len(groups) > 1:
             values /= np.maximum(values.mean(axis=0), 1e-6)
+            images /= np.maximum(images.mean(axis=(1, 2), keepdims=True), 1e-6)
         for group in groups:
             values[:, group] = _standardised(values[:, group])
         samples = _standardised(values)
-        images = _binned(survey.patterns, frames, step)
         halves = [part.mean(axis=0) for part in np.array_split(images, 2)]
         overlap = float(np.minimum(*halves).sum() / max(float(np.maximum(*halves).sum()), 1e-9))
         features, shown = _pattern_cosines(images)
+        rest = _without_shared(samples, survey, rows)
         if step > 1:
             # Camera pixels that see single projector pixels follow little of what bins show.
             features = np.concatenate([features, _sharp_cosines(survey.patterns, frames)])
         contrasted = bool(np.median(span - least) > 0)
-        patterns = survey.patterns
-        return cls(patterns, samples, features, shown, pixels, contrasted, overlap, groups, first)
+        made = (samples, rest, features, shown, pixels, contrasted, overlap, groups, first)
+        return cls(survey.patterns, *made)
 
     @cached_property
     def frames(self) -> NDArray[np.int64]:
@@ -230,15 +234,15 @@ class Relation:
 
     @cached_property
     def cosines(self) -> Floats:
-        """Sums of products of the standardised photographs, (K, K)."""
-        sums = np.asarray(self.samples.T @ self.samples)
+        """Cosines between the photographs as they are and their `rest`, (2, K, K)."""
+        sums = np.stack([each.T @ each for each in (self.samples, self.rest)])
         for group in self.groups:
             # Samples that sum to 0 over a few frames make these unlike each other, far more so than
             # random patterns differ.
             block, others = np.ix_(group, group), ~np.eye(len(group), dtype=bool)
-            if len(group) > 1:
-                sums[block] -= others * sums[block][others].mean()
-        return sums
+            for each in sums if len(group) > 1 else ():
+                each[block] -= others * each[block][others].mean()
+        return _cosines_of(sums)
 
     def excess(self, order: NDArray[np.int64]) -> float:
         """By how many standard deviations frames follow the patterns better than chance.
@@ -253,7 +257,8 @@ class Relation:
         mean, deviation = self._chance
         # Fewer pairs of frames correlate more by chance.
         more = len(self.frames) / len(known)
-        return (self._matches(known, shown).max() - mean * more) / (deviation * more)
+        matches = self._matches(known, shown).max(axis=0)
+        return float(((matches - mean * more) / (deviation * more)).max())
 
     def _matches(self, known: NDArray[np.int64], shown: NDArray[np.int64]) -> Floats:
         """The correlations of the cosines of some frames with those of the patterns, (F, 2)."""
@@ -277,7 +282,10 @@ class Relation:
         They are differences from the mean of all pairs. None counts too much, a frame's own is 0.
         """
         off = ~np.eye(len(self.frames), dtype=bool)
-        own, theirs = np.stack(_cosines_of(self.cosines)), self.features.copy()
+        own, theirs = self.cosines.copy(), self.features.copy()
+        # A bit of the picture before makes each photograph as much more like the one before it.
+        beside = np.abs(self.frames[:, None] - self.frames) == 1
+        own[:, beside] -= (own[:, beside].mean(axis=1) - own[:, off].mean(axis=1))[:, None]
         for each in (own, theirs):
             pairs = each[:, off].clip(*_limits(each[:, off]))
             each[:] = 0
@@ -286,12 +294,12 @@ class Relation:
         return own, theirs, theirs**2
 
     @cached_property
-    def _chance(self) -> tuple[float, float]:
-        """Mean and standard deviation of the matches of frames in 60 random orders."""
+    def _chance(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Means and standard deviations, (2,), of the matches of frames in 60 random orders."""
         generator = np.random.default_rng(1)
         shuffled = [generator.permutation(self.frames) for _ in range(60)]
-        reached = [self._matches(self.frames, order).max() for order in shuffled]
-        return float(np.mean(reached)), max(float(np.std(reached)), 1e-9)
+        reached = [self._matches(self.frames, order).max(axis=0) for order in shuffled]
+        return np.mean(reached, axis=0), np.maximum(np.std(reached, axis=0), 1e-9)
 
     @cached_property
     def as_they_are(self) -> float:
@@ -326,7 +334,7 @@ class Relation:
         # Frame i and pattern j are compared by their cosines with all but i and j.
         own, shown = (
             np.where(off, each - np.median(each, axis=1, keepdims=True), 0)
-            for each in (_cosines_of(self.cosines)[variant], self.features[feature])
+            for each in (self.cosines[variant], self.features[feature])
         )
         squares = [(each**2).sum(axis=1, keepdims=True) - each**2 for each in (own, shown)]
         alike = (own @ shown.T) / np.sqrt(np.maximum(squares[0] * squares[1].T, 1e-12))
@@ -373,7 +381,7 @@ class Relation:
         # A camera pixel that sees another place from there on has another brightness.
         centre = (np.eye(len(late)) - same / same.sum(axis=1)).astype(np.float32)
         upper = np.triu_indices(len(late), 1)
-        own = np.stack([each[upper] for each in _cosines_of(centre @ self.cosines @ centre)])
+        own = _cosines_of(centre @ self.cosines @ centre)[:, *upper]
         # A pattern and itself again, or its inverse, tell more than all others.
         plain = np.abs(self.features[0][upper]) < 0.5
         if not plain.any():
@@ -398,8 +406,7 @@ class Relation:
         mixed = np.random.default_rng(1).permutation(len(self.samples))
         upper = np.triu_indices(len(self.frames), 1)
         halves = [self.samples[part] for part in np.array_split(mixed, 2)]
-        # Room light that flickers is alike in all pixels, whatever they see.
-        first, second = (_cosines_of(part.T @ part)[1][upper] for part in halves)
+        first, second = (_cosines_of(part.T @ part)[upper] for part in halves)
         return float(_normalised(first) @ _normalised(second))
 
     @property
@@ -504,7 +511,7 @@ def _pattern_cosines(patterns: Floats) -> tuple[Floats, tuple[Floats, ...]]:
     mean = patterns.mean(axis=(1, 2))
     mean = mean - mean.mean()
     grams.append(np.outer(mean, mean))
-    cosines = np.stack([each for gram in grams for each in _cosines_of(gram)])
+    cosines = _cosines_of(np.stack(grams))
     off = ~np.eye(count, dtype=bool)
     # Cosines that do not differ tell nothing; the first stays, which says whether they are random.
     varied = [i for i, each in enumerate(cosines) if i == 0 or each[off].std() > 1e-5]
@@ -512,25 +519,36 @@ def _pattern_cosines(patterns: Floats) -> tuple[Floats, tuple[Floats, ...]]:
 
 
 def _sharp_cosines(patterns: PatternSet, frames: slice) -> Floats:
-    """Cosines between some patterns as they are, not binned, (2, K, K)."""
+    """Cosines between some patterns as they are, not binned, (1, K, K)."""
     gram = np.zeros((frames.stop - frames.start,) * 2, np.float32)
     for start in range(0, patterns.pixels, 1 << 16):
         shown = patterns.span(start, min(start + (1 << 16), patterns.pixels))[frames]
         seen = shown - shown.mean(axis=0)
         gram += seen @ seen.T
-    return np.stack(_cosines_of(gram))
+    return _cosines_of(gram)[None]
 
 
-def _cosines_of(gram: Floats) -> tuple[Floats, Floats]:
-    """Cosines between frames, as they are and with the brightness of each frame taken out."""
+def _cosines_of(gram: Floats) -> Floats:
+    """Cosines between frames by the sums of their products, (..., K, K)."""
+    length = np.sqrt(np.maximum(np.diagonal(gram, axis1=-2, axis2=-1), 1e-12))
+    size = length[..., :, None] * length[..., None, :]
+    # A frame that shows nothing has no cosine.
+    return np.asarray(np.where(size > 1e-9, gram / size, 0))
 
-    def scaled(products: Floats) -> Floats:
-        length = np.sqrt(np.maximum(np.diag(products), 1e-12))
-        size = np.outer(length, length)
-        # A frame that shows nothing has no cosine.
-        return np.asarray(np.where(size > 1e-9, products / size, 0))
 
-    return scaled(gram), scaled(gram - gram.mean(axis=0) - gram.mean(axis=1)[:, None] + gram.mean())
+def _without_shared(samples: Floats, survey: Survey, rows: NDArray[np.int64]) -> Floats:
+    """Standardised samples (m, K) without what faults do to all camera pixels.
+
+    Light and room light that vary, and a camera that moves, turns or zooms, add numbers of each
+    frame times the mean photograph, a constant, and the mean's derivatives times the place.
+    """
+    mean = survey.statistics.mean.reshape(survey.grid)
+    _, down, right, _ = np.ogrid[tuple(slice(-1, 1, n * 1j) for n in mean.shape)]
+    slopes = [np.gradient(mean, axis=axis) for axis in (1, 2) if mean.shape[axis] > 1]
+    terms = [each for s in slopes for each in (s, s * down, s * right)]
+    shared = np.stack([each.ravel()[rows] for each in (np.ones_like(mean), mean, *terms)], axis=1)
+    basis = np.linalg.qr(shared / survey.statistics.spread[rows, None])[0].astype(np.float32)
+    return np.asarray(samples - basis @ (basis.T @ samples))
 
 
 def _standardised(values: Floats) -> Floats:

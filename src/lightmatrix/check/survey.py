@@ -39,6 +39,7 @@ class Statistics:
     `first` and `last` its maximum in the first and in the last third of the frames.
     """
 
+    mean: NDArray[np.float32]
     spread: NDArray[np.float32]
     lowest: NDArray[np.float32]
     highest: NDArray[np.float32]
@@ -120,16 +121,15 @@ class Survey:
 
     @cached_property
     def statistics(self) -> Statistics:
-        """Extremes, spread and clipping of every sample."""
-        whole = np.zeros((6, len(self.raw)), np.float32)
+        """Mean, extremes, spread and clipping of every sample."""
+        whole = np.zeros((7, len(self.raw)), np.float32)
         third = max(1, self.count // 3)
         for part, tile in self.chunks():
-            values = tile.values
-            whole[:, part] = (
-                *(values.std(axis=1), values.min(axis=1), values.max(axis=1)),
-                *(tile.clipped.mean(axis=1), values[:, :third].max(axis=1)),
-                values[:, -third:].max(axis=1),
-            )
+            values, clipped = tile.values, tile.clipped.mean(axis=1)
+            ends = (values[:, :third].max(axis=1), values[:, -third:].max(axis=1))
+            highest, lowest = values.max(axis=1), values.min(axis=1)
+            usual = (values.mean(axis=1), values.std(axis=1))
+            whole[:, part] = (*usual, lowest, highest, clipped, *ends)
         return Statistics(*whole)
 
     @cached_property
