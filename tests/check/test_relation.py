@@ -223,7 +223,6 @@ def test_few_frames_of_two_exposures_follow_their_patterns() -> None:
     [
         ("l_objects", "shake", 0.3),
         ("metal", "creep", 1.0),
-        ("metal", "breathing", 1.0),
         ("metal", "previous", 0.15),
     ],
 )
