@@ -199,7 +199,8 @@ def _check_surveyed(survey: Survey, capture: Capture) -> list[Finding]:
 
     def of_light() -> list[Finding]:
         seen = survey if capture.whole is capture else _survey(capture)
-        found = check_distinguishable(survey.patterns) + check_light_level(seen)
+        found = check_distinguishable(survey.patterns)
+        found += check_light_level(seen, lattice.codes.codes if lattice else ())
         if lattice is not None and not displaced:
             found += check_mirrored(lattice)
         return found + check_jpeg(survey, names)
