@@ -258,6 +258,15 @@ def test_a_matrix_of_a_mirrored_projector_is_refused() -> None:
         lm.triangulate(transport, known.geometry)
 
 
+def test_places_a_column_off_are_said() -> None:
+    """The lines of `metal` run aslant: most places lie within a pixel still, but not near."""
+    known = triangulated("metal")[0]
+    matches = lm.correspondence(known.transport())
+    beside = replace(matches, place=matches.place + np.float32([0, 1]))
+    with pytest.warns(lm.LightMatrixWarning, match=r"^8\d % .*\(0\.53 from it .* 8\d % give"):
+        lm.triangulate(beside, known.geometry)
+
+
 def looking(place: NDArray[np.float64]) -> NDArray[np.float64]:
     """The matrix of a camera, or projector, of 64 x 64 pixels that looks at the origin."""
     ahead = -place / np.linalg.norm(place)

@@ -163,7 +163,7 @@ def _check_fit(seen: Seen, probability: Array, tolerance: float) -> None:
         return
     near, median = float(np.mean(away[lit] <= 1)), float(np.median(away[lit]))
     probable = float(np.mean(probability[lit].max(axis=1) >= 0.5))
-    # Of 9 scenes, from T and from codes, blurred and noisy, and of a real board, 71 % (polished
+    # Of 11 scenes, from T and from codes, blurred and noisy, and of a real board, 71 % (polished
     # balls) to 100 % lie so near, 80 to 100 % give a probable point, and the median is 0.18 pixels
     # at most. Mirrored, turned or shuffled, 0 to 11 % lie so near.
     if min(near, probable) >= 0.5 and median <= 0.5:
