@@ -77,7 +77,7 @@ def test_a_pattern_and_its_inverse_that_are_the_same_are_both_named(
     """Nothing tells which of the two is the copy."""
     frames = photographs(PATTERNS, exposure=0.5)
     frames[copied[1]] = frames[copied[0]]
-    assert found(frames) == [("frame", (6, 7))]
+    assert found(frames) == [("order", (6, 7))]
 
 
 @pytest.mark.parametrize("start", [8, 9])

@@ -4,8 +4,9 @@ Later checks use what earlier ones found. `lm.check` (`estimators/rig_findings.p
 rig did in the course of the capture.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
+from hashlib import sha256
 from pathlib import Path
 
 import numpy as np
@@ -19,10 +20,10 @@ from lightmatrix.check.code_order import (
     CodeLattice,
     check_code_order,
     check_mirrored,
-    check_white,
+    check_uniform,
     missing_of_code,
 )
-from lightmatrix.check.finding import Finding
+from lightmatrix.check.finding import Finding, join_names
 from lightmatrix.check.inverse_pairs import check_pairs, find_pairs
 from lightmatrix.check.levels import (
     check_clip_level,
@@ -45,6 +46,8 @@ from lightmatrix.resources.threads import one_blas_thread, side_by_side
 
 # Fewer frames, or fewer camera pixels that can be predicted, tell no fault from chance.
 _FEWEST_FRAMES, _FEWEST_ROWS = 12, 20
+# A photograph has as many levels, since it has noise.
+_NOISY = 24
 # If more than a quarter of the frames are odd, the cause is not in single frames.
 _MOST_ODD = 0.25
 
@@ -199,10 +202,16 @@ def check_capture(capture: Capture) -> list[Finding]:
         unseen, survey = check_unseen(survey)
         if capture.whole is not capture:
             unseen, _ = check_unseen(_survey(capture))
-        return of_clip + unseen + _check_surveyed(survey, capture)
+        copies = check_copies(survey, capture.frames.name)
+        found = of_clip + unseen + _check_surveyed(survey, capture, copies)
+        ordered = {k for each in found for k in each.frames if each.kind == "order"}
+        copies = [each for each in copies if not ordered.intersection(each.frames)]
+        copied = {k for each in copies for k in each.frames}
+        known = [each for each in found if each.kind == "frame" and copied.issuperset(each.frames)]
+        return [each for each in found if each not in known] + copies
 
 
-def _check_surveyed(survey: Survey, capture: Capture) -> list[Finding]:
+def _check_surveyed(survey: Survey, capture: Capture, copies: list[Finding]) -> list[Finding]:
     names = [capture.frames.name(k) for k in range(capture.count)]
     rows = high_variance_rows(survey)
 
@@ -215,6 +224,10 @@ def _check_surveyed(survey: Survey, capture: Capture) -> list[Finding]:
 
     lattice = CodeLattice.of(survey)
     displaced = [] if lattice is None else check_code_order(lattice, names.__getitem__)
+    # Stripes tell that two photographs are alike, and not which one is in the other's place.
+    copied = {k for each in copies for k in each.frames}
+    if any(each.frames and copied.issuperset(each.frames) for each in displaced):
+        displaced = copies
     # Two frames may seem swapped for another reason, which what follows may find.
     two_swapped = len(displaced) == 1 and len(displaced[0].frames) == 2
     few = survey.count < _FEWEST_FRAMES or len(rows) < _FEWEST_ROWS
@@ -232,7 +245,7 @@ def _check_surveyed(survey: Survey, capture: Capture) -> list[Finding]:
     else:
         of_frames = _check_by_prediction(survey, rows, names, unrelated)
         if lattice is not None and not displaced and not of_frames:
-            of_frames = check_white(lattice, names.__getitem__)
+            of_frames = check_uniform(lattice, names.__getitem__)
     # Motion, and a black frame, make neighbours see as distant places as a swap does.
     kinds = ("order", "motion")
     if displaced and not any(e.kind in kinds or "black" in e.message for e in of_frames):
@@ -302,14 +315,39 @@ def check_interchanged(survey: Survey) -> list[Finding]:
     if not isinstance(patterns, ImagePatterns):
         return []
     frames = range(min(4, survey.count))
-    # Projected images have up to 4 grey values, photographs have noise and thus 24 or more.
+    # Projected images have up to 4 grey values.
     drawn = all(len(np.unique(survey.raw[:, k])) <= 4 for k in frames)
-    noisy = all(len(np.unique(patterns.rows(k, k + 1))) >= 24 for k in frames)
+    noisy = all(len(np.unique(patterns.rows(k, k + 1))) >= _NOISY for k in frames)
     if not (drawn and noisy):
         return []
     message = "the photographs have a few exact grey values, and the patterns have noise"
     advice = "patterns and photographs seem to be in each other's place: exchange the folders"
     return [Finding("interchanged", (), message, advice)]
+
+
+def check_copies(survey: Survey, name: Callable[[int], str]) -> list[Finding]:
+    """Which photographs are the same to the last level, although their patterns differ.
+
+    Two photographs differ at least by their noise.
+    """
+    alike: dict[bytes, list[int]] = {}
+    for k in range(survey.count):
+        alike.setdefault(sha256(survey.raw[:, k].tobytes()).digest(), []).append(k)
+    findings = []
+    for frames in alike.values():
+        first, *others = (survey.patterns.rows(k, k + 1) for k in frames)
+        # Where all is dark or clips, there is no noise.
+        if len(np.unique(survey.raw[:, frames[0]])) < _NOISY or all(
+            np.array_equal(first, other) for other in others
+        ):
+            continue
+        message = (
+            f"{join_names([name(k) for k in frames])} are the same photograph, to the last level, "
+            "although their patterns differ"
+        )
+        advice = "take again those that do not show their patterns; a copied file?"
+        findings.append(Finding("order", tuple(frames), message, advice))
+    return findings
 
 
 def _check_by_pairs(
