@@ -223,7 +223,8 @@ def test_a_depth_image_is_in_millimetres(tmp_path: Path, monkeypatch: pytest.Mon
 
 
 def mirrored(matches: lm.Correspondence) -> lm.Correspondence:
-    return replace(matches, place=matches.place * np.float32([1, -1]) + np.float32([0, 63]))
+    place = matches.place * [1, -1] + [0, 63]
+    return replace(matches, place=place.astype(np.float32))
 
 
 def turned(matches: lm.Correspondence) -> lm.Correspondence:
@@ -262,7 +263,7 @@ def test_places_a_column_off_are_said() -> None:
     """The lines of `metal` run aslant: most places lie within a pixel still, but not near."""
     known = triangulated("metal")[0]
     matches = lm.correspondence(known.transport())
-    beside = replace(matches, place=matches.place + np.float32([0, 1]))
+    beside = replace(matches, place=(matches.place + [0, 1]).astype(np.float32))
     with pytest.warns(lm.LightMatrixWarning, match=r"^8\d % .*\(0\.53 from it .* 8\d % give"):
         lm.triangulate(beside, known.geometry)
 
