@@ -263,7 +263,8 @@ def test_places_a_column_off_are_said() -> None:
     """The lines of `metal` run aslant: most places lie within a pixel still, but not near."""
     known = triangulated("metal")[0]
     matches = lm.correspondence(known.transport())
-    beside = replace(matches, place=(matches.place + [0, 1]).astype(np.float32))
+    place = np.add(matches.place, [0, 1]).astype(np.float32)
+    beside = replace(matches, place=place)
     with pytest.warns(lm.LightMatrixWarning, match=r"^8\d % .*\(0\.53 from it .* 8\d % give"):
         lm.triangulate(beside, known.geometry)
 
