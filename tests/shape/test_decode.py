@@ -381,5 +381,5 @@ def test_estimates_of_stripes_point_here() -> None:
     patterns = lm.make_patterns("graycode", (16, 16), inverse=True)
     light = np.tile(np.linspace(0.2, 0.8, patterns.count)[:, None, None], (1, 4, 4))
     frames = np.asarray(light * patterns.images()[:, 4:8, 4:8], np.float32)
-    with pytest.warns(LightMatrixWarning, match="fine for correspondence and shape"):
+    with pytest.warns(LightMatrixWarning, match="stripes suffice for correspondence and shape"):
         lm.estimate(capture(patterns, frames), coherent=False)

@@ -115,18 +115,27 @@ def check_counts(survey: Survey | None, patterns: int, images: Sequence[Path]) -
     count = len(images)
     message = f"{patterns} patterns, but {count} photographs"
     frames = missing_places(survey) if survey is not None and count == patterns - 1 else ()
+    digits = ["".join(c for c in path.stem if c.isdecimal() and c.isascii()) for path in images]
+    numbers = [int(each) for each in digits if each]
+    whole = range(min(numbers, default=0), max(numbers, default=0) + 1)
+    gaps = len(whole) - len({*numbers})
+    # Names count in steps, and have no gaps, if they leave out more than a quarter.
+    if gaps and len(numbers) == count and 4 * gaps <= count:
+        absent = sorted({*whole}.difference(numbers))
+        message += f"; their names leave out number {', '.join(map(str, absent[:5]))}"
+        # A single gap is better evidence than what the photographs look like.
+        if gaps == 1 and count == patterns - 1 and numbers == sorted(numbers):
+            place = whole.index(absent[0])
+            frames = (place,) if place in frames else (place, *frames)
+    elif survey is not None and is_separable(survey.patterns) and count not in frames:
+        # The last one leaves no gap, and stripes look nearly the same without one or another.
+        complete = gaps == 0 and whole in (range(count), range(1, patterns))
+        frames += (count,) if frames and complete else ()
     if frames:
         which = " or ".join(map(str, frames))
         message += f": that of pattern {which} (counted from 0) is missing"
         if len(frames) == 1 and frames[0] < count:
             message += f", before {images[frames[0]].name}"
-    digits = ["".join(c for c in path.stem if c.isdecimal() and c.isascii()) for path in images]
-    if digits and all(digits) and not frames:
-        numbers = {int(each) for each in digits}
-        absent = sorted(set(range(min(numbers), max(numbers) + 1)) - numbers)
-        # Names count in steps, and have no gaps, if they leave out more than a quarter.
-        if absent and 4 * len(absent) <= count:
-            message += f"; their names leave out number {', '.join(map(str, absent[:5]))}"
     advice = (
         "take it again, or leave the pattern out too"
         if count < patterns
@@ -256,15 +265,9 @@ def _survey(capture: Capture) -> Survey:
 def check_distinguishable(patterns: PatternSet) -> list[Finding]:
     """Whether the patterns can tell several footprints in a row, and single pixels, apart."""
     if is_separable(patterns):
-        message = (
-            "each pattern varies along rows or along columns only (Gray code, stripes, fringes): "
-            "where a camera pixel sees several places, they cannot tell these from the crossings "
-            "of their rows and columns"
-        )
-        advice = (
-            "fine for correspondence and shape (`decode`); for all of T project random patterns "
-            "too, such as Bernoulli patterns"
-        )
+        message = "stripes suffice for correspondence and shape (`decode`), but not for all of T"
+        advice = "for T project random patterns too: where a pixel sees several places, stripes "
+        advice += "cannot tell them from the crossings of their rows and columns"
         return [Finding("stripes", (), message, advice)]
     unlit = int((patterns.squares == 0).sum()) if lights_one(patterns) else 0
     if unlit:
