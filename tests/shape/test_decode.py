@@ -453,6 +453,7 @@ def test_points_of_overexposed_stripes_are_as_probable_as_right(
 ) -> None:
     """Before clipped samples were bounds: 41, 16 and 38 % wrong, at 0.99 26, 0.6 and 12 %."""
     known = lm.truth("corner")
+    assert known.geometry is not None
     patterns = lm.make_patterns(kind, (64, 64))
     with pytest.warns(LightMatrixWarning, match=r"places that 9\d % of the pixels see"):
         matches = lm.decode(lm.simulate(known, patterns, exposure=0.8, noise=0.003))
