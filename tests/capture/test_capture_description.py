@@ -301,7 +301,7 @@ def test_photographs_of_other_patterns_are_refused(tmp_path: Path) -> None:
     (tmp_path / "c/patterns/patterns.json").unlink()
     assert Capture.open(tmp_path / "c").patterns.count == 5
     place = tmp_path / "c/images"
-    with pytest.raises(InputError, match=r"capture\.json: 6 of the 6 patterns.*number 0"):
+    with pytest.raises(InputError, match=r"capture\.json: 6 of the 6 patterns.* pattern 0 "):
         Capture.from_folders(other, place)
     with pytest.raises(InputError, match="6 of the 6"):
         lm.check(patterns=other, images=place)

@@ -195,8 +195,11 @@ def images(*numbers: int) -> list[Path]:
 
 def test_words_without_a_survey() -> None:
     found = check_counts(None, 9, images(1, 2, 3, 5, 6, 7, 8, 9))
-    assert (found.kind, found.frames) == ("counts", ())
-    assert found.message == "9 patterns, but 8 photographs; their names leave out number 4"
+    assert (found.kind, found.frames) == ("counts", (3,))
+    assert found.message == (
+        "9 patterns, but 8 photographs; their names leave out number 4: that of pattern 3 (counted "
+        "from 0) is missing, before IMG_0005.png"
+    )
     assert "take it again" in found.advice
     many = check_counts(None, 40, images(*(k for k in range(40) if k % 5)))
     assert many.message.endswith("leave out number 5, 10, 15, 20, 25")
@@ -215,6 +218,14 @@ def test_words_with_a_survey() -> None:
     )
     last = check_counts(survey(31), 32, names)
     assert last.message.endswith("that of pattern 31 (counted from 0) is missing")
+    # The gap in the names comes first.
+    gap = check_counts(survey(13), 32, images(*range(4), *range(5, 32)))
+    assert gap.frames == (4, 13)
+    assert "leave out number 4: that of pattern 4 or 13 (counted from 0) is missing" in gap.message
+    one = check_counts(survey(13), 32, images(*range(13), *range(14, 32)))
+    assert one.frames == (13,)
+    # Names that give the time, in text order, take no memory.
+    assert check_counts(survey(13), 32, images(*range(0, 31 * 10**15, 10**15))).frames == (13,)
     # Two are missing: the survey is of no use.
     assert check_counts(survey(13), 32 + 1, names).frames == ()
 

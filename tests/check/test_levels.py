@@ -26,6 +26,7 @@ from lightmatrix.check.survey import Survey, high_variance_rows
 from lightmatrix.files.images import decode_image, encode_image
 from lightmatrix.judgement.judgement import Verdict
 from lightmatrix.patterns.bits import BernoulliPatterns
+from lightmatrix.patterns.codes import find_codes
 from lightmatrix.patterns.pattern_set import ImagePatterns
 
 K, SIDE = 12, 20
@@ -59,6 +60,27 @@ def test_two_thirds_of_the_samples_may_clip() -> None:
         # Rows of the image: 12.8 of 20 and 13.8 of 20.
         frames[:, : int(SIDE * share), :] = 255
         assert kinds(frames) == found
+
+
+@pytest.mark.parametrize(
+    ("kind", "scene", "exposure", "found"),
+    [("graycode", "corner", 0.8, ["light"]), ("graycode", "corner", 0.5, []),
+     ("graycode", "l_objects", 0.8, ["light"]), ("graycode", "metal", 0.8, []),
+     ("graycode, inverse", "corner", 0.8, []), ("graycode, inverse", "corner", 1.6, ["light"]),
+     ("phase", "corner", 0.8, ["light"]), ("phase", "gripper", 0.8, []),
+     ("microphase", "l_objects", 0.8, ["light"]), ("microphase", "l_objects", 0.3, [])],
+)  # fmt: skip
+def test_overexposed_stripes_are_said_and_few_highlights_are_not(
+    kind: str, scene: str, exposure: float, found: list[str]
+) -> None:
+    patterns = lm.make_patterns(kind.split(",")[0], (64, 64), inverse="inverse" in kind)
+    capture = lm.simulate(scene, patterns, exposure=exposure, noise=0.003)
+    taken = Survey.take(capture.patterns, capture.frames, capture.decoder, capture.mask)
+    told = check_light_level(taken, find_codes(patterns).codes)
+    assert [each.kind for each in told] == found
+    assert all("see are uncertain" in each.message for each in told)
+    # Random patterns endure as much.
+    assert check_light_level(taken) == []
 
 
 @pytest.mark.parametrize(

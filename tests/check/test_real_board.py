@@ -83,4 +83,4 @@ def test_faults_of_the_real_board_are_named(
     patterns, frames = board
     capture = lm.Capture.from_arrays(patterns, fault(frames), CAMERA)
     # Stripes never tell rows with several footprints.
-    assert kinds_and_frames(lm.check(capture)) == [("stripes", ()), *expected]
+    assert kinds_and_frames(lm.check(capture)) == [*expected, ("stripes", ())]

@@ -226,6 +226,8 @@ def test_info(work: Path, capsys: pytest.CaptureFixture[str]) -> None:
         ("depth --geometry ../rig.json -o x.npy", "depth", ()),
     ],
 )
+# The geometry is not that of the scene.
+@pytest.mark.filterwarnings("ignore:.*epipolar line")
 def test_show(
     words: str, view: str, index: tuple[int, ...], work: Path, tmp_path: Path, both: Both
 ) -> None:

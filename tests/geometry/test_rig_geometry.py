@@ -471,11 +471,15 @@ def test_one_file_of_two_and_other_saves_of_matlab_are_explained(tmp_path: Path)
     write_calibration(tmp_path, "ros", rig())
     (tmp_path / "new.mat").write_bytes(b"MATLAB 7.3 MAT-file")
     (tmp_path / "cut.mat").write_bytes(b"MATLAB 5.0 MAT-file")
+    (tmp_path / "cloud.ply").write_bytes(b"ply\nformat binary_little_endian 1.0\n\xff")
+    np.savez(tmp_path / "points.npz", x=np.zeros(3))
     (tmp_path / "half.json").write_text('{"CameraParameters1": {}}')
     for name, words in {
         "stereo/intrinsics.yml": "names no rotation .R. and no translation .T.",
         "ros/camera.yaml": "the camera_info of one device",
-        ".": "holds 1 files",
+        ".": "holds no geometry.json, and not two files",
+        "cloud.ply": "holds no geometry",
+        "points.npz": "holds no geometry",
         "new.mat": "version 7.3",
         "cut.mat": "cannot be read",
         "half.json": "stereoParameters lack 'IntrinsicMatrix'",

@@ -113,6 +113,13 @@ def test_depth_and_normals_are_shown_where_the_geometry_is_known(
         assert phrase in words, phrase
     viewer = (tmp_path / "report" / "viewer.html").read_text()
     assert all(f"layer-{name}" in viewer for name in ("depth", "behind", "mirrors", "probability"))
+    # A geometry whose lines the light does not lie on does not spoil the rest.
+    across, down, one = known.geometry.projector_matrix
+    upset = replace(known.geometry, projector_matrix=np.array([across, 63 * one - down, one]))
+    upset.save("upset.json")
+    line = "estimate capture -o upset.zarr --report upset --geometry upset.json --viewer"
+    assert main(line.split()) == 0
+    assert "There is no shape: " in _words(tmp_path / "upset" / "report.html")
     known.geometry.cropped((0, 0), (63, 60)).save("other.json")
     line = "estimate capture -o other.zarr --report other --geometry other.json"
     assert main(line.split()) == 2

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -210,7 +212,7 @@ def test_a_depth_image_is_in_millimetres(tmp_path: Path, monkeypatch: pytest.Mon
     with pytest.warns(lm.LightMatrixWarning, match=r"beyond 65\.5 m"):
         far.save(tmp_path / "far.png")
     assert lm.read_image(tmp_path / "far.png").max() < 65535
-    for unit, words in ((None, "an unknown unit"), ("px", "the unit 'px'")):
+    for unit, words in ((None, "geometry is unknown"), ("px", "geometry is 'px'")):
         geometry = replace(known.geometry, units=unit)
         with pytest.raises(InputError, match=words):
             replace(shape, geometry=geometry).save(tmp_path / "unknown.png")
@@ -218,6 +220,81 @@ def test_a_depth_image_is_in_millimetres(tmp_path: Path, monkeypatch: pytest.Mon
         monkeypatch.setattr("lightmatrix.shape.triangulation.seen_by", None)
         with pytest.raises(InputError, match=words):
             lm.triangulate(known.transport(), geometry, depth=tmp_path / "x.PNG")
+
+
+def mirrored(matches: lm.Correspondence) -> lm.Correspondence:
+    place = matches.place * [1, -1] + [0, 63]
+    return replace(matches, place=place.astype(np.float32))
+
+
+def turned(matches: lm.Correspondence) -> lm.Correspondence:
+    return replace(matches, place=63 - matches.place)
+
+
+def shuffled(matches: lm.Correspondence) -> lm.Correspondence:
+    place = np.random.default_rng(0).permutation(matches.place.reshape(-1, 2))
+    return replace(matches, place=place.reshape(matches.place.shape))
+
+
+@pytest.mark.parametrize("scene", ["corner", "metal"])
+@pytest.mark.parametrize("wrong", [mirrored, turned, shuffled])
+def test_light_that_lies_on_its_line_by_chance_only_is_refused(
+    scene: str, wrong: Callable[[lm.Correspondence], lm.Correspondence]
+) -> None:
+    known = triangulated(scene)[0]
+    matches = lm.correspondence(known.transport())
+    assert lm.triangulate(matches, known.geometry).kept.mean() > 0.8
+    with pytest.raises(InputError, match="within a projector pixel of their epipolar") as refused:
+        lm.triangulate(wrong(matches), known.geometry)
+    assert "the geometry of this rig" in (refused.value.hint or "")
+
+
+def test_a_matrix_of_a_mirrored_projector_is_refused() -> None:
+    """Most rows hold some faint light beside their line, but few their brightest spot."""
+    known = triangulated("corner")[0]
+    order = np.arange(64 * 64).reshape(64, 64)[:, ::-1].ravel()
+    matrix = csr_array(known.transport().sparse[:, order])
+    transport = lm.LightTransport.from_matrix(matrix, (64, 64), (64, 64))
+    with pytest.raises(InputError, match=r"^3 % .*\(18 from it in the median"):
+        lm.triangulate(transport, known.geometry)
+
+
+def test_places_a_column_off_are_said() -> None:
+    """The lines of `metal` run aslant: most places lie within a pixel still, but not near."""
+    known = triangulated("metal")[0]
+    matches = lm.correspondence(known.transport())
+    place = np.add(matches.place, [0, 1]).astype(np.float32)
+    beside = replace(matches, place=place)
+    with pytest.warns(lm.LightMatrixWarning, match=r"^8\d % .*\(0\.53 from it .* 8\d % give"):
+        lm.triangulate(beside, known.geometry)
+
+
+def looking(place: NDArray[np.float64]) -> NDArray[np.float64]:
+    """The matrix of a camera, or projector, of 64 x 64 pixels that looks at the origin."""
+    ahead = -place / np.linalg.norm(place)
+    right = np.cross(ahead, [0, 1, 0]) / np.linalg.norm(np.cross(ahead, [0, 1, 0]))
+    turn = np.stack([right, np.cross(ahead, right), ahead])
+    intrinsics = np.array([[128, 0, 31.5], [0, 128, 31.5], [0, 0, 1]])
+    return np.asarray(intrinsics @ np.column_stack([turn, -turn @ place]))
+
+
+def test_the_geometry_of_another_rig_is_said() -> None:
+    """A camera below the projector, not beside it: distances by hand, from the lines of F."""
+    known = triangulated("l_objects")[0]
+    places = np.array([[0.1, -1.2, 4.0], [0.0, 0.0, 4.0]])
+    other = lm.RigGeometry(looking(places[0]), looking(places[1]), (64, 64), (64, 64))
+    for source in (known.transport(), lm.correspondence(known.transport())):
+        with pytest.warns(lm.LightMatrixWarning, match="is this the geometry") as warned:
+            lm.triangulate(source, other)
+        found = re.match(r"(\d+) % .* line \(([\d.]+) from it .* (\d+) %", str(warned[0].message))
+        assert found is not None
+        lit = lm.correspondence(known.transport()).place[..., ::-1].reshape(-1, 2)
+        seen = np.indices((64, 64))[::-1].reshape(2, -1).T
+        lines = np.column_stack([seen, np.ones(len(seen))]) @ other.fundamental_matrix().T
+        away = np.abs((lines[:, :2] * lit).sum(axis=1) + lines[:, 2])
+        away /= np.hypot(lines[:, 0], lines[:, 1])
+        assert float(found[1]) == pytest.approx(100 * (away <= 1).mean(), abs=2)
+        assert float(found[2]) == pytest.approx(np.median(away), rel=0.05)
 
 
 @pytest.mark.parametrize("kind", ["npz", "png", "PNG", "exr"])

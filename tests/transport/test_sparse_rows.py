@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from scipy.sparse import csr_array
 
 from lightmatrix.errors import InputError
 from lightmatrix.transport.sparse_rows import SparseRows, footprint_sizes, row_blocks, stack_rows
+from lightmatrix.transport.store import save_rows
 
 
 def rows(count: int = 7, pixels: int = 9, background: int = 2) -> SparseRows:
@@ -30,6 +34,31 @@ def same(one: SparseRows, other: SparseRows) -> None:
     for name, values in one.diagnostics.items():
         np.testing.assert_array_equal(values, other.diagnostics[name])
         assert values.dtype == other.diagnostics[name].dtype
+
+
+@given(st.integers(0, 2**32 - 1), st.floats(1e-6, 1e6))
+def test_rounded_rows_err_by_little(seed: int, scale: float) -> None:
+    random = np.random.default_rng(seed)
+    data, background = scale * random.lognormal(sigma=3, size=(2, 4, 6))
+    background[0] = 0
+    made = SparseRows(csr_array(data), -background).rounded()
+    np.testing.assert_allclose(made.coefficients.toarray(), data, rtol=1.001 * 2.0**-12)
+    assert np.all(
+        np.abs(made.background + background) <= 1.001 * 2.0**-12 * background.max(1)[:, None]
+    )
+    assert made.background.dtype == made.coefficients.dtype == np.float32
+
+
+def test_rounded_rows_compress_better(tmp_path: Path) -> None:
+    whole = rows(2000, 60, 64)
+    for name, kept in (("whole", whole), ("rounded", whole.rounded())):
+        save_rows(tmp_path / f"{name}.zarr", [kept], (40, 50), (6, 10), (8, 8), {}, False)
+    sizes = [
+        sum(f.stat().st_size for f in (tmp_path / f"{name}.zarr" / part).rglob("*") if f.is_file())
+        for name in ("rounded", "whole") for part in ("background", "data")
+    ]  # fmt: skip
+    assert sizes[0] < 0.65 * sizes[2]
+    assert sizes[1] < 0.65 * sizes[3]
 
 
 def test_joining_undoes_splitting_in_any_order() -> None:

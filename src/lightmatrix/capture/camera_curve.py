@@ -159,6 +159,9 @@ class Response(ShortRepr):
             except InputError as error:
                 message = f"the response curve {error.message}"
                 raise InputError(message, hint=error.hint) from error
+        if text and (folder / text).is_dir():
+            hint = f"use {RESPONSES}; a capture folder states its own response in capture.json"
+            raise InputError(f"a response of {text!r}, which is a folder", hint=hint)
         raise InputError(f"a response of {text!r}", hint=f"use {RESPONSES}")
 
     @property

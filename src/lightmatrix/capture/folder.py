@@ -147,8 +147,8 @@ def _check_projected(patterns: PatternSet, file: Path) -> None:
         return
     other = [k for k, digest in enumerate(patterns.digests) if digest not in listed]
     raise InputError(
-        f"{file}: {len(other)} of the {patterns.count} patterns, the first of them number "
-        f"{other[0]}, are not those that were projected",
+        f"{file}: {len(other)} of the {patterns.count} patterns, the first of them pattern "
+        f"{other[0]} (counted from 0), are not those that were projected",
         hint=f'give the patterns of this capture; or remove "patterns" from {file} to use others',
     )
 

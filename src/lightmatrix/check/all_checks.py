@@ -4,8 +4,9 @@ Later checks use what earlier ones found. `lm.check` (`estimators/rig_findings.p
 rig did in the course of the capture.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
+from hashlib import sha256
 from pathlib import Path
 
 import numpy as np
@@ -19,10 +20,10 @@ from lightmatrix.check.code_order import (
     CodeLattice,
     check_code_order,
     check_mirrored,
-    check_white,
+    check_uniform,
     missing_of_code,
 )
-from lightmatrix.check.finding import Finding
+from lightmatrix.check.finding import Finding, join_names
 from lightmatrix.check.inverse_pairs import check_pairs, find_pairs
 from lightmatrix.check.levels import (
     check_clip_level,
@@ -45,6 +46,8 @@ from lightmatrix.resources.threads import one_blas_thread, side_by_side
 
 # Fewer frames, or fewer camera pixels that can be predicted, tell no fault from chance.
 _FEWEST_FRAMES, _FEWEST_ROWS = 12, 20
+# A photograph has as many levels, since it has noise.
+_NOISY = 24
 # If more than a quarter of the frames are odd, the cause is not in single frames.
 _MOST_ODD = 0.25
 
@@ -112,18 +115,27 @@ def check_counts(survey: Survey | None, patterns: int, images: Sequence[Path]) -
     count = len(images)
     message = f"{patterns} patterns, but {count} photographs"
     frames = missing_places(survey) if survey is not None and count == patterns - 1 else ()
+    digits = ["".join(c for c in path.stem if c.isdecimal() and c.isascii()) for path in images]
+    numbers = [int(each) for each in digits if each]
+    whole = range(min(numbers, default=0), max(numbers, default=0) + 1)
+    gaps = len(whole) - len({*numbers})
+    # Names count in steps, and have no gaps, if they leave out more than a quarter.
+    if gaps and len(numbers) == count and 4 * gaps <= count:
+        absent = sorted({*whole}.difference(numbers))
+        message += f"; their names leave out number {', '.join(map(str, absent[:5]))}"
+        # A single gap is better evidence than what the photographs look like.
+        if gaps == 1 and count == patterns - 1 and numbers == sorted(numbers):
+            place = whole.index(absent[0])
+            frames = (place,) if place in frames else (place, *frames)
+    elif survey is not None and is_separable(survey.patterns) and count not in frames:
+        # The last one leaves no gap, and stripes look nearly the same without one or another.
+        complete = gaps == 0 and whole in (range(count), range(1, patterns))
+        frames += (count,) if frames and complete else ()
     if frames:
         which = " or ".join(map(str, frames))
         message += f": that of pattern {which} (counted from 0) is missing"
         if len(frames) == 1 and frames[0] < count:
             message += f", before {images[frames[0]].name}"
-    digits = ["".join(c for c in path.stem if c.isdecimal() and c.isascii()) for path in images]
-    if digits and all(digits) and not frames:
-        numbers = {int(each) for each in digits}
-        absent = sorted(set(range(min(numbers), max(numbers) + 1)) - numbers)
-        # Names count in steps, and have no gaps, if they leave out more than a quarter.
-        if absent and 4 * len(absent) <= count:
-            message += f"; their names leave out number {', '.join(map(str, absent[:5]))}"
     advice = (
         "take it again, or leave the pattern out too"
         if count < patterns
@@ -190,22 +202,33 @@ def check_capture(capture: Capture) -> list[Finding]:
         unseen, survey = check_unseen(survey)
         if capture.whole is not capture:
             unseen, _ = check_unseen(_survey(capture))
-        return of_clip + unseen + _check_surveyed(survey, capture)
+        copies = check_copies(survey, capture.frames.name)
+        found = of_clip + unseen + _check_surveyed(survey, capture, copies)
+        ordered = {k for each in found for k in each.frames if each.kind == "order"}
+        copies = [each for each in copies if not ordered.intersection(each.frames)]
+        copied = {k for each in copies for k in each.frames}
+        known = [each for each in found if each.kind == "frame" and copied.issuperset(each.frames)]
+        return [each for each in found if each not in known] + copies
 
 
-def _check_surveyed(survey: Survey, capture: Capture) -> list[Finding]:
+def _check_surveyed(survey: Survey, capture: Capture, copies: list[Finding]) -> list[Finding]:
     names = [capture.frames.name(k) for k in range(capture.count)]
     rows = high_variance_rows(survey)
 
     def of_light() -> list[Finding]:
         seen = survey if capture.whole is capture else _survey(capture)
-        found = check_distinguishable(survey.patterns) + check_light_level(seen)
+        found = check_distinguishable(survey.patterns)
+        found += check_light_level(seen, lattice.codes.codes if lattice else ())
         if lattice is not None and not displaced:
             found += check_mirrored(lattice)
         return found + check_jpeg(survey, names)
 
     lattice = CodeLattice.of(survey)
     displaced = [] if lattice is None else check_code_order(lattice, names.__getitem__)
+    # Stripes tell that two photographs are alike, and not which one is in the other's place.
+    copied = {k for each in copies for k in each.frames}
+    if any(each.frames and copied.issuperset(each.frames) for each in displaced):
+        displaced = copies
     # Two frames may seem swapped for another reason, which what follows may find.
     two_swapped = len(displaced) == 1 and len(displaced[0].frames) == 2
     few = survey.count < _FEWEST_FRAMES or len(rows) < _FEWEST_ROWS
@@ -223,7 +246,7 @@ def _check_surveyed(survey: Survey, capture: Capture) -> list[Finding]:
     else:
         of_frames = _check_by_prediction(survey, rows, names, unrelated)
         if lattice is not None and not displaced and not of_frames:
-            of_frames = check_white(lattice, names.__getitem__)
+            of_frames = check_uniform(lattice, names.__getitem__)
     # Motion, and a black frame, make neighbours see as distant places as a swap does.
     kinds = ("order", "motion")
     if displaced and not any(e.kind in kinds or "black" in e.message for e in of_frames):
@@ -243,15 +266,9 @@ def _survey(capture: Capture) -> Survey:
 def check_distinguishable(patterns: PatternSet) -> list[Finding]:
     """Whether the patterns can tell several footprints in a row, and single pixels, apart."""
     if is_separable(patterns):
-        message = (
-            "each pattern varies along rows or along columns only (Gray code, stripes, fringes): "
-            "where a camera pixel sees several places, they cannot tell these from the crossings "
-            "of their rows and columns"
-        )
-        advice = (
-            "fine for correspondence and shape (`decode`); for all of T project random patterns "
-            "too, such as Bernoulli patterns"
-        )
+        message = "stripes suffice for correspondence and shape (`decode`), but not for all of T"
+        advice = "for T project random patterns too: where a pixel sees several places, stripes "
+        advice += "cannot tell them from the crossings of their rows and columns"
         return [Finding("stripes", (), message, advice)]
     unlit = int((patterns.squares == 0).sum()) if lights_one(patterns) else 0
     if unlit:
@@ -299,14 +316,39 @@ def check_interchanged(survey: Survey) -> list[Finding]:
     if not isinstance(patterns, ImagePatterns):
         return []
     frames = range(min(4, survey.count))
-    # Projected images have up to 4 grey values, photographs have noise and thus 24 or more.
+    # Projected images have up to 4 grey values.
     drawn = all(len(np.unique(survey.raw[:, k])) <= 4 for k in frames)
-    noisy = all(len(np.unique(patterns.rows(k, k + 1))) >= 24 for k in frames)
+    noisy = all(len(np.unique(patterns.rows(k, k + 1))) >= _NOISY for k in frames)
     if not (drawn and noisy):
         return []
     message = "the photographs have a few exact grey values, and the patterns have noise"
     advice = "patterns and photographs seem to be in each other's place: exchange the folders"
     return [Finding("interchanged", (), message, advice)]
+
+
+def check_copies(survey: Survey, name: Callable[[int], str]) -> list[Finding]:
+    """Which photographs are the same to the last level, although their patterns differ.
+
+    Two photographs differ at least by their noise.
+    """
+    alike: dict[bytes, list[int]] = {}
+    for k in range(survey.count):
+        alike.setdefault(sha256(survey.raw[:, k].tobytes()).digest(), []).append(k)
+    findings = []
+    for frames in alike.values():
+        first, *others = (survey.patterns.rows(k, k + 1) for k in frames)
+        # Where all is dark or clips, there is no noise.
+        if len(np.unique(survey.raw[:, frames[0]])) < _NOISY or all(
+            np.array_equal(first, other) for other in others
+        ):
+            continue
+        message = (
+            f"{join_names([name(k) for k in frames])} are the same photograph, to the last level, "
+            "although their patterns differ"
+        )
+        advice = "take again those that do not show their patterns; a copied file?"
+        findings.append(Finding("order", tuple(frames), message, advice))
+    return findings
 
 
 def _check_by_pairs(

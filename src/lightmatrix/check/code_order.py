@@ -302,54 +302,59 @@ def check_mirrored(lattice: CodeLattice) -> list[Finding]:
     return [Finding("mirrored", (), message, advice)]
 
 
-def check_white(lattice: CodeLattice, name: Name) -> list[Finding]:
-    """Whether a frame of a code is white although its pattern is not.
+def check_uniform(lattice: CodeLattice, name: Name) -> list[Finding]:
+    """Whether a frame of a code is white or black although its pattern is not.
 
-    Nearly all pixels are then as bright as they ever are. Without a coarse bit, half of the places
-    are mirrored; without a fine one, neighbours see nearer to each other than without another. A
-    camera that sees only the white part of a pattern shows the first alone.
+    Nearly all pixels are then as bright, or as dark, as they ever are. Without a coarse bit, half
+    of the places are mirrored; without a fine one, neighbours see nearer to each other than without
+    another. A camera that sees only the white part of a pattern shows the first alone.
     """
     codes = lattice.codes.codes
     used = np.unique(np.concatenate([each.frames[np.ptp(each.values, 0) > 0] for each in codes]))
-    bright = used[np.quantile(lattice.shares[used], 0.1, axis=1) > 0.8]
-    if not len(bright):
+    low, high = np.quantile(lattice.shares[used], [0.1, 0.9], axis=1)
+    plain = used[(low > 0.8) | (high < 0.2)]
+    if not len(plain):
         return []
     frames = np.arange(lattice.patterns.count)
-    white = [k for code in codes for k in _folding(lattice, code, bright)]
-    if not white:
-        plain = lattice.costs(frames, {})
-        gains = [plain - lattice.costs(np.where(frames == k, -1, frames), {}) for k in used]
+    wrong = [k for code in codes for k in _folding(lattice, code, plain)]
+    if not wrong:
+        own = lattice.costs(frames, {})
+        gains = [own - lattice.costs(np.where(frames == k, -1, frames), {}) for k in used]
         total = np.sum(gains, axis=1)
-        best = int(np.where(np.isin(used, bright), total, -np.inf).argmax())
+        best = int(np.where(np.isin(used, plain), total, -np.inf).argmax())
         certain = _CERTAIN * float(np.sqrt((gains[best] ** 2).sum()))
         if total[best] > max(certain, 1.5 * float(np.median(total))):
-            white = [int(used[best])]
+            wrong = [int(used[best])]
     advice = "take the photograph again, unless part of the scene is seen in a mirror"
+    shown = ["white" if lattice.shares[k].mean() > 0.5 else "black" for k in wrong]
     return [
-        Finding("frame", (k,), f"{name(k)}: white, although the pattern is not", advice)
-        for k in white
+        Finding("frame", (k,), f"{name(k)}: {grey}, although the pattern is not", advice)
+        for k, grey in zip(wrong, shown, strict=True)
     ]
 
 
-def _folding(lattice: CodeLattice, code: Code, bright: NDArray[np.int64]) -> list[int]:
-    """The frame among bright ones that mirrors part of the places; empty if none are mirrored."""
+def _folding(lattice: CodeLattice, code: Code, plain: NDArray[np.int64]) -> list[int]:
+    """The frame among plain ones that mirrors part of the places; empty if none are mirrored."""
     frames = np.arange(lattice.patterns.count)
     line = lattice.lines(code, frames)[0][0].reshape(3, -1)
     steps = np.where((line >= 0).all(axis=0), line[1:] - line[0], 0)
     turns = np.sign(steps[np.abs(steps).sum(axis=1).argmax()])
     # Edges, noise and reflections mirror at most a tenth of the places of a whole capture. A
     # lattice has 40 pixels at least.
-    if min((turns > 0).sum(), (turns < 0).sum()) < max(0.25 * np.abs(turns).sum(), 40):
+    if min((turns > 0).sum(), (turns < 0).sum()) < max(0.15 * np.abs(turns).sum(), 40):
         return []
     far = lattice.pairs[:, lattice.neighbours :]
     apart = {}
-    for k in np.intersect1d(bright, code.frames):
-        dark = lattice.lines(code, np.where(frames == k, -1, frames))[0][0].reshape(3, -1)
+    for k in np.intersect1d(plain, code.frames):
+        # Its bit the other way round: dark comes first, and last, bright.
+        unread = lattice.lines(code, np.where(frames == k, -1, frames))[0]
+        turned = unread[0 if lattice.shares[k].mean() > 0.5 else -1].reshape(3, -1)
         # Either way round may be the right one.
         for turn in (1, -1):
-            one, other = np.where(turns == turn, dark, line).ravel()[far]
-            known = np.abs(one - other)[(one >= 0) & (other >= 0)]
-            apart[k, turn] = float(np.minimum(known, 8).mean())
+            one, other = np.where(turns == turn, turned, line).ravel()[far]
+            # Words that do not occur are no likely places.
+            steps = np.where((one < 0) | (other < 0), 8, np.abs(one - other))
+            apart[k, turn] = float(np.minimum(steps, 8).mean())
     return [int(min(apart, key=apart.__getitem__)[0])] if apart else []
 
 

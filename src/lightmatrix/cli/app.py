@@ -225,6 +225,8 @@ def _usage_error(error: typer.TyperException) -> tuple[str, str]:
     hint = f"see `{path} --help{'-all' if rare else ''}`"
     if path.endswith(" simulate") and message.startswith("No such option: --size"):
         hint = "the size is that of the patterns: `lightmatrix patterns KIND --size ...`"
+    if message.startswith("Missing option '--geometry'"):
+        hint = "`lightmatrix calibrate` writes one, and `simulate` into its capture: geometry.json"
     choice = re.search(r"'([^']*)' is not one of (.*)", message)
     if choice:
         near = get_close_matches(choice[1], re.findall(r"'([^']*)'", choice[2]), n=1)

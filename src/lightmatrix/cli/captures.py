@@ -52,15 +52,17 @@ def check(*, source: Source, as_json: Json = False) -> None:
     nothing is wrong, and with 1 otherwise. Stripes are a note, not a fault.
     """
     findings = source.check()
+    faults = [finding for finding in findings if not finding.is_note]
     if as_json:
         show_json({"findings": [finding.as_dict() for finding in findings]})
-    elif findings:
-        for finding in findings:
+    else:
+        for finding in faults:
             say(as_options(f"{finding.kind}: {finding.message}"), style="yellow")
             say(as_options(f"  {finding.advice}"))
-    else:
-        say("nothing is wrong")
-    if not all(finding.is_note for finding in findings):
+        notes = [f"note: {note.message}" for note in findings[len(faults) :]]
+        for line in ["nothing is wrong"] * (not faults) + notes:
+            say(line)
+    if faults:
         raise typer.Exit(1)
 
 

@@ -43,13 +43,7 @@ class Source:
     automatic: frozenset[str] = frozenset()
 
     def open(self, *, finds_projector: bool = False) -> Capture:
-        """The capture, not binned; its patterns may be grey values if the caller finds their light.
-
-        Raises
-        ------
-        InputError
-            If their light is to be found, but the caller does not.
-        """
+        """The capture, not binned; patterns of unknown light only if `finds_projector`."""
         if self.folder is None:
             assert self.patterns is not None
             assert self.images is not None
@@ -185,6 +179,9 @@ def read_source(
                 f"{capture} and {photographs} were given, and --patterns or --images too",
                 hint="give patterns and images once",
             )
+        if capture is not None and (capture / "patterns").is_dir():
+            hint = f"give {capture} alone, or its patterns and photographs; an output follows -o"
+            raise InputError(f"{capture} holds photographs: what is {photographs}?", hint=hint)
         capture, patterns, images = None, capture, photographs
     if capture is not None:
         automatic = {k for k in ("response", "projector_response") if stated.get(k) == AUTO}

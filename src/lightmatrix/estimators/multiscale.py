@@ -149,7 +149,7 @@ class _Strips(Work):
         )
         count = np.full(problem.rows, len(candidates), np.int32)
         rows = rows_with_diagnostics(samples, result, candidates=count)
-        return replace(rows, coefficients=coefficients)
+        return replace(rows, coefficients=coefficients).rounded()
 
     @cached_property
     def _scales(self) -> list[Scale]:

@@ -111,7 +111,7 @@ class PlainRows(Work):
         samples = self.capture.samples(start, stop)
         problem = self.estimator.problem(self.capture.patterns, samples, self.regularization)
         result = solve(problem, self.estimator.solver, progress=progress)
-        rows = rows_with_diagnostics(samples, result)
+        rows = rows_with_diagnostics(samples, result).rounded()
         if not self.estimator.judged:
             return rows
         return with_certainty(rows, samples, problem.patterns, start, self.capture.rows)

@@ -61,8 +61,8 @@ def check(
     Returns
     -------
     list of Finding
-        Empty if nothing seems wrong. Fewer than 12 frames, and scenes without direct light, reveal
-        little about order, motion and the rig.
+        Faults, then notes. Fewer than 12 frames, and scenes without direct light, reveal little
+        about order, motion and the rig.
 
     Raises
     ------
@@ -81,9 +81,9 @@ def check(
     ['frame 1 and frame 2 look swapped']
     """
     findings, read = check_source(capture, patterns, images, settings, crop)
-    if read is None:
-        return findings
-    return findings + rig_findings(read, findings)
+    if read is not None:
+        findings += rig_findings(read, findings)
+    return sorted(findings, key=lambda finding: finding.is_note)
 
 
 def rig_findings(

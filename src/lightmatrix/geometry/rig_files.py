@@ -52,13 +52,15 @@ def read_rig(path: Path) -> Values:
     Fields of `RigGeometry`, unchecked, or with "rotation" arguments of `from_intrinsics`, of which
     "camera_shape" and "projector_shape" may be missing.
     """
+    if (path / "geometry.json").is_file():
+        path /= "geometry.json"
     files = [path]
     if path.is_dir():
         endings = (".yml", ".yaml", ".xml", ".json")
         files = sorted(each for each in path.iterdir() if each.suffix.lower() in endings)
         if len(files) != 2:
             raise InputError(
-                f"{path}: holds {len(files)} files of a calibration",
+                f"{path}: holds no geometry.json, and not two files of a calibration",
                 hint="give one file, or a folder with two: intrinsics.yml and extrinsics.yml of "
                 "OpenCV, or camera.yaml and projector.yaml of ROS",
             )
@@ -81,6 +83,9 @@ def _content(file: Path) -> Values:
     try:
         if start == b"MATLAB 5":
             return dict(scipy.io.loadmat(file, simplify_cells=True))
+        # Of arrays, images and point clouds.
+        if b"\0" in start or start.startswith((b"PK", b"ply")):
+            return {}
         text = read_text(file).strip()
         model = re.search(r"distortion_model\W+(\w+)", text)
         if model and model[1] not in ("plumb_bob", "rational_polynomial"):

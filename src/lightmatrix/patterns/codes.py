@@ -25,6 +25,8 @@ _LEVEL = 1 / 255
 # A place that the samples leave open is looked for within this many lines. Chosen by hand: a camera
 # that resolves 8 projector pixels leaves three bits open.
 _OPEN = 16
+# Where samples clip, places are tried in steps of this many lines. Chosen by hand, for its time.
+_FINE = 0.25
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,6 +66,11 @@ class Code:
         lines = np.full(1 << len(self.bits), -1)
         lines[lit @ (1 << np.arange(len(self.bits)))] = np.arange(len(lit))
         return lines
+
+    @property
+    def paired(self) -> bool:
+        """Whether the values are bits with inverses."""
+        return min((inverse for _, inverse in self.bits), default=-1) >= 0
 
     @property
     def block(self) -> int:
@@ -123,12 +130,8 @@ def find_codes(patterns: PatternSet) -> Codes:
             hint="estimate T from them with `estimate`",
         )
     uniform = np.flatnonzero(stripes.axes == NOTHING)
-    levels = [float(stripes.profiles[k][0]) for k in uniform]
-    white = black = None
-    if levels and max(levels) > 1 - _LEVEL:
-        white = int(uniform[int(np.argmax(levels))])
-    if levels and min(levels) < _LEVEL:
-        black = int(uniform[int(np.argmin(levels))])
+    white = next((int(k) for k in uniform if stripes.profiles[k][0] > 1 - _LEVEL), None)
+    black = next((int(k) for k in uniform if stripes.profiles[k][0] < _LEVEL), None)
     ends = [(k, value) for k, value in ((white, 1), (black, 0)) if k is not None]
     found = tuple(
         _code(stripes, axis, ends) for axis in (COLUMNS, ROWS) if (stripes.axes == axis).any()
@@ -258,7 +261,7 @@ def correlate(code: Code, samples: Singles) -> tuple[Indices, NDArray[np.float64
 def read_code(codes: Codes, code: Code, values: Singles, clipped: NDArray[np.bool_]) -> Reading:
     """What camera pixels with samples (m, K) see along the axis of a code.
 
-    Where some sample is `clipped` (m,), samples fit badly, but bits are still right.
+    Samples that are `clipped` (m, K) are lower bounds, which bits with inverses endure.
 
     A camera pixel that sees parts of two neighbouring lines has samples that are a mixture of their
     values: least squares gives the shares (and the constant light).
@@ -269,7 +272,7 @@ def read_code(codes: Codes, code: Code, values: Singles, clipped: NDArray[np.boo
         line = codes.lines(code, np.ascontiguousarray(values.T), np.arange(values.shape[1]))
     else:
         (line, other), shares = correlate(code, samples)
-    known = np.maximum(line, 0)
+    known, free = np.maximum(line, 0), ~clipped[:, code.frames]
     own = samples - samples.mean(axis=1, keepdims=True)
     energy = np.einsum("ij,ij->i", own, own).astype(np.float64)
     offset, light, fit = _mixture(code, own, known)
@@ -280,11 +283,10 @@ def read_code(codes: Codes, code: Code, values: Singles, clipped: NDArray[np.boo
     slope = np.maximum(change, 1e-6)[known] * np.maximum(light, 1e-12)
     place, uncertainty = known + offset, np.sqrt(variance) / slope
     wide = np.flatnonzero((line >= 0) & (uncertainty > 0.2))
-    step = max(1, (1 << 24) // ((2 * _OPEN + 1) * k))
-    for part in (wide[start : start + step] for start in range(0, len(wide), step)):
+    for part in np.array_split(wide, 1 + len(wide) * k // (1 << 19)):
         mean, spread = _open_place(code, own[part], known[part], variance[part])
         # Within two lines their mixture is more exact.
-        moves = (spread > 0.75) & ~clipped[part]
+        moves = (spread > 0.75) & free[part].all(axis=1)
         place[part] = np.where(moves, mean, place[part])
         uncertainty[part] = np.hypot(uncertainty[part], spread)
     if not code.bits:
@@ -293,13 +295,19 @@ def read_code(codes: Codes, code: Code, values: Singles, clipped: NDArray[np.boo
         odds = ((1 - np.maximum(explained, shares[0])) / (1 - shares[1])) ** ((k - 2) / 2)
         rival = np.abs(other - line) * np.sqrt(odds) / (1 + odds)
         uncertainty = np.hypot(uncertainty, np.where(odds > 0.01, rival, 0))
+    evidence = _evidence(code, own, known, explained)
+    bounded = np.flatnonzero((line >= 0) & ~free.all(axis=1) & (not code.paired))
+    for part in np.array_split(bounded, 1 + len(bounded) * k // (1 << 17)):
+        near = [known[part], *correlate(code, samples[part])[0]]
+        place[part], uncertainty[part] = _bounded_place(code, samples[part], free[part], near)
+        explained[part] *= _FINE / np.sqrt(12) / uncertainty[part]
     width = np.diff(code.starts)[known]
     return Reading(
         np.where(line >= 0, code.places(place), np.nan),
         light,
         explained,
         np.sqrt((uncertainty * width) ** 2 + (width**2 - 1) / 12),
-        _evidence(code, own, known, explained),
+        evidence,
     )
 
 
@@ -352,6 +360,38 @@ def _open_place(
     weight /= weight.sum(axis=1, keepdims=True)
     mean = (weight * near).sum(axis=1)
     return mean, np.sqrt((weight * (near - mean[:, None]) ** 2).sum(axis=1))
+
+
+def _bounded_place(
+    code: Code, samples: Singles, free: NDArray[np.bool_], lines: list[Indices]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Mean and standard deviation of the places around `lines`, (m,) each, by their likelihoods.
+
+    Samples (m, k) that are not `free` are lower bounds: they count where a place explains less.
+    """
+    places = np.concatenate([line[:, None] + np.arange(-2, 2.01, _FINE) for line in lines], axis=1)
+    first = np.clip(places.astype(np.int64), 0, len(code.values) - 2)
+    share = np.asarray(places - first, np.float32)[..., None]
+    values = (1 - share) * code.values[first] + share * code.values[first + 1]
+    counted, light = np.ones(values.shape, np.float32), np.zeros(1, np.float32)
+    # Which bounds count settles within five rounds. The light stays where only bounds tell of it.
+    for _ in range(5):
+        counted /= np.maximum(counted.sum(axis=2, keepdims=True), 1)
+        centred = values - (counted * values).sum(axis=2, keepdims=True)
+        rest = samples[:, None] - (counted * samples[:, None]).sum(axis=2, keepdims=True)
+        light = (counted * centred * rest).sum(axis=2, keepdims=True) + 1e-4 * light
+        light = np.maximum(light / ((counted * centred**2).sum(axis=2, keepdims=True) + 1e-4), 1e-3)
+        rest -= light * centred
+        counted = np.asarray(free[:, None] | (rest > 0), np.float32)
+    energy = (counted * rest**2).sum(axis=2, dtype=np.float64)
+    energy[(places < 0) | (places > len(code.values) - 1)] = np.inf
+    least = energy.min(axis=1, keepdims=True)
+    noise = np.maximum(least / np.maximum(free.sum(axis=1, keepdims=True) - 3, 1), USUAL_NOISE**2)
+    # Much light is less likely; of its powers, the square errs least on four overexposed scenes.
+    weight = np.exp((least - energy) / (2 * noise)) / light[..., 0] ** 2
+    weight /= weight.sum(axis=1, keepdims=True)
+    mean = (weight * places).sum(axis=1)
+    return mean, np.sqrt((weight * (places - mean[:, None]) ** 2).sum(axis=1) + _FINE**2 / 12)
 
 
 def _evidence(

@@ -272,13 +272,7 @@ _BITS = 8
 
 
 def check_order(patterns: PatternSet, order: str) -> None:
-    """Refuse an order of the primaries that names not each once, and patterns in grey or colour.
-
-    Raises
-    ------
-    InputError
-        On either of them.
-    """
+    """Refuse an order of the primaries that names not each once, and patterns in grey or colour."""
     if sorted(order) != sorted(_CHANNELS):
         hint = "use grb for TI's LightCrafter 4500, or rgb, bgr, ... for other boards"
         raise InputError(f"bit planes in the order {order!r}", hint=hint)

@@ -110,7 +110,10 @@ def _triangulated(transport: LightTransport, geometry: RigGeometry | None) -> tu
     """Maps of depth and normals, if the geometry of the rig is known."""
     if geometry is None:
         return ()
-    shape = triangulate(transport, geometry)
+    try:
+        shape = triangulate(transport, geometry)
+    except InputError as error:
+        return (Text(f"There is no shape: {error.message}."),)
     if not shape.kept.any():
         return (Text("No camera pixel sees light on its epipolar line, so there is no shape."),)
     summary = shape.summary()

@@ -79,13 +79,7 @@ class Rig:
             self.projector.close()
 
     def persistently(self, work: Callable[[], Returned]) -> Returned:
-        """Do some work, and begin it anew if the camera was lost meanwhile.
-
-        Raises
-        ------
-        DeviceError
-            If the camera is lost three times, or not back within a minute.
-        """
+        """Do some work, and begin it anew if the camera was lost meanwhile, up to twice."""
         for _ in range(2):
             try:
                 return work()
@@ -96,13 +90,7 @@ class Rig:
         return work()
 
     def recover(self) -> None:
-        """Open a lost camera again, once it is back; it is looked for every second.
-
-        Raises
-        ------
-        DeviceError
-            If it is not back within a minute.
-        """
+        """Open a lost camera again, once it is back; it is looked for every second of a minute."""
         deadline = self.clock.now() + 60
         with suppress(DeviceError):
             self.camera.close()

@@ -53,9 +53,9 @@ def decode(
     -------
     Correspondence
         Pixel, place, confidence, uncertainty of the place and direct light of each camera pixel.
-        The confidence is the share of the samples' variance that the code explains; where two of
-        the four neighbours see places nearby, all of it counts, and none where no neighbour does.
-        Where the patterns vary along columns only, rows are -1 and NaN, and vice versa.
+        The confidence is the share of the samples' variance that the code explains, less where
+        clipped samples leave the place open; where no neighbour sees a place nearby, it is 0, and
+        half where one does. Of patterns along columns only, rows are -1 and NaN, and vice versa.
 
     Warns
     -----
@@ -107,7 +107,7 @@ def decode(
         if channels > 1:
             values = values.reshape(-1, channels, opened.count).sum(axis=1)
         rows = slice(start // channels, start // channels + len(values))
-        clipped = np.asarray(tile.clipped.reshape(len(values), -1).any(axis=1))
+        clipped = np.asarray(tile.clipped.reshape(len(values), channels, -1).any(axis=1))
         readings = {code.axis: read_code(codes, code, values, clipped) for code in codes.codes}
         # A camera pixel sees the projector if its direct light exceeds five standard deviations of
         # a decent camera's noise, and noise alone resembles a code as well once in a thousand.

@@ -28,10 +28,11 @@ def millimetres(geometry: RigGeometry) -> float:
     """Millimetres in the unit of a geometry, or an InputError."""
     known = {"mm": 1.0, "cm": 10.0, "m": 1000.0, "in": 25.4, "ft": 304.8}
     if (factor := known.get(geometry.units or "")) is None:
-        given = f"the unit {geometry.units!r}" if geometry.units else "an unknown unit"
+        given = f"is {geometry.units!r}" if geometry.units else "is unknown"
         raise InputError(
-            f"a depth in millimetres of a geometry in {given}",
-            hint=f"calibrate in one of {', '.join(known)}, or write the depth as .tif",
+            f"depths cannot be converted to millimetres: the unit of the geometry {given}",
+            hint="write the depth as .tif or .npy, in that unit; or calibrate with a length in "
+            f"{', '.join(known)}",
         )
     return factor
 

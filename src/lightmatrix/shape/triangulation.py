@@ -10,16 +10,22 @@ from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter
 
 from lightmatrix.capture.capture import Capture
-from lightmatrix.errors import InputError
+from lightmatrix.errors import InputError, warn
 from lightmatrix.files.kinds import CLOUD, DEPTH, PICTURE
 from lightmatrix.files.writing import atomic_files, check_output
 from lightmatrix.geometry.rig_geometry import Array, RigGeometry, load_rig
 from lightmatrix.paths import as_path
 from lightmatrix.shape.shape import Shape, ShapeTest, millimetres, surface_normals
-from lightmatrix.shape.spots import check_thresholds, seen_by, surface_probability
+from lightmatrix.shape.spots import Seen, check_thresholds, seen_by, surface_probability
 from lightmatrix.transport.correspondence import Correspondence
 from lightmatrix.transport.matrix import LightTransport
 from lightmatrix.transport.store import open_matches
+
+# What makes light come from beside its epipolar line.
+_CAUSES = (
+    "is this the geometry of this rig, and of images that are neither binned nor cropped? Are the "
+    "photographs in the order of the patterns, and neither mirrored nor turned?"
+)
 
 
 def triangulate(
@@ -69,11 +75,16 @@ def triangulate(
     Shape
         Depth, points, normals, albedo and uncertainty of each camera pixel.
 
+    Warns
+    -----
+    LightMatrixWarning
+        If much of the light comes from beside the epipolar lines, or few points are probable.
+
     Raises
     ------
     InputError
-        If the geometry has other image sizes, a file is damaged, a threshold is out of range, or no
-        point is found for a file.
+        If the geometry has other image sizes or hardly any light comes from its epipolar lines, a
+        file is damaged, a threshold is out of range, or no point is found for a file.
     OutputError
         If a file exists or cannot be written.
 
@@ -98,6 +109,7 @@ def triangulate(
         millimetres(rig)
     seen = seen_by(source, rig)
     grid, probability = seen.grid, surface_probability(seen, tolerance)
+    _check_fit(seen, probability, tolerance)
     chosen = np.arange(len(probability)), probability.argmax(axis=1)
     found = probability[chosen]
     place, away, light = seen.place[chosen], seen.away[chosen], seen.light[chosen]
@@ -130,8 +142,7 @@ def triangulate(
     if outputs and not shape.kept.any():
         raise InputError(
             f"no point is found; pixels by the test that they fail: {shape.summary()['pixels']}",
-            hint="OFF_LINE and BEHIND: is this the geometry of this rig, and of images that are "
-            "neither binned nor cropped? NO_LIGHT: is the scene lit?",
+            hint=f"NO_LIGHT: is the scene lit? Others: {_CAUSES}",
         )
     with atomic_files(outputs, overwrite=overwrite) as parts:
         for kind, part in zip(outputs.values(), parts, strict=True):
@@ -140,6 +151,31 @@ def triangulate(
             else:
                 shape.write(part, mesh=mesh)
     return shape
+
+
+def _check_fit(seen: Seen, probability: Array, tolerance: float) -> None:
+    """Refuse or warn of a geometry that does not fit where camera pixels see their light."""
+    strongest = np.arange(len(seen.light)), seen.light.argmax(axis=1)
+    away = np.abs(seen.away[strongest])
+    lit = np.isfinite(away) & (seen.light[strongest] > 0)
+    # A few pixels may all see a reflection.
+    if lit.sum() < 100:
+        return
+    near, median = float(np.mean(away[lit] <= 1)), float(np.median(away[lit]))
+    probable = float(np.mean(probability[lit].max(axis=1) >= 0.5))
+    # Of 11 scenes, from T and from codes, blurred and noisy, and of a real board, 71 % (polished
+    # balls) to 100 % lie so near, 80 to 100 % give a probable point, and the median is 0.18 pixels
+    # at most. Mirrored, turned or shuffled, 0 to 11 % lie so near.
+    if min(near, probable) >= 0.5 and median <= 0.5:
+        return
+    message = (
+        f"{100 * near:.0f} % of the camera pixels see their light within a projector pixel of "
+        f"their epipolar line ({median:.2g} from it in the median, usually below 0.2), and "
+        f"{100 * probable:.0f} % give a point that is probably right to {100 * tolerance:g} %"
+    )
+    if near < 0.12:
+        raise InputError(message, hint=_CAUSES)
+    warn(f"{message}\n  {_CAUSES}")
 
 
 def geometry_of(

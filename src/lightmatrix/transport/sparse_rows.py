@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, Self
 
 import numpy as np
@@ -53,6 +53,19 @@ class SparseRows:
         """The same rows in single precision."""
         coefficients = csr_array(self.coefficients, dtype=np.float32)
         return SparseRows(coefficients, self.background.astype(np.float32), self.diagnostics)
+
+    def rounded(self) -> SparseRows:
+        """The rows in single precision with 12 significant bits, which take half the disk.
+
+        Entries err by 0.00024 of themselves at most, the background by as much of the row's
+        largest: far less than any estimate does.
+        """
+        rows = self.single()
+        bits = rows.coefficients.data.view(np.uint32)
+        rows.coefficients.data = ((bits + 0x800) & 0xFFFFF000).view(np.float32)
+        largest = np.abs(rows.background).max(axis=1, keepdims=True, initial=0)
+        step = np.exp2(np.frexp(largest)[1] - 12).astype(np.float32)
+        return replace(rows, background=np.rint(rows.background / step) * step)
 
     @classmethod
     def joined(cls, parts: Sequence[SparseRows]) -> SparseRows:

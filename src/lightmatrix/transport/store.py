@@ -45,6 +45,8 @@ from lightmatrix.files.zarr_arrays import (
     write_parts,
 )
 from lightmatrix.paths import as_path
+from lightmatrix.patterns.folder import read_patterns
+from lightmatrix.patterns.stripes import is_separable
 from lightmatrix.ranges import check_type
 from lightmatrix.regions import Region
 from lightmatrix.resources.memory import check_memory
@@ -228,6 +230,9 @@ def open_matches(
             names = set(archive.namelist())
     if suffix in (".png", ".exr") or names & {f"{CORRESPONDENCE_MARK}.npy", "x.npy"}:
         return read_correspondence(path)
+    if (path / "patterns").is_dir() and is_separable(read_patterns(path / "patterns")):
+        hint = f"`lightmatrix decode {path}` finds what each camera pixel sees: give its file"
+        raise InputError(f"{path}: is a capture under stripes", hint=hint)
     return open(path)
 
 

@@ -274,7 +274,7 @@ class Rounds(Work):
             whole += solved.cells
         pixels = rows_with_diagnostics(samples, solved)
         expanded = solver.atoms.expand(pixels.coefficients)
-        pixels = replace(pixels, coefficients=expanded, background=whole.astype(np.float32))
+        pixels = replace(pixels, coefficients=expanded, background=whole).rounded()
         if misfit is None or missed is None:
             return pixels
         length = solver.backgrounds.lengths(pixels)
