@@ -49,8 +49,6 @@ All errors are `LightMatrixError`, and all warnings `LightMatrixWarning`. `__ini
 public name. Each is loaded when it is first used.
 """
 
-from __future__ import annotations
-
 import difflib
 import sys
 import types

@@ -3,8 +3,6 @@
 Whatever ends a command becomes one message on standard error and an exit code, in `report`.
 """
 
-from __future__ import annotations
-
 import errno
 import functools
 import io

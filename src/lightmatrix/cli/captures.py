@@ -1,7 +1,5 @@
 """`lightmatrix convert`, `check` and `pack`: a capture before its estimate."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Literal
 

@@ -1,7 +1,5 @@
 """The help of a command: the usual options, or all of them after --help-all."""
 
-from __future__ import annotations
-
 import re
 from typing import Any
 

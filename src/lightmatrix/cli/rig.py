@@ -1,7 +1,5 @@
 """`lightmatrix rig` and `project`: devices, their measurements, and pictures on a projector."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping
 from dataclasses import asdict
 from pathlib import Path

@@ -1,7 +1,5 @@
 """`lightmatrix scenes`, `render`, `simulate` and `demo`: known matrices, and their photographs."""
 
-from __future__ import annotations
-
 from collections import Counter
 from pathlib import Path
 from typing import Literal

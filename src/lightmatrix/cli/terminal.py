@@ -3,8 +3,6 @@
 Text is never read as markup: brackets and colons in file names appear as they are.
 """
 
-from __future__ import annotations
-
 import json
 import math
 import re

@@ -1,7 +1,5 @@
 """The base class of all estimators: it plans an estimate, solves its tiles and joins them."""
 
-from __future__ import annotations
-
 import platform
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
