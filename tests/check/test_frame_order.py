@@ -22,7 +22,9 @@ from lightmatrix.errors import InputError
 from lightmatrix.patterns.bits import BernoulliPatterns
 from lightmatrix.patterns.blocks import BlockPatterns
 from lightmatrix.patterns.hadamard import HadamardPatterns
+from lightmatrix.patterns.making import make_patterns
 from lightmatrix.patterns.pattern_set import ImagePatterns, PatternSet
+from lightmatrix.simulation.simulate import simulate
 from tests.check.test_inverse_pairs import gray_code
 from tests.helpers.surface import CAMERA, PROJECTOR, photographs, surface
 
@@ -77,6 +79,19 @@ def test_good_captures_pass(count: int, exposure: float) -> None:
 )
 def test_good_captures_of_other_patterns_pass(patterns: PatternSet) -> None:
     follow(capture(patterns, exposure=1.5, noise=0.02))
+
+
+@pytest.mark.parametrize(
+    ("scene", "order", "count"), [("l_objects", "random", 64), ("corner", "natural", 256)]
+)
+def test_part_of_the_hadamard_patterns_is_in_order(scene: str, order: str, count: int) -> None:
+    """They are far more alike in places, and less so as a whole, than random patterns."""
+    patterns = make_patterns("hadamard", (64, 64), count=count, order=order)
+    taken = simulate(scene, patterns, exposure=0.3, noise=0.001)
+    assert {each.kind for each in check_capture(taken)} <= {"patterns"}
+    frames = np.stack([taken.frames.read(k) for k in swapped(count, 10, 40)])
+    found = check_capture(Capture.from_arrays(patterns, frames, taken.decoder))
+    assert [each.frames for each in found if each.kind == "frame"] == [(10, 40)]
 
 
 def test_a_diffuse_scene_is_left_alone() -> None:

@@ -76,7 +76,7 @@ class _Limits:
     # frames it must reach this, so that photographs which follow would exceed `follows` clearly.
     clear: float = 8.0
     # Random patterns have cosines of about 1 / sqrt(pixels). Patterns whose cosines vary by less
-    # than this share of that (Hadamard, single pixels) are never said to be unrelated.
+    # than this share of that (Hadamard, single pixels) are never said to be unrelated or exchanged.
     random: float = 0.3
 
 
@@ -326,7 +326,10 @@ class Relation:
 
     @cached_property
     def exchanged(self) -> dict[int, int]:
-        """Which frames show the pattern of which other one."""
+        """Which frames show the pattern of which other one, if the patterns are random."""
+        exchanged: dict[int, int] = {}
+        if not self.random:
+            return exchanged
         matches = self._matches(self.frames, self.frames)
         feature, variant = np.unravel_index(int(matches.argmax()), matches.shape)
         off = ~np.eye(len(self.frames), dtype=bool)
@@ -343,7 +346,6 @@ class Relation:
         alike /= max(float(alike[off].std()), 1e-9)
         own, others = np.diag(alike), np.where(off, alike, -np.inf)
         best, (third, most) = others.argmax(axis=1), np.sort(others, axis=1)[:, -2:].T
-        exchanged: dict[int, int] = {}
         # Most frames must be more like their own patterns than like any other.
         if np.median(own) < np.median(most):
             return exchanged
@@ -359,15 +361,19 @@ class Relation:
         return exchanged
 
     @property
+    def random(self) -> bool:
+        """Whether the cosines of the patterns differ as those of random ones do."""
+        off = ~np.eye(len(self.frames), dtype=bool)
+        return bool(self.features[0][off].std() > _LIMITS.random / np.sqrt(self.pixels))
+
+    @property
     def unrelated(self) -> bool:
         """Whether nothing of the patterns is in the photographs, although it would show."""
         count = len(self.frames)
-        off = ~np.eye(count, dtype=bool)
-        random = self.features[0][off].std() > _LIMITS.random / np.sqrt(self.pixels)
         pairs = count * (count - 1) / 2
         clear = len(self.samples) / self.patterns.pixels * pairs > _LIMITS.clear**2
         visible = self.contrasted or self._agreement > _LIMITS.agree
-        return bool(clear and random and visible and self.as_they_are < _LIMITS.follows)
+        return bool(clear and self.random and visible and self.as_they_are < _LIMITS.follows)
 
     @property
     def parted(self) -> bool:
@@ -375,7 +381,7 @@ class Relation:
         late = self.frames >= self.patterns.count // 2
         # At most 256 frames are compared: beyond 496 frames, too few lie in the later half. Halves
         # that light different places, such as single pixels row by row, have little in common.
-        if late.sum() < 8 or self.overlap < 0.5:
+        if late.sum() < 8 or self.overlap < 0.5 or not self.random:
             return False
         same = late[:, None] == late
         # A camera pixel that sees another place from there on has another brightness.
