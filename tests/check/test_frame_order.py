@@ -240,7 +240,7 @@ def test_words_with_a_survey() -> None:
     one = check_counts(survey(13), 32, images(*range(13), *range(14, 32)))
     assert one.frames == (13,)
     # Names that give the time, in text order, take no memory.
-    assert check_counts(survey(13), 32, images(*range(0, 31 * 10**15, 10**15))).frames == (13,)
+    assert check_counts(survey(13), 32, images(*range(0, 31 * 10**18, 10**18))).frames == (13,)
     # Two are missing: the survey is of no use.
     assert check_counts(survey(13), 32 + 1, names).frames == ()
 

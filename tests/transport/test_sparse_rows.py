@@ -36,7 +36,7 @@ def same(one: SparseRows, other: SparseRows) -> None:
         assert values.dtype == other.diagnostics[name].dtype
 
 
-@given(st.integers(0, 2**32 - 1), st.floats(1e-6, 1e6))
+@given(st.integers(0, 2**32 - 1), st.sampled_from([1e-30, 1e-6, 1.0, 1e6]))
 def test_rounded_rows_err_by_little(seed: int, scale: float) -> None:
     random = np.random.default_rng(seed)
     data, background = scale * random.lognormal(sigma=3, size=(2, 4, 6))

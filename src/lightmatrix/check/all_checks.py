@@ -46,7 +46,7 @@ from lightmatrix.resources.threads import one_blas_thread, side_by_side
 
 # Fewer frames, or fewer camera pixels that can be predicted, tell no fault from chance.
 _FEWEST_FRAMES, _FEWEST_ROWS = 12, 20
-# A photograph has as many levels, since it has noise.
+# A photograph has at least so many levels, since it has noise; a drawn image has fewer.
 _NOISY = 24
 # If more than a quarter of the frames are odd, the cause is not in single frames.
 _MOST_ODD = 0.25
@@ -118,7 +118,7 @@ def check_counts(survey: Survey | None, patterns: int, images: Sequence[Path]) -
     digits = ["".join(c for c in path.stem if c.isdecimal() and c.isascii()) for path in images]
     numbers = [int(each) for each in digits if each]
     whole = range(min(numbers, default=0), max(numbers, default=0) + 1)
-    gaps = len(whole) - len({*numbers})
+    gaps = whole.stop - whole.start - len({*numbers})
     # Names count in steps, and have no gaps, if they leave out more than a quarter.
     if gaps and len(numbers) == count and 4 * gaps <= count:
         absent = sorted({*whole}.difference(numbers))
@@ -327,20 +327,19 @@ def check_interchanged(survey: Survey) -> list[Finding]:
 
 
 def check_copies(survey: Survey, name: Callable[[int], str]) -> list[Finding]:
-    """Which photographs are the same to the last level, although their patterns differ.
-
-    Two photographs differ at least by their noise.
-    """
+    """Which photographs are the same to the last level, although their patterns differ."""
     alike: dict[bytes, list[int]] = {}
     for k in range(survey.count):
         alike.setdefault(sha256(survey.raw[:, k].tobytes()).digest(), []).append(k)
     findings = []
-    for frames in alike.values():
-        first, *others = (survey.patterns.rows(k, k + 1) for k in frames)
-        # Where all is dark or clips, there is no noise.
-        if len(np.unique(survey.raw[:, frames[0]])) < _NOISY or all(
-            np.array_equal(first, other) for other in others
-        ):
+    for frames in (each for each in alike.values() if len(each) > 1):
+        shown = (survey.patterns.rows(k, k + 1) for k in frames)
+        first, raw = next(shown), survey.raw[:, frames[0]]
+        # Where all is dark or clips, there is no noise. Rendered photographs have none either: all
+        # that the camera sees of a pattern may be white, or black.
+        ends = [bool((raw == end(axis=1)).all()) for end in (survey.raw.min, survey.raw.max)]
+        alike_patterns = all(np.array_equal(first, other) for other in shown)
+        if len(np.unique(raw)) < _NOISY or ends[0] != ends[1] or alike_patterns:
             continue
         message = (
             f"{join_names([name(k) for k in frames])} are the same photograph, to the last level, "

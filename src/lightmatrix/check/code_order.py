@@ -307,7 +307,7 @@ def check_uniform(lattice: CodeLattice, name: Name) -> list[Finding]:
 
     Nearly all pixels are then as bright, or as dark, as they ever are. Without a coarse bit, half
     of the places are mirrored; without a fine one, neighbours see nearer to each other than without
-    another. A camera that sees only the white part of a pattern shows the first alone.
+    another. A camera that sees only the white part of a pattern shows bright pixels alone.
     """
     codes = lattice.codes.codes
     used = np.unique(np.concatenate([each.frames[np.ptp(each.values, 0) > 0] for each in codes]))
@@ -344,18 +344,25 @@ def _folding(lattice: CodeLattice, code: Code, plain: NDArray[np.int64]) -> list
     if min((turns > 0).sum(), (turns < 0).sum()) < max(0.15 * np.abs(turns).sum(), 40):
         return []
     far = lattice.pairs[:, lattice.neighbours :]
-    apart = {}
+
+    def apart(lines: NDArray[np.int64]) -> float:
+        one, other = lines.ravel()[far]
+        # Words that do not occur are no likely places.
+        steps = np.where((one < 0) | (other < 0), 8, np.abs(one - other))
+        return float(np.minimum(steps, 8).mean())
+
+    unfolded = {}
     for k in np.intersect1d(plain, code.frames):
         # Its bit the other way round: dark comes first, and last, bright.
         unread = lattice.lines(code, np.where(frames == k, -1, frames))[0]
         turned = unread[0 if lattice.shares[k].mean() > 0.5 else -1].reshape(3, -1)
         # Either way round may be the right one.
-        for turn in (1, -1):
-            one, other = np.where(turns == turn, turned, line).ravel()[far]
-            # Words that do not occur are no likely places.
-            steps = np.where((one < 0) | (other < 0), 8, np.abs(one - other))
-            apart[k, turn] = float(np.minimum(steps, 8).mean())
-    return [int(min(apart, key=apart.__getitem__)[0])] if apart else []
+        unfolded[int(k)] = min(apart(np.where(turns == t, turned, line)) for t in (1, -1))
+    # Where noise, or a rough surface, turns single pixels, it tears their neighbours apart by far
+    # more: 2.9 to 6.6 times in healthy captures, at most 2.2 times in those with such a frame; with
+    # phases 0.98 and more against 0.94.
+    most = (2.5 if code.bits else 0.97) * apart(line)
+    return [k for k in unfolded if unfolded[k] == min(unfolded.values()) < most]
 
 
 def _orders(lattice: CodeLattice, name: Name) -> Iterator[tuple[FrameOrder, list[Finding]]]:

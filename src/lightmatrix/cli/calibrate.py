@@ -1,7 +1,5 @@
 """`lightmatrix calibrate` and `response`: the geometry and the curves of a rig."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 from typing import Any, Literal

@@ -1,7 +1,5 @@
 """`lightmatrix compensate`: the pattern under which the camera sees a wanted picture."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any, Literal
 

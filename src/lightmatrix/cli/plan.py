@@ -1,7 +1,5 @@
 """`lightmatrix plan` and `patterns`: what to photograph, and the patterns as images."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Literal
 

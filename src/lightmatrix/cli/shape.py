@@ -1,7 +1,5 @@
 """`lightmatrix decode`, `triangulate`, `layers` and `map`: where light comes from and goes."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

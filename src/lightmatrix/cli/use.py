@@ -1,7 +1,5 @@
 """`lightmatrix info`, `evaluate`, `show`, `view`, `relight`, `separate` and `export`: uses of T."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from contextlib import ExitStack
 from functools import cache

@@ -297,7 +297,7 @@ def read_code(codes: Codes, code: Code, values: Singles, clipped: NDArray[np.boo
         uncertainty = np.hypot(uncertainty, np.where(odds > 0.01, rival, 0))
     evidence = _evidence(code, own, known, explained)
     bounded = np.flatnonzero((line >= 0) & ~free.all(axis=1) & (not code.paired))
-    for part in np.array_split(bounded, 1 + len(bounded) * k // (1 << 17)):
+    for part in np.array_split(bounded, 1 + len(bounded) * k // (1 << 13)):
         near = [known[part], *correlate(code, samples[part])[0]]
         place[part], uncertainty[part] = _bounded_place(code, samples[part], free[part], near)
         explained[part] *= _FINE / np.sqrt(12) / uncertainty[part]

@@ -171,7 +171,8 @@ def _check_fit(seen: Seen, probability: Array, tolerance: float) -> None:
     # to 100 % give a probable point; where the median exceeded a tenth of a pixel, it changed a
     # depth by 0.4 % at most. Mirrored, turned or shuffled, 0 to 11 % lie so near.
     fits = median <= 0.1 or changed <= tolerance / 2
-    if fits and min(near, probable) >= 0.5:
+    # A strict tolerance makes points improbable, whatever the geometry.
+    if fits and near >= 0.5 and (probable >= 0.5 or tolerance < 0.01):
         return
     message = (
         f"the geometry does not fit: camera pixels see their light {median:.2g} projector pixels "

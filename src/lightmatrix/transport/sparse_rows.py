@@ -64,7 +64,7 @@ class SparseRows:
         bits = rows.coefficients.data.view(np.uint32)
         rows.coefficients.data = ((bits + 0x800) & 0xFFFFF000).view(np.float32)
         largest = np.abs(rows.background).max(axis=1, keepdims=True, initial=0)
-        step = np.exp2(np.frexp(largest)[1] - 12).astype(np.float32)
+        step = np.exp2(np.maximum(np.frexp(largest)[1], -100) - 12).astype(np.float32)
         return replace(rows, background=np.rint(rows.background / step) * step)
 
     @classmethod
