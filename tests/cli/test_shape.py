@@ -79,8 +79,8 @@ def test_two_exchanged_photographs_give_no_points(
     assert "warning: mirrored" in capsys.readouterr().err
     assert main(f"triangulate {tmp_path}/c.npz {GEOMETRY}".split()) == 2
     said = capsys.readouterr().err
-    assert re.search(r"error: 3 % of the camera pixels .* epipolar line \(18 from it", said)
-    assert "order of the patterns, and neither mirrored" in said
+    assert re.search(r"error: the geometry does not fit: .* light 18 projector pixels off", said)
+    assert "in order, and neither mirrored nor turned" in said
 
 
 def test_a_note_is_one_line_after_what_is_wrong(
