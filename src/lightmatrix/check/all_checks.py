@@ -46,7 +46,7 @@ from lightmatrix.resources.threads import one_blas_thread, side_by_side
 
 # Fewer frames, or fewer camera pixels that can be predicted, tell no fault from chance.
 _FEWEST_FRAMES, _FEWEST_ROWS = 12, 20
-# A photograph has at least so many levels, since it has noise; a drawn image has fewer.
+# A photograph has at least so many different levels, since it has noise; drawn images have fewer.
 _NOISY = 24
 # If more than a quarter of the frames are odd, the cause is not in single frames.
 _MOST_ODD = 0.25
@@ -267,8 +267,10 @@ def check_distinguishable(patterns: PatternSet) -> list[Finding]:
     """Whether the patterns can tell several footprints in a row, and single pixels, apart."""
     if is_separable(patterns):
         message = "stripes suffice for correspondence and shape (`decode`), but not for all of T"
-        advice = "for T project random patterns too: where a pixel sees several places, stripes "
-        advice += "cannot tell them from the crossings of their rows and columns"
+        advice = (
+            "for T project random patterns too: where a pixel sees several places, stripes cannot "
+            "tell them from the crossings of their rows and columns"
+        )
         return [Finding("stripes", (), message, advice)]
     unlit = int((patterns.squares == 0).sum()) if lights_one(patterns) else 0
     if unlit:
@@ -335,8 +337,8 @@ def check_copies(survey: Survey, name: Callable[[int], str]) -> list[Finding]:
     for frames in (each for each in alike.values() if len(each) > 1):
         shown = (survey.patterns.rows(k, k + 1) for k in frames)
         first, raw = next(shown), survey.raw[:, frames[0]]
-        # Where all is dark or clips, there is no noise. Rendered photographs have none either: all
-        # that the camera sees of a pattern may be white, or black.
+        # Photographs that are dark all over, or clip, show no noise. Rendered ones have none
+        # either: they are alike if all that the camera sees of their patterns is white, or black.
         ends = [bool((raw == end(axis=1)).all()) for end in (survey.raw.min, survey.raw.max)]
         alike_patterns = all(np.array_equal(first, other) for other in shown)
         if len(np.unique(raw)) < _NOISY or ends[0] != ends[1] or alike_patterns:

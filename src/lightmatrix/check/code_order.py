@@ -358,9 +358,9 @@ def _folding(lattice: CodeLattice, code: Code, plain: NDArray[np.int64]) -> list
         turned = unread[0 if lattice.shares[k].mean() > 0.5 else -1].reshape(3, -1)
         # Either way round may be the right one.
         unfolded[int(k)] = min(apart(np.where(turns == t, turned, line)) for t in (1, -1))
-    # Where noise, or a rough surface, turns single pixels, it tears their neighbours apart by far
-    # more: 2.9 to 6.6 times in healthy captures, at most 2.2 times in those with such a frame; with
-    # phases 0.98 and more against 0.94.
+    # Unfolded by the frame that is wrong, bits place neighbours at most 2.2 times as far apart. In
+    # healthy captures, where noise or a rough surface turns single pixels, it is 2.9 to 6.6 times.
+    # For phases the factors are at most 0.94, and 0.98 and more.
     most = (2.5 if code.bits else 0.97) * apart(line)
     return [k for k in unfolded if unfolded[k] == min(unfolded.values()) < most]
 

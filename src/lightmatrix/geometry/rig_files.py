@@ -83,7 +83,7 @@ def _content(file: Path) -> Values:
     try:
         if start == b"MATLAB 5":
             return dict(scipy.io.loadmat(file, simplify_cells=True))
-        # Of arrays, images and point clouds.
+        # Files of arrays, images and point clouds begin so, and hold no geometry.
         if b"\0" in start or start.startswith((b"PK", b"ply")):
             return {}
         text = read_text(file).strip()

@@ -176,7 +176,7 @@ def _check_fit(seen: Seen, probability: Array, tolerance: float) -> None:
         return
     message = (
         f"the geometry does not fit: camera pixels see their light {median:.2g} projector pixels "
-        f"off their epipolar lines in the median, which as far along them changes a depth by "
+        "off their epipolar lines in the median; as much along the lines changes a depth by "
         f"{100 * changed:.2g} %; {100 * near:.0f} % see it within a pixel, and "
         f"{100 * probable:.0f} % give a point that is probably right to {100 * tolerance:g} %"
     )
