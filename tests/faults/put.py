@@ -17,7 +17,7 @@ from typing import Any, Concatenate, ParamSpec
 import numpy as np
 import zarr
 from numpy.typing import NDArray
-from zarr.codecs import Crc32cCodec
+from zarr.codecs import BloscCodec, Crc32cCodec
 
 from lightmatrix.files.zarr_arrays import SMALL
 from lightmatrix.transport.store import seal
@@ -212,7 +212,7 @@ def rewrite(store: Path, name: str, values: NDArray[Any]) -> None:
         shape=values.shape,
         chunks=tuple(max(1, n) for n in values.shape),
         dtype=values.dtype,
-        compressors=[SMALL, Crc32cCodec()],
+        compressors=[BloscCodec(**SMALL), Crc32cCodec()],
         config={"write_empty_chunks": True},
     )
     made[...] = values

@@ -7,8 +7,8 @@ import shutil
 from collections.abc import Callable
 from pathlib import Path
 
+import lazy_loader
 import numpy as np
-import zarr
 
 from lightmatrix.capture.capture import Capture, open_capture
 from lightmatrix.capture.folder import write_description
@@ -21,6 +21,8 @@ from lightmatrix.files.zarr_arrays import create_array
 from lightmatrix.paths import as_path
 from lightmatrix.progress import Progress
 from lightmatrix.resources.memory import check_disk_space
+
+zarr = lazy_loader.load("zarr")
 
 # Bytes of one chunk. Chosen by hand: small enough that a tile of camera pixels reads little more
 # than its own samples, and large enough to compress well.

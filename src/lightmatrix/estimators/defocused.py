@@ -20,9 +20,8 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.ndimage import correlate1d
-from scipy.optimize import minimize_scalar
 from scipy.sparse import csr_array
 
 from lightmatrix import _core
@@ -83,7 +82,7 @@ def _is_soft(capture: Capture) -> bool:
     values = some.samples(0, some.rows).values.reshape(*some.camera_shape[:2], -1, some.count)
     values = values - values.mean(axis=-1, keepdims=True)
     near, far = (
-        sum(float(np.square(correlate1d(values, kernel, axis)).sum()) for axis in (0, 1))
+        sum((scipy.ndimage.correlate1d(values, kernel, axis) ** 2).sum() for axis in (0, 1))
         for kernel in ([1, -2, 1], [1, 0, -2, 0, 1])
     )
     return near < 0.6 * far
@@ -120,7 +119,7 @@ def _found_kernel(capture: Capture, first: LightTransport, held: HeldOut) -> Arr
         if least > most:
             return None
     around, exact = (best / 1.4, best * 1.4), {"xatol": 0.03 * best}
-    found = minimize_scalar(misses, args=(shape,), bounds=around, method="bounded", options=exact)
+    found = scipy.optimize.minimize_scalar(misses, args=(shape,), bounds=around, options=exact)
     before = energy * np.nanmean(first.diagnostics["prediction_error"][inner.ravel()] ** 2)
     return shape(found.x if found.fun < least else best) if found.fun < before else None
 

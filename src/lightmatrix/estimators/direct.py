@@ -15,8 +15,8 @@ from dataclasses import dataclass, replace
 from typing import ClassVar
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.ndimage import convolve1d
 from scipy.sparse import csr_array
 
 from lightmatrix.capture.capture import Capture
@@ -102,8 +102,9 @@ class _Inverted(PlainRows):
 
         def mean(values: NDArray[np.float32]) -> NDArray[np.float32]:
             image = values.reshape(-1, cols, self._line // cols, values.shape[1])
+            box = np.full(side, 1 / side)
             for axis in (0, 1):
-                image = convolve1d(image, np.full(side, 1 / side), axis, mode="constant")
+                image = scipy.ndimage.convolve1d(image, box, axis, mode="constant")
             return image.reshape(values.shape)
 
         squares, noise = np.square(entries, dtype=np.float32), variances.astype(np.float32)

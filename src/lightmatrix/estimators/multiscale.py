@@ -8,8 +8,8 @@ from functools import cached_property
 from typing import ClassVar
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.ndimage import binary_dilation
 from scipy.sparse import csr_array
 
 from lightmatrix.capture.capture import Capture
@@ -56,7 +56,7 @@ def active_blocks(
         count = len(candidates)
     active = np.zeros(grid, bool)
     active.ravel()[candidates[np.argsort(-score, kind="stable")[:count]]] = True
-    return np.asarray(binary_dilation(active, np.ones((3, 3), bool)))
+    return np.asarray(scipy.ndimage.binary_dilation(active, np.ones((3, 3), bool)))
 
 
 def grid_of(shape: tuple[int, int], block: int) -> tuple[int, int]:

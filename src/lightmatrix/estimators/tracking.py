@@ -18,8 +18,8 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.ndimage import uniform_filter
 from scipy.sparse import csr_array
 
 from lightmatrix.capture.capture import Capture, capture_of_samples, open_capture
@@ -308,7 +308,7 @@ class Tracker:
     def _around(self, values: NDArray[Any]) -> NDArray[np.float64]:
         """Means over squares of three camera pixels a side, (M,)."""
         image = values.reshape(self._camera).astype(np.float64)
-        return np.asarray(uniform_filter(image, (3, 3, 1), mode="nearest").ravel())
+        return np.asarray(scipy.ndimage.uniform_filter(image, (3, 3, 1), mode="nearest").ravel())
 
     def _changes(self, missed: NDArray[np.float32]) -> NDArray[np.bool_]:
         """The rows that have changed by now, (M,)."""

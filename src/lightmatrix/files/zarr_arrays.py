@@ -15,26 +15,30 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
+import lazy_loader
 import numpy as np
-import zarr
 from numcodecs import Blosc
 from numcodecs.checksum32 import CRC32C
 from numpy.typing import NDArray
-from zarr.codecs import BloscCodec, Crc32cCodec
 
 from lightmatrix.errors import InputError
 from lightmatrix.files.kinds import printable
 from lightmatrix.files.reading import check_version, parse_json, read_text, regular_file
 from lightmatrix.resources.threads import side_by_side, work_ahead
 
+if TYPE_CHECKING:
+    import zarr.codecs
+else:
+    zarr = lazy_loader.load("zarr")
+
 HEADER = "zarr.json"
 # Values of a chunk unless the caller chooses another size.
 CHUNK = 1 << 20
 # SMALL takes a tenth less space than QUICK, which is decoded in a third of the time.
-SMALL = BloscCodec(cname="zstd", clevel=3, shuffle="shuffle")
-QUICK = BloscCodec(cname="lz4hc", clevel=5, shuffle="shuffle")
+SMALL: Mapping[str, Any] = {"cname": "zstd", "clevel": 3, "shuffle": "shuffle"}
+QUICK: Mapping[str, Any] = {"cname": "lz4hc", "clevel": 5, "shuffle": "shuffle"}
 # The header of a Blosc chunk: version and flags, then three sizes, first that of its content.
 _BLOSC = struct.Struct("<4xI8x")
 # Python's words where there is no memory left for a thread, which is no damage.
@@ -47,7 +51,7 @@ def create_array(
     shape: tuple[int, ...],
     dtype: Any,
     chunks: tuple[int, ...],
-    blosc: BloscCodec = SMALL,
+    blosc: Mapping[str, Any] = SMALL,
 ) -> zarr.Array[Any]:
     """Begin an array of a group; `blosc` is `QUICK` for arrays whose reading someone waits for."""
     return group.create_array(
@@ -56,7 +60,7 @@ def create_array(
         chunks=chunks,
         dtype=dtype,
         # The checksum notices truncated chunks, which Blosc may take for whole ones.
-        compressors=[blosc, Crc32cCodec()],
+        compressors=[zarr.codecs.BloscCodec(**blosc), zarr.codecs.Crc32cCodec()],
         # Chunks of zeros are written too, so that a missing chunk is noticed.
         config={"write_empty_chunks": True},
     )
@@ -67,7 +71,7 @@ def write_parts(
     parts: Iterable[Mapping[str, NDArray[Any]]],
     rows: int,
     chunk: int | None = None,
-    blosc: BloscCodec = SMALL,
+    blosc: Mapping[str, Any] = SMALL,
 ) -> None:
     """Write arrays of unknown lengths from parts that follow each other along the first axis.
 

@@ -5,11 +5,11 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
+import scipy
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 from numpy.typing import NDArray
-from scipy.sparse.linalg import aslinearoperator, svds
 
 from lightmatrix.pictures.maps import Map, correspondence_maps, light_map
 from lightmatrix.pictures.style import (
@@ -102,8 +102,10 @@ def spectrum(transport: LightTransport) -> dict[str, NDArray[Any]]:
     matrix = transport.to_matrix(dense_background=least == 1)
     if least == 1 or not (matrix.nnz or transport.background.any()):
         return {"values": np.array([np.linalg.norm(matrix.data)])}
-    operator, count = aslinearoperator(transport), min(50, least - 1)
-    values = svds(operator, count, v0=np.ones(least), return_singular_vectors=False)
+    operator, count = scipy.sparse.linalg.aslinearoperator(transport), min(50, least - 1)
+    values = scipy.sparse.linalg.svds(
+        operator, count, v0=np.ones(least), return_singular_vectors=False
+    )
     return {"values": np.sort(values)[::-1]}
 
 

@@ -4,8 +4,7 @@ from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
-from scipy.interpolate import RegularGridInterpolator
-from scipy.ndimage import gaussian_filter
+import scipy
 
 from lightmatrix.capture.capture import Capture
 from lightmatrix.capture.found_response import raised, with_response
@@ -98,12 +97,14 @@ def _around(capture: Capture, power: float = 0.0) -> Callable[[Array], Array]:
         # Black patterns may have none, or less than none by noise.
         mean = right.mean(axis=(0, 1))
         mean = np.maximum(mean, max(1e-3 * float(mean.mean()), 1e-12))
-        around = gaussian_filter(right, (radius, radius, 0), mode="nearest").clip(0) / mean
+        around = scipy.ndimage.gaussian_filter(right, (radius, radius, 0), mode="nearest")
         # A hundredth of the mean is the faintest light whose logarithm is trusted.
-        around = np.log(around + 0.01)
+        around = np.log(around.clip(0) / mean + 0.01)
         right = light * np.exp(power * around)
     centres = [(np.arange(n) + 0.5) * side / m for n, m in zip(light.shape, size, strict=False)]
-    whole = RegularGridInterpolator(centres, around, bounds_error=False, fill_value=None)
+    whole = scipy.interpolate.RegularGridInterpolator(
+        centres, around, bounds_error=False, fill_value=None
+    )
     return lambda places: np.asarray(whole(np.moveaxis(places, 0, -1)))
 
 

@@ -8,8 +8,8 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.ndimage import spline_filter1d
 
 from lightmatrix.capture.capture import Capture
 from lightmatrix.capture.samples import Samples
@@ -214,7 +214,7 @@ def displaced(images: NDArray[Any], shift: Array) -> NDArray[Any]:
 
 def _coefficients(images: NDArray[Any], axis: int, reach: int) -> list[NDArray[Any]]:
     """Coefficients of splines through images, up to `reach` before and after each inner place."""
-    coefficients = spline_filter1d(images, 3, axis, output=images.dtype, mode="mirror")
+    coefficients = scipy.ndimage.spline_filter1d(images, 3, axis, images.dtype, "mirror")
     length = images.shape[axis] - 2 * MARGIN
     starts = range(MARGIN - reach, MARGIN + reach + 1)
     return [np.take(coefficients, np.arange(start, start + length), axis) for start in starts]

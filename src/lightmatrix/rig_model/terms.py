@@ -9,8 +9,8 @@ from functools import partial
 from typing import Any
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.ndimage import correlate
 
 from lightmatrix.rig_model.frames import (
     Ambient,
@@ -70,7 +70,8 @@ _RINGS = np.stack([np.add.outer(_SQUARES, _SQUARES) == square for square in (1, 
 def _differences(images: NDArray[Any]) -> NDArray[Any]:
     """What images (n, rows, cols, ...) differ by from each ring around a pixel, (3, n, ...)."""
     rings = _RINGS.reshape(3, 1, 5, 5, *[1] * (images.ndim - 3))
-    return np.stack([images - correlate(images, ring, mode="nearest") for ring in rings])
+    around = [scipy.ndimage.correlate(images, ring, mode="nearest") for ring in rings]
+    return images - np.stack(around)
 
 
 class Sharpening(Term):

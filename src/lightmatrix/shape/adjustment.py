@@ -10,9 +10,8 @@ each other; compared with the corners, they would take over the camera's errors.
 from dataclasses import dataclass
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.optimize import least_squares
-from scipy.spatial.transform import Rotation
 
 from lightmatrix.errors import InputError
 from lightmatrix.files.extras import load_opencv
@@ -69,7 +68,7 @@ def rms_of(errors: Array) -> float:
 
 def largest_turn(poses: Array) -> float:
     """The largest angle between two poses of the board, in degrees."""
-    normals = Rotation.from_rotvec(poses[:, :3]).as_matrix()[:, :, 2]
+    normals = scipy.spatial.transform.Rotation.from_rotvec(poses[:, :3]).as_matrix()[:, :, 2]
     return float(np.degrees(np.arccos(np.abs(normals @ normals.T).clip(0, 1).min())))
 
 
@@ -114,7 +113,7 @@ def fit_board(seen: Array, lit: Array, board: Array, camera_shape: Size) -> Fit:
         # No geometry explains corners that are off by more.
         if settled or usual.max() > 3:
             break
-    turns = Rotation.from_rotvec(poses[:, :3]).as_matrix()
+    turns = scipy.spatial.transform.Rotation.from_rotvec(poses[:, :3]).as_matrix()
     corners = board @ turns.transpose(0, 2, 1) + poses[:, None, 3:]
     depths = [(corners @ _turn(devices[d]).T + devices[d][9:])[..., 2] for d in of_device]
     behind = bool((np.stack(depths)[use] <= 0).any())
@@ -137,7 +136,7 @@ class _System:
 
     def errors(self, devices: Array, poses: Array) -> Array:
         """How far all pairs are from their places, of the same shape; NaN where it is not known."""
-        turns = Rotation.from_rotvec(poses[:, :3]).as_matrix()
+        turns = scipy.spatial.transform.Rotation.from_rotvec(poses[:, :3]).as_matrix()
         corners = self.board @ turns.transpose(0, 2, 1) + poses[:, None, 3:]
         normals = turns[:, :, 2]
         offsets = (normals * poses[:, 3:]).sum(axis=1)
@@ -174,7 +173,9 @@ class _System:
 
         # Steps that turn a point behind a device are not finite, and are shortened.
         with np.errstate(all="ignore"):
-            found = least_squares(distances, known[free], x_scale="jac", max_nfev=100, loss=loss)
+            found = scipy.optimize.least_squares(
+                distances, known[free], x_scale="jac", max_nfev=100, loss=loss
+            )
         spare = max(len(found.fun) - int(free.sum()), 1)
         variances = np.zeros(len(known))
         covariance = np.linalg.pinv(found.jac.T @ found.jac, hermitian=True)
@@ -232,7 +233,7 @@ def _resected(points: Array, places: Array) -> Array:
 
 
 def _numbers(intrinsics: Array, turn: Array, shift: Array) -> Array:
-    vector = Rotation.from_matrix(turn).as_rotvec()
+    vector = scipy.spatial.transform.Rotation.from_matrix(turn).as_rotvec()
     focal = np.diag(intrinsics)[:2]
     return np.concatenate([focal, intrinsics[:2, 2], np.zeros(2), vector, shift])
 
@@ -243,7 +244,7 @@ def _intrinsics(device: Array) -> Array:
 
 
 def _turn(device: Array) -> Array:
-    return np.asarray(Rotation.from_rotvec(device[6:9]).as_matrix())
+    return np.asarray(scipy.spatial.transform.Rotation.from_rotvec(device[6:9]).as_matrix())
 
 
 def _lens(device: Array) -> Array:

@@ -22,9 +22,8 @@ from pathlib import Path
 from typing import Any, Literal, get_args
 
 import numpy as np
+import scipy
 from numpy.typing import ArrayLike, NDArray
-from scipy.optimize import least_squares
-from scipy.spatial.transform import Rotation
 
 from lightmatrix.capture.capture import Capture, open_capture
 from lightmatrix.errors import InputError, OutputError, warn
@@ -823,7 +822,7 @@ def _pose(
             if len(numbers) > 7:
                 own[1, 2] += numbers[7] * projector_shape[0]
             moved_shift = shift + numbers[3:6]
-            rotation = Rotation.from_rotvec(numbers[:3]).as_matrix() @ turn
+            rotation = scipy.spatial.transform.Rotation.from_rotvec(numbers[:3]).as_matrix() @ turn
             return own, rotation, moved_shift / np.linalg.norm(moved_shift)
 
         def distances(numbers: Array, parts: Any = parts) -> Array:
@@ -834,7 +833,7 @@ def _pose(
 
         first = np.zeros(6 if projector is not None else 7 if row is None else 8)
         spread = max(float(np.median(np.abs(distances(first)))), 1e-3)
-        found = least_squares(distances, first, loss="soft_l1", f_scale=spread)
+        found = scipy.optimize.least_squares(distances, first, loss="soft_l1", f_scale=spread)
         rms = float(np.sqrt((distances(found.x) ** 2).mean()))
         # Errors of neighbours are alike: all matches tell as much as a hundred that are not.
         inverse = np.linalg.pinv(found.jac.T @ found.jac / len(seen) * 100)

@@ -6,8 +6,8 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.ndimage import uniform_filter
 
 from lightmatrix.capture.capture import Capture
 from lightmatrix.errors import InputError, warn
@@ -121,9 +121,8 @@ def triangulate(
     kept = test == ShapeTest.KEPT
     # The root mean square of the distances from the line within 5 x 5 pixels. No depth is called
     # exact: no estimate of a rendered scene was closer than 0.01 pixels.
-    sums = [
-        uniform_filter(each.reshape(grid), 5) for each in (np.where(kept, away**2, 0), kept * 1.0)
-    ]
+    both = np.stack([np.where(kept, away**2, 0), kept * 1.0]).reshape(2, *grid)
+    sums = scipy.ndimage.uniform_filter(both, (1, 5, 5))
     spread = np.sqrt(np.maximum(sums[0] / np.maximum(sums[1], 0.02), 0.01**2)).ravel()
     uncertainty = seen.slope[chosen] * spread
 

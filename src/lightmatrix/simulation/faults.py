@@ -11,8 +11,8 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.ndimage import affine_transform, gaussian_filter
 
 from lightmatrix.errors import InputError
 from lightmatrix.patterns.colour import ColourPatterns
@@ -46,7 +46,7 @@ def _projector_curve(shown: Images, shots: _Shots) -> Images:
 
 
 def _sharpening(shown: Images, shots: _Shots) -> Images:
-    blurred = gaussian_filter(shown, (0, 1, 0, 1), mode="nearest")
+    blurred = scipy.ndimage.gaussian_filter(shown, (0, 1, 0, 1), mode="nearest")
     return (shown + shots.amount * (shown - blurred)).clip(0, 1)
 
 
@@ -107,13 +107,13 @@ def _exposure(light: Images, shots: _Shots) -> Images:
 
 
 def _camera_sharpening(light: Images, shots: _Shots) -> Images:
-    blurred = gaussian_filter(light, (0, 1, 1, 0), mode="nearest")
+    blurred = scipy.ndimage.gaussian_filter(light, (0, 1, 1, 0), mode="nearest")
     return (light + np.float32(shots.amount) * (light - blurred)).clip(0)
 
 
 def _tone_mapping(light: Images, shots: _Shots) -> Images:
     mean = light.mean(axis=(1, 2, 3), keepdims=True) + np.float32(1e-9)
-    around = gaussian_filter(light, (0, 4, 4, 0), mode="nearest").clip(0)
+    around = scipy.ndimage.gaussian_filter(light, (0, 4, 4, 0), mode="nearest").clip(0)
     # A hundredth of the mean keeps the gain of black surroundings finite.
     gain = ((around + mean / 100) / mean) ** np.float32(-shots.amount)
     return np.asarray(light * gain)
@@ -272,7 +272,7 @@ def _moved(light: Images, moves: NDArray[np.float64], shape: tuple[int, ...]) ->
         matrix = np.eye(2) - move[:, :2]
         offset = middle - matrix @ middle - move[:, 2]
         for channel in range(image.shape[2]):
-            result[..., channel] = affine_transform(
+            result[..., channel] = scipy.ndimage.affine_transform(
                 image[..., channel], matrix, offset, order=3, mode="nearest"
             )
     # A spline swings below zero beside a bright edge, which light does not.

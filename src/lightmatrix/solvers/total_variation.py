@@ -17,8 +17,8 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.fft import dctn, idctn
 from scipy.sparse import csr_array
 
 from lightmatrix.defaults import ADMM_ITERATIONS
@@ -156,9 +156,9 @@ def adjoint(g: NDArray[Any]) -> NDArray[Any]:
 def _filtered(pictures: NDArray[Any]) -> NDArray[Any]:
     """(2 I + D' D)^-1 of pictures: D' D is diagonal under the cosine transform."""
     rows, cols = (2 - 2 * np.cos(np.pi * np.arange(n) / n) for n in pictures.shape[1:])
-    spectrum = dctn(pictures, axes=(1, 2), norm="ortho")
+    spectrum = scipy.fft.dctn(pictures, axes=(1, 2), norm="ortho")
     spectrum /= (2 + rows[:, None] + cols).astype(pictures.dtype)
-    return np.asarray(idctn(spectrum, axes=(1, 2), norm="ortho", overwrite_x=True))
+    return np.asarray(scipy.fft.idctn(spectrum, axes=(1, 2), norm="ortho", overwrite_x=True))
 
 
 def _flat(rows: NDArray[Any]) -> NDArray[Any]:

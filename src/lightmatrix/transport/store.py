@@ -18,11 +18,10 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any, Self
 
+import lazy_loader
 import numpy as np
-import zarr
 from numpy.typing import NDArray
 from scipy.sparse import csr_array
-from zarr.codecs import BloscCodec
 
 from lightmatrix.errors import InputError
 from lightmatrix.files.colours import COLOURS, colour_paths, instead_of
@@ -62,6 +61,8 @@ from lightmatrix.transport.sparse_rows import (
     checked_shape,
     row_blocks,
 )
+
+zarr = lazy_loader.load("zarr")
 
 FORMAT, VERSION = "lightmatrix-transport", 1
 # The arrays of the group, besides those of diagnostics/, and the types of their values.
@@ -126,7 +127,7 @@ def save_rows(
 
 def fill_store(
     folder: Path, arrays: Iterable[Mapping[str, NDArray[Any]]], shapes: Mapping[str, Any],
-    provenance: Mapping[str, Any], chunk: int | None = None, blosc: BloscCodec = SMALL,
+    provenance: Mapping[str, Any], chunk: int | None = None, blosc: Mapping[str, Any] = SMALL,
 ) -> None:  # fmt: skip
     """Write a matrix into an empty folder, from parts of its arrays as `write_parts` takes them."""
     group = zarr.open_group(folder, mode="w", zarr_format=3)

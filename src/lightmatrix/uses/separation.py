@@ -15,9 +15,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
 from scipy.sparse import csr_array
-from scipy.spatial import cKDTree
 
 from lightmatrix.errors import InputError
 from lightmatrix.files.images import given_image, read_grey
@@ -367,7 +367,7 @@ def outshone_spots(
     asked = np.flatnonzero(doubtful)
     if not asked.size:
         return outshone
-    found = cKDTree(place).query_ball_point(place[asked], _TUNING.same_place)
+    found = scipy.spatial.cKDTree(place).query_ball_point(place[asked], _TUNING.same_place)
     counts = np.array([len(near) for near in found])
     near = np.concatenate(found).astype(np.int64)
     own = np.repeat(np.arange(len(asked)), counts)

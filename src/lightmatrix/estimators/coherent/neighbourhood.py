@@ -14,8 +14,8 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.ndimage import median_filter, uniform_filter
 from scipy.sparse import csr_array
 
 from lightmatrix import _core
@@ -82,7 +82,7 @@ def measure_jacobian(
         for i in (0, 1):
             slope = np.where(outliers, np.float32(usual[i]), slopes[i])
             size = (JACOBIAN.window, JACOBIAN.window, 1)
-            median = median_filter(slope, size=size, mode="nearest")
+            median = scipy.ndimage.median_filter(slope, size=size, mode="nearest")
             alike = np.abs(slope - median) <= JACOBIAN.alike
             finer = mean_around(slope, alike, JACOBIAN.finer_window)
             result[..., 2 * i + axis] = np.where(np.isnan(finer), median, finer)
@@ -134,7 +134,7 @@ def _commonest(steps: list[NDArray[np.int64]], reach: int) -> tuple[float, float
         return None
     flat = (steps[0][near] + reach) * side + steps[1][near] + reach
     counts = np.bincount(flat, minlength=side * side).reshape(side, side).astype(np.float64)
-    sums = uniform_filter(counts, 3, mode="constant")
+    sums = scipy.ndimage.uniform_filter(counts, 3, mode="constant")
     r, c = np.unravel_index(int(sums.argmax()), sums.shape)
     around = np.pad(counts, 1)[r : r + 3, c : c + 3]
     down, right = np.mgrid[-1:2, -1:2]
@@ -232,8 +232,9 @@ class CameraGrid:
 def mean_around(image: NDArray[Any], known: NDArray[np.bool_], side: int) -> NDArray[np.float64]:
     """Means of the known values in squares around pixels, (rows, cols, channels), or NaN."""
     window = (side, side, 1)
-    sums = uniform_filter(np.where(known, image, 0).astype(np.float64), window, mode="nearest")
-    shares = uniform_filter(known.astype(np.float64), window, mode="nearest")
+    filled = np.where(known, image, 0).astype(np.float64)
+    sums = scipy.ndimage.uniform_filter(filled, window, mode="nearest")
+    shares = scipy.ndimage.uniform_filter(known.astype(np.float64), window, mode="nearest")
     with np.errstate(invalid="ignore", divide="ignore"):
         return np.where(shares > 1e-9, sums / shares, np.nan)
 

@@ -10,8 +10,8 @@ from itertools import pairwise
 from typing import Any
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.ndimage import maximum_filter
 from scipy.sparse import csr_array
 
 from lightmatrix.capture.capture import Capture
@@ -56,7 +56,7 @@ def unsettled(rows: SparseRows, camera: tuple[int, int, int]) -> NDArray[np.bool
     """Which rows of a whole camera have a change around them, (M,)."""
     change = rows.diagnostics[CHANGE].reshape(camera)
     side = 2 * REACH + 1
-    around = maximum_filter(change, size=(side, side, 1), mode="nearest")
+    around = scipy.ndimage.maximum_filter(change, size=(side, side, 1), mode="nearest")
     # A row has settled if no row around it changed by more than this share of its light. Measured
     # on procedural scenes: after three rounds at a spacing a tenth to a quarter of the rows are
     # unsettled.

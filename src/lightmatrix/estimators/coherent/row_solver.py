@@ -12,8 +12,8 @@ from functools import lru_cache
 from itertools import pairwise, product
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.fft import irfft2, next_fast_len, rfft2
 from scipy.sparse import csr_array
 
 from lightmatrix import _core
@@ -149,14 +149,14 @@ def _halos(shape: tuple[int, int], grid: tuple[int, int]) -> NDArray[np.float32]
     kernel = 1 / (down**2 + right**2 + (WALL * max(rows, cols)) ** 2) ** 2
     # Convolution by scipy.fft, as importing scipy.signal takes a second.
     sides = zip(kernel.shape, (rows, cols), strict=True)
-    fast = [next_fast_len(n + m - 1, True) for n, m in sides]
-    spread = rfft2(kernel, fast)
+    fast = [scipy.fft.next_fast_len(n + m - 1, True) for n, m in sides]
+    spread = scipy.fft.rfft2(kernel, fast)
     pooling = cell_means(shape, grid)
     result = np.empty((rows * cols, pooling.shape[0]), np.float32)
     for cell, (first, last) in enumerate(pairwise(pooling.indptr)):
         # The number of the cell's pixels in each square.
         counts = np.bincount(square[pooling.indices[first:last]], minlength=rows * cols)
-        light = irfft2(rfft2(counts.reshape(rows, cols), fast) * spread, fast)
+        light = scipy.fft.irfft2(scipy.fft.rfft2(counts.reshape(rows, cols), fast) * spread, fast)
         near = light[rows - 1 : 2 * rows - 1, cols - 1 : 2 * cols - 1]
         result[:, cell] = np.maximum(near, 0).ravel()
     result.setflags(write=False)
