@@ -8,6 +8,7 @@ from typing import Any
 
 import matplotlib as mpl
 import numpy as np
+from matplotlib.colors import BoundaryNorm, ListedColormap
 from matplotlib.figure import Figure
 from matplotlib.ticker import FixedLocator, NullLocator
 from numpy.typing import NDArray
@@ -103,3 +104,12 @@ def panel(axes: Any, image: NDArray[Any], title: str = "", **options: Any) -> An
     for spine in axes.spines.values():
         spine.set(visible=True, color="0.6", linewidth=0.5)
     return artist
+
+
+def kinds_panel(axes: Any, kinds: NDArray[np.integer], names: Sequence[str], title: str) -> None:
+    """Draw an image of the numbers of at most five kinds, the first usual, beside their names."""
+    colours = ListedColormap(("#f2f2f2", "#404040", *COLOURS[:3]))
+    norm = BoundaryNorm(np.arange(len(names) + 1) - 0.5, len(names))
+    image = panel(axes, kinds, title, cmap=colours, norm=norm, vmin=None, vmax=None)
+    scale = axes.inset_axes((1.03, 0, 0.05, 1))
+    axes.figure.colorbar(image, cax=scale, ticks=range(len(names))).set_ticklabels(names)

@@ -17,6 +17,7 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
+from lightmatrix import pictures
 from lightmatrix.capture.camera_curve import Response, nearest_gamma, range_end
 from lightmatrix.capture.exposures import lit_samples, share_of_white
 from lightmatrix.capture.frames import ArrayStack, Frames
@@ -28,7 +29,6 @@ from lightmatrix.files.kinds import PICTURE, RESPONSE
 from lightmatrix.files.stacks import ImageStack
 from lightmatrix.files.writing import check_output
 from lightmatrix.patterns.projector_curve import ProjectorResponse
-from lightmatrix.pictures.style import COLOURS, Picture, figure
 from lightmatrix.ranges import as_float, check_positive, real_array, real_numbers
 from lightmatrix.reprs import ShortRepr
 
@@ -485,18 +485,18 @@ def _draw(
     gamma: float,
     device: str,
     residuals: NDArray[np.float64] | None = None,
-) -> Picture:
+) -> pictures.style.Picture:
     """The measured curve of a device beside known ones, and the residuals of a camera's."""
-    count = 1 if residuals is None else 2
-    with figure(3.7 * count, 3.2) as drawing:
+    count, colours = 1 if residuals is None else 2, pictures.style.COLOURS
+    with pictures.style.figure(3.7 * count, 3.2) as drawing:
         curve, *others = drawing.subplots(1, count, squeeze=False)[0]
         style = "o-" if len(levels) < 100 else "-"
-        curve.plot(levels, light, style, color=COLOURS[0], markersize=4, label="measured")
+        curve.plot(levels, light, style, color=colours[0], markersize=4, label="measured")
         share = np.linspace(0, 1, 256)
         places = levels[-1] * share
         curve.plot(places, share, color="0.6", linewidth=1, label="linear")
         label = f"gamma {gamma:.2f}"
-        curve.plot(places, share**gamma, ":", color=COLOURS[1], linewidth=1.2, label=label)
+        curve.plot(places, share**gamma, ":", color=colours[1], linewidth=1.2, label=label)
         word = "grey value" if device == "projector" else "raw level"
         curve.set(xlabel=word, ylabel="light", title=f"Response of the {device}")
         curve.legend()
@@ -504,7 +504,7 @@ def _draw(
             assert residuals is not None
             deviations.axhline(0, color="0.7", linewidth=0.8)
             middles, off = residuals
-            deviations.plot(middles, 100 * off, "o-", color=COLOURS[1], markersize=4)
+            deviations.plot(middles, 100 * off, "o-", color=colours[1], markersize=4)
             most = max(1.0, 120 * max(abs(off), default=0.0))
             deviations.set(
                 xlabel="light", ylabel="% of full light", xlim=(0, 1), ylim=(-most, most),

@@ -9,15 +9,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from lightmatrix import pictures
 from lightmatrix.errors import InputError
 from lightmatrix.files.extras import write_exr
 from lightmatrix.files.kinds import CLOUD, IMAGE, PICTURE
 from lightmatrix.files.writing import atomic_files, check_output
 from lightmatrix.geometry.rig_geometry import RigGeometry
 from lightmatrix.paths import as_path
-from lightmatrix.pictures.maps import Map
-from lightmatrix.pictures.style import Picture, display, figure, panel, white_level
-from lightmatrix.pictures.transport import draw_into
 from lightmatrix.reprs import ShortRepr
 from lightmatrix.shape.shape import depth_map, write_cloud
 from lightmatrix.shape.spots import check_thresholds, seen_by, surface_probability
@@ -75,7 +73,7 @@ class Layers(ShortRepr):
             write_exr(part, values.reshape(*values.shape[:2], -1), names)
 
     @property
-    def depth_maps(self) -> list[Map]:
+    def depth_maps(self) -> list[pictures.maps.Map]:
         """Depth of the first surface and of the one behind it, in the colours of one scale."""
         scale = depth_map(self.depth, self.geometry.units)
         titles = "Depth of the first surface", "Depth of the surface behind it"
@@ -86,14 +84,15 @@ class Layers(ShortRepr):
         """Light of mirrors and other surfaces under a white pattern, (rows, cols)."""
         return np.where(self.mirrored, self.light, np.float32(0)).sum(axis=-1)
 
-    def show(self) -> Picture:
+    def show(self) -> pictures.style.Picture:
         """A Matplotlib figure: the nearest surface, the one behind it, and what mirrors show."""
-        with figure(11, 3.4) as drawing:
+        style = pictures.style
+        with style.figure(11, 3.4) as drawing:
             *surfaces, mirrors = drawing.subplots(1, 3)
             for axes, shown in zip(surfaces, self.depth_maps, strict=True):
-                draw_into(drawing, axes, shown)
+                pictures.transport.draw_into(drawing, axes, shown)
             light = self.mirrored_light
-            panel(mirrors, display(light, white_level(light)), "Light by mirrors")
+            style.panel(mirrors, style.display(light, style.white_level(light)), "Light by mirrors")
         return drawing
 
 

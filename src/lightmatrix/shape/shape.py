@@ -1,5 +1,7 @@
 """`Shape`: the surface that a camera sees, pixel by pixel."""
 
+from __future__ import annotations
+
 import re
 from dataclasses import dataclass
 from enum import IntEnum
@@ -7,19 +9,15 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import tifffile
-from matplotlib.colors import BoundaryNorm, ListedColormap
 from numpy.typing import NDArray
 
+from lightmatrix import pictures
 from lightmatrix.errors import InputError, warn
 from lightmatrix.files.images import fill_image
 from lightmatrix.files.kinds import CLOUD, DEPTH, OUR_MARK
 from lightmatrix.files.writing import atomic_file
 from lightmatrix.geometry.rig_geometry import Array, RigGeometry, decomposed
 from lightmatrix.paths import as_path
-from lightmatrix.pictures.maps import UNKNOWN, Map
-from lightmatrix.pictures.style import COLOURS, Picture, figure, panel
-from lightmatrix.pictures.transport import draw_into
 from lightmatrix.reprs import ShortRepr
 from lightmatrix.uses.separation import shifted
 
@@ -173,7 +171,7 @@ def write_cloud(
 _NORMALS = "Normals: right, up, near as red, green, blue"
 
 
-def depth_map(depth: NDArray[np.floating], units: str | None) -> Map:
+def depth_map(depth: NDArray[np.floating], units: str | None) -> pictures.maps.Map:
     """Depth (rows, cols) as a map over the camera, near surfaces bright."""
     known = depth[np.isfinite(depth)]
     # A few wrong points must not make all others alike.
@@ -181,7 +179,7 @@ def depth_map(depth: NDArray[np.floating], units: str | None) -> Map:
     # A plane that faces the camera has one depth only.
     high = max(high, low + 1e-6 * max(1.0, abs(low)))
     title, values = "Depth along the camera's axis", depth.astype(np.float64)
-    return Map(title, units or "unit of the geometry", values, low, high, "viridis_r")
+    return pictures.maps.Map(title, units or "unit of the geometry", values, low, high, "viridis_r")
 
 
 def normal_colours(normals: NDArray[np.floating]) -> Array:
@@ -191,13 +189,13 @@ def normal_colours(normals: NDArray[np.floating]) -> Array:
     """
     colours = 0.5 + 0.5 * normals.astype(np.float64) * np.array([1, -1, -1])
     known = np.isfinite(colours).all(axis=-1, keepdims=True)
-    return np.asarray(np.where(known, colours, np.array(UNKNOWN)))
+    return np.asarray(np.where(known, colours, np.array(pictures.maps.UNKNOWN)))
 
 
-def normals_picture(normals: NDArray[np.float32]) -> Picture:
+def normals_picture(normals: NDArray[np.float32]) -> pictures.style.Picture:
     """Normals (rows, cols, 3) in the camera's frame."""
-    with figure(4.4, 3.6) as drawing:
-        panel(drawing.subplots(), normal_colours(normals), _NORMALS)
+    with pictures.style.figure(4.4, 3.6) as drawing:
+        pictures.style.panel(drawing.subplots(), normal_colours(normals), _NORMALS)
     return drawing
 
 
@@ -271,14 +269,15 @@ class Shape(ShortRepr):
         return np.asarray(self.normals @ turn.T, np.float32)
 
     @property
-    def depth_map(self) -> Map:
+    def depth_map(self) -> pictures.maps.Map:
         """The depth as a picture."""
         return depth_map(self.depth, self.geometry.units)
 
     @property
-    def probability_map(self) -> Map:
+    def probability_map(self) -> pictures.maps.Map:
         """The probability as a picture."""
-        return Map("How probably the depth is right", "", self.probability.astype(float), 0, 1)
+        values = self.probability.astype(float)
+        return pictures.maps.Map("How probably the depth is right", "", values, 0, 1)
 
     def summary(self) -> dict[str, Any]:
         """Number of points, their median depth and uncertainty, and pixels by `ShapeTest`."""
@@ -311,35 +310,27 @@ class Shape(ShortRepr):
 
     def write(self, part: Path, *, mesh: bool = False) -> None:
         """Write points or depth as `save` does, but in place."""
-        if part.suffix == ".npy":
-            np.save(part, self.depth)
-        elif part.suffix == ".png":
+        if part.suffix == ".png":
             level = np.rint(np.nan_to_num(self.depth * millimetres(self.geometry)))
             if far := int((level > 65535).sum()):
                 warn(f"{far} depths beyond 65.5 m are 0 in 16 bits of millimetres")
             fill_image(part, np.where(level > 65535, 0, level).astype(np.uint16))
         elif part.suffix in DEPTH.suffixes:
-            tifffile.imwrite(part, self.depth)
+            fill_image(part, self.depth, missing=True)
         else:
             columns = dict(zip(("nx", "ny", "nz"), np.moveaxis(self.normals, -1, 0), strict=True))
             columns |= {"uncertainty": self.uncertainty, "probability": self.probability}
             faces = surface_faces(self.depth, self.geometry) if mesh else None
             write_cloud(part, self.points, self.albedo, columns, faces)
 
-    def show(self) -> Picture:
+    def show(self) -> pictures.style.Picture:
         """A Matplotlib figure: maps of depth, normals, probability and failed tests."""
-        with figure(14.5, 3.4) as drawing:
+        style = pictures.style
+        with style.figure(14.5, 3.4) as drawing:
             depths, directions, certain, tests = drawing.subplots(1, 4)
-            draw_into(drawing, depths, self.depth_map)
-            panel(directions, normal_colours(self.camera_normals), _NORMALS)
-            draw_into(drawing, certain, self.probability_map)
-            count = len(ShapeTest)
-            # Colours of kept pixels and of the tests that others failed.
-            colours = ListedColormap(("#f2f2f2", "#404040", *COLOURS[:3]))
-            norm = BoundaryNorm(np.arange(count + 1) - 0.5, count)
-            options: dict[str, Any] = {"cmap": colours, "norm": norm, "vmin": None, "vmax": None}
-            image = panel(tests, self.test, "Which test a pixel failed", **options)
-            scale = tests.inset_axes((1.03, 0, 0.05, 1))
-            bar = drawing.colorbar(image, cax=scale, ticks=range(count))
-            bar.set_ticklabels([test.name.lower().replace("_", " ") for test in ShapeTest])
+            pictures.transport.draw_into(drawing, depths, self.depth_map)
+            style.panel(directions, normal_colours(self.camera_normals), _NORMALS)
+            pictures.transport.draw_into(drawing, certain, self.probability_map)
+            names = [test.name.lower().replace("_", " ") for test in ShapeTest]
+            style.kinds_panel(tests, self.test, names, "Which test a pixel failed")
         return drawing

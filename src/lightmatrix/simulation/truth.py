@@ -10,7 +10,6 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
-import lazy_loader
 import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csr_array
@@ -19,6 +18,7 @@ from lightmatrix.capture.settings import DEPTH as DEPTH_NAME
 from lightmatrix.capture.settings import GEOMETRY as GEOMETRY_NAME
 from lightmatrix.capture.settings import TRUTH as TRUTH_NAME
 from lightmatrix.errors import InputError
+from lightmatrix.files.images import fill_image
 from lightmatrix.files.kinds import TRUTH
 from lightmatrix.files.reading import parse_json
 from lightmatrix.files.writing import atomic_file
@@ -30,8 +30,6 @@ from lightmatrix.simulation.shapes import Mesh, merge
 from lightmatrix.transport.matrix import LightTransport
 from lightmatrix.transport.npz import VERSION, matrix_arrays, read_transport, text_of
 from lightmatrix.transport.sparse_rows import checked_float32
-
-tifffile = lazy_loader.load("tifffile")
 
 # The surface that each camera pixel of a scene sees: exact depth and normals, without a renderer.
 #
@@ -259,7 +257,7 @@ class Truth(ShortRepr):
         if self.geometry is not None:
             self.geometry.save(folder / GEOMETRY_NAME)
         if self.depth is not None:
-            tifffile.imwrite(folder / DEPTH_NAME, self.depth.astype(np.float32))
+            fill_image(folder / DEPTH_NAME, self.depth, missing=True)
 
     @classmethod
     def load(cls, path: Path) -> Truth:

@@ -19,14 +19,13 @@ import scipy
 from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
+from lightmatrix import pictures
 from lightmatrix.errors import InputError
 from lightmatrix.files.images import given_image, read_grey
 from lightmatrix.files.kinds import SEPARATION
 from lightmatrix.files.reading import errors_naming
 from lightmatrix.files.writing import atomic_folder, check_output
 from lightmatrix.geometry.matches import ROBUST, fit_fundamental, spread_of_spots
-from lightmatrix.pictures.style import Picture
-from lightmatrix.pictures.transport import draw_parts
 from lightmatrix.reprs import ShortRepr
 from lightmatrix.transport import store
 from lightmatrix.transport.correspondence import pixel_rows
@@ -536,10 +535,10 @@ class Separation(ShortRepr):
     geometry: EpipolarGeometry
     spot: float
 
-    def show(self) -> Picture:
+    def show(self) -> pictures.style.Picture:
         """A Matplotlib figure of direct and global light under white; notebooks show it."""
         white = np.ones(self.direct.projector_shape, np.float32)
-        return draw_parts(
+        return pictures.transport.draw_parts(
             {"direct": self.direct.relight(white), "global": self.global_.relight(white)}
         )
 
@@ -705,7 +704,7 @@ def separate(
             store.save(folder / f"{name}.zarr", part)
         for name, image in images.items():
             np.save(folder / f"{name}.npy", image)
-        draw_parts(images).draw_file(folder / "separation.png")
+        pictures.transport.draw_parts(images).draw_file(folder / "separation.png")
         np.save(folder / "confidence.npy", separation.confidence)
         np.save(folder / "parallax.npy", separation.parallax)
     return separation
