@@ -20,7 +20,7 @@ from lightmatrix.shape.layers import layers
 from lightmatrix.shape.triangulation import triangulate
 from lightmatrix.simulation import library
 from lightmatrix.simulation.scenes import MIRROR_PLACE, MIRROR_TURN, Part, Scene, scene
-from lightmatrix.simulation.shapes import Mesh
+from lightmatrix.simulation.shapes import Mesh, turn
 from lightmatrix.simulation.simulate import simulate
 from lightmatrix.simulation.truth import Truth, trace_surface
 from lightmatrix.uses.separation import camera_pixels
@@ -112,7 +112,7 @@ def _mirrored(
     """The dust on the mirror first, then what the mirror shows, whose place is exact."""
     first = _within(built, rig, 4)
     plate = _within(replace(built, parts=built.parts[1:2]), rig, 4)
-    normal = MIRROR_TURN[:, 2]
+    normal = turn("y", MIRROR_TURN)[:, 2]
     flip = np.eye(3) - 2 * np.outer(normal, normal)
     shift = 2 * normal * (normal @ MIRROR_PLACE)
     images = [

@@ -63,6 +63,26 @@ def test_an_estimate_loads_no_more_than_it_needs() -> None:
     assert not loaded.intersection({"scipy.signal", "scipy.stats", "scipy.optimize"})
 
 
+@pytest.mark.parametrize(
+    ("words", "code"),
+    [
+        ("info T.zarr", 0),
+        ("relight T.zarr pattern.npy -o image.npy", 0),
+        ("estimate nothing -o scene.zarr", 2),
+        ("triangulate T.zarr --geometry nothing.json -o cloud.ply", 2),
+    ],
+)
+def test_commands_load_no_library_that_they_do_not_use(words: str, code: int) -> None:
+    """A lazy module of Zarr or tifffile may be there, but nothing that it would load."""
+    lm.save("T.zarr", lm.truth("metal").transport())
+    np.save("pattern.npy", np.ones(lm.truth("metal").projector_shape, np.float32))
+    loaded = _loaded(f"from lightmatrix.cli import main; assert main({words.split()}) == {code}")
+    assert "lightmatrix.files.zarr_arrays" in loaded
+    unused = {"zarr.core", "asyncio", "tifffile.tifffile", "matplotlib", "jinja2"}
+    scipy = ("ndimage", "optimize", "interpolate", "spatial", "signal", "stats")
+    assert not loaded.intersection(unused | {f"scipy.{name}" for name in scipy})
+
+
 def test_objects_with_arrays_are_shown_in_a_few_lines() -> None:
     with_arrays = [
         kind

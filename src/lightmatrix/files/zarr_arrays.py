@@ -181,10 +181,8 @@ class StoredArray:
         except (KeyError, TypeError, AttributeError, IndexError) as error:
             raise ValueError(f"{place.name} is not an array ({error})") from error
         ours = codecs == ["bytes", "blosc", "crc32c"] and dtype.kind in "bfiu"
-        ours &= endian == "little" and keys == {
-            "name": "default",
-            "configuration": {"separator": "/"},
-        }
+        ours &= endian == "little"
+        ours &= keys == {"name": "default", "configuration": {"separator": "/"}}
         if not ours or metadata.get("storage_transformers"):
             raise ValueError(f"{place.name} is stored in another way than ours")
         whole = all(type(n) is int and n >= 0 for n in (*shape, *chunks))

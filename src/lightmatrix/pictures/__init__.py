@@ -1,7 +1,4 @@
-"""Pictures of a light transport matrix and of its diagnostics.
-
-Modules that draw only when they are asked to write `pictures.style`, which loads Matplotlib then.
-"""
+"""Pictures of T and its diagnostics; `pictures.style` loads Matplotlib when it is first used."""
 
 import lazy_loader
 

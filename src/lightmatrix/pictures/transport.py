@@ -102,10 +102,9 @@ def spectrum(transport: LightTransport) -> dict[str, NDArray[Any]]:
     matrix = transport.to_matrix(dense_background=least == 1)
     if least == 1 or not (matrix.nnz or transport.background.any()):
         return {"values": np.array([np.linalg.norm(matrix.data)])}
-    operator, count = scipy.sparse.linalg.aslinearoperator(transport), min(50, least - 1)
-    values = scipy.sparse.linalg.svds(
-        operator, count, v0=np.ones(least), return_singular_vectors=False
-    )
+    linalg, count = scipy.sparse.linalg, min(50, least - 1)
+    operator = linalg.aslinearoperator(transport)
+    values = linalg.svds(operator, count, v0=np.ones(least), return_singular_vectors=False)
     return {"values": np.sort(values)[::-1]}
 
 

@@ -6,8 +6,8 @@ They change T itself, so that relighting and estimation see one consistent matri
 from dataclasses import replace
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.ndimage import gaussian_filter1d
 from scipy.sparse import csr_array, eye_array, hstack, kron
 
 from lightmatrix.errors import InputError
@@ -47,8 +47,8 @@ def defocus(truth: Truth, sigma: float) -> Truth:
         return truth
     rows, cols = truth.projector_shape
     across, along = (
-        gaussian_filter1d(np.eye(size, dtype=np.float32), sigma, mode="constant", truncate=3)
-        for size in (rows, cols)
+        scipy.ndimage.gaussian_filter1d(np.float32(np.eye(n)), sigma, mode="constant", truncate=3)
+        for n in (rows, cols)
     )
 
     def blurred(part: csr_array) -> NDArray[np.float32]:
@@ -77,7 +77,7 @@ def camera_defocus(truth: Truth, sigma: float) -> Truth:
         return truth
     sides = truth.camera_shape[:2]
     across, along = (
-        csr_array(gaussian_filter1d(np.eye(n), sigma, axis=0, mode="nearest", truncate=3))
+        csr_array(scipy.ndimage.gaussian_filter1d(np.eye(n), sigma, 0, mode="nearest", truncate=3))
         for n in sides
     )
     channels = eye_array(truth.matrix.shape[0] // (sides[0] * sides[1]))
@@ -110,7 +110,7 @@ def ambient(truth: Truth, level: float) -> NDArray[np.float32]:
     white = np.asarray(truth.matrix.sum(axis=1), np.float64).reshape(*truth.camera_shape[:2], -1)
     # Room light comes from all sides and has no shadow edges, so the white image is blurred by six
     # camera pixels (standard deviation).
-    smooth = gaussian_filter1d(gaussian_filter1d(white, 6, axis=0), 6, axis=1)
+    smooth = scipy.ndimage.gaussian_filter(white, (6, 6, 0))
     return np.asarray(level * smooth.ravel(), np.float32)
 
 

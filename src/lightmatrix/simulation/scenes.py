@@ -489,9 +489,9 @@ def _glass() -> Scene:
     return Scene("glass", "a dusty glass plate that leans before a wall", parts, 6)
 
 
-# The mirror is a sheet, tilted by 70 degrees about the y axis and moved to this place, in scene
-# units. The places of what it shows follow from both.
-MIRROR_TURN, MIRROR_PLACE = turn("y", -70), (0.35, 0.0, 0.5)
+# The mirror is a sheet, turned by so many degrees about the y axis and moved to this place, in
+# scene units. The places of what it shows follow from both.
+MIRROR_TURN, MIRROR_PLACE = -70.0, (0.35, 0.0, 0.5)
 
 
 def _statue() -> Mesh:
@@ -503,7 +503,7 @@ def _mirror() -> Scene:
     """A statue beside a dusty mirror."""
     silver = {"type": "conductor", "material": "Ag"}
     dusty = {"type": "blendbsdf", "weight": 0.4, "bsdf_0": silver, "bsdf_1": matt(0.7)["bsdf"]}
-    plate = sheet(1.1).placed(MIRROR_PLACE, MIRROR_TURN)
+    plate = sheet(1.1).placed(MIRROR_PLACE, turn("y", MIRROR_TURN))
     stone = Part(_statue().placed((-0.5, 0.0, 0.0)), matt(0.85))
     parts = (Part(sheet(), matt(0.4)), Part(plate, {"type": "twosided", "bsdf": dusty}), stone)
     return Scene("mirror", "a statue beside a dusty mirror that shows it", parts, 6)

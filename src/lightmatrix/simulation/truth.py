@@ -14,9 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
-from lightmatrix.capture.settings import DEPTH as DEPTH_NAME
-from lightmatrix.capture.settings import GEOMETRY as GEOMETRY_NAME
-from lightmatrix.capture.settings import TRUTH as TRUTH_NAME
+from lightmatrix.capture import settings
 from lightmatrix.errors import InputError
 from lightmatrix.files.images import fill_image
 from lightmatrix.files.kinds import TRUTH
@@ -253,11 +251,11 @@ class Truth(ShortRepr):
 
     def save_beside(self, folder: Path) -> None:
         """Write truth.npz into a folder, and geometry.json and depth.tiff where they are known."""
-        self.save(folder / TRUTH_NAME)
+        self.save(folder / settings.TRUTH)
         if self.geometry is not None:
-            self.geometry.save(folder / GEOMETRY_NAME)
+            self.geometry.save(folder / settings.GEOMETRY)
         if self.depth is not None:
-            fill_image(folder / DEPTH_NAME, self.depth, missing=True)
+            fill_image(folder / settings.DEPTH, self.depth, missing=True)
 
     @classmethod
     def load(cls, path: Path) -> Truth:
