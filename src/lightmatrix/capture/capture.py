@@ -234,15 +234,10 @@ class Capture(Reader):
         capture.decoder.check_count(capture.count, stack.array[0].size)
         return capture
 
-    def _cut_and_binned(
-        self,
-        crop: Crop | None,
-        bin_projector: int | tuple[int, int],
-        bin_camera: int | tuple[int, int],
-    ) -> Capture:
+    def _cut_and_binned(self, crop: Crop | None, *blocks: int | tuple[int, int]) -> Capture:
         self.decoder.check_count(self.count)
         whole = self if crop is None else self.crop(*crop)
-        return whole.bin(bin_projector, bin_camera)
+        return whole.bin(*blocks)
 
     @property
     def count(self) -> int:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.spatial import transform
+from scipy.spatial.transform import Rotation
 
 # Meshes of the scenes, lofted through rings of points so that edges can be bevelled.
 
@@ -131,13 +131,7 @@ def revolve(profile: ArrayLike, points: int = 64) -> Mesh:
 
 def turn(axis: str, degrees: float) -> NDArray[np.float64]:
     """Rotation matrix about a coordinate axis."""
-    return np.asarray(transform.Rotation.from_euler(axis, degrees, degrees=True).as_matrix())
-
-
-def from_quaternion(quaternion: ArrayLike) -> NDArray[np.float64]:
-    """Rotation matrix of a unit quaternion (w, x, y, z)."""
-    # SciPy has w last.
-    return np.asarray(transform.Rotation.from_quat(np.roll(quaternion, -1)).as_matrix())
+    return np.asarray(Rotation.from_euler(axis, degrees, degrees=True).as_matrix())
 
 
 def sheet(size: float = 4.0) -> Mesh:

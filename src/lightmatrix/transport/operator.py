@@ -199,10 +199,6 @@ class TransportOperator(Operator):
         """The row of T of a camera sample; raises InputError if the camera has none there."""
         return _checked_index(camera_index, self.image_shapes[0], "camera sample")
 
-    def column_number(self, row: int, col: int) -> int:
-        """The column of T of a projector pixel; raises InputError if there is none."""
-        return _checked_index((row, col), self.image_shapes[1], "projector pixel")
-
     def relight(self, patterns: NDArray[Any]) -> NDArray[np.float32]:
         """Camera images under patterns: c = T p, linear, not clipped.
 
@@ -246,7 +242,7 @@ class TransportOperator(Operator):
 
         Raises InputError if the projector has no such pixel.
         """
-        index = self.column_number(row, col)
+        index = _checked_index((row, col), self.image_shapes[1], "projector pixel")
         return self.dense_columns(np.array([index]))[:, 0].reshape(self.image_shapes[0])
 
 
