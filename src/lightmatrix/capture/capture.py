@@ -25,13 +25,13 @@ from lightmatrix.capture.frames import (
     Reader,
     Surroundings,
     cut,
-    in_memory,
 )
 from lightmatrix.capture.samples import Samples
 from lightmatrix.capture.sensor import Sensor
 from lightmatrix.capture.settings import ReadSettings
 from lightmatrix.errors import InputError
 from lightmatrix.patterns.pattern_set import PatternSet, block_size
+from lightmatrix.ranges import check_finite, real_array
 from lightmatrix.regions import Region
 from lightmatrix.reprs import html_table, jsonable
 from lightmatrix.resources.threads import computed_once
@@ -228,10 +228,17 @@ class Capture(Reader):
         InputError
             On frames that do not fit the patterns.
         """
-        stack, counts = in_memory(frames, mask)
+        array, counts = real_array("frames", frames), None
+        if array.ndim not in (3, 4) or array.size == 0:
+            hint = "give (K, rows, cols) or (K, rows, cols, 3)"
+            raise InputError(f"frames of shape {array.shape}", hint=hint)
+        if mask is not None:
+            counts = real_array("a mask", mask)
+            check_finite("values of a mask", counts)
+            counts = np.asarray(counts != 0)
         decoder = sensor.decoder() if isinstance(sensor, Sensor) else sensor
-        capture = cls(patterns, stack, decoder, counts, provenance=provenance or {})
-        capture.decoder.check_count(capture.count, stack.array[0].size)
+        capture = cls(patterns, ArrayStack(array), decoder, counts, provenance=provenance or {})
+        capture.decoder.check_count(capture.count, array[0].size)
         return capture
 
     def _cut_and_binned(self, crop: Crop | None, *blocks: int | tuple[int, int]) -> Capture:
