@@ -18,14 +18,7 @@ from numpy.typing import NDArray
 from lightmatrix.capture.correction import Correction
 from lightmatrix.capture.decoder import Decoder
 from lightmatrix.capture.folder import holds_capture, read_capture, read_folders
-from lightmatrix.capture.frames import (
-    ArrayStack,
-    CutFrames,
-    Frames,
-    Reader,
-    Surroundings,
-    cut,
-)
+from lightmatrix.capture.frames import ArrayStack, CutFrames, Frames, Reader, Surroundings, cut
 from lightmatrix.capture.samples import Samples
 from lightmatrix.capture.sensor import Sensor
 from lightmatrix.capture.settings import ReadSettings
