@@ -75,15 +75,12 @@ class Operator(ABC):
     def __rmatmul__(self, other: Any) -> NDArray[Any]:
         raise InputError("a product with T on the right", hint="write transport.T @ c")
 
-    def matmat(self, vectors: NDArray[Any]) -> NDArray[Any]:
-        """The product with a vector (n,) or with (n, k) vectors, as SciPy's solvers call it."""
-        return self @ vectors
-
     def rmatmat(self, vectors: NDArray[Any]) -> NDArray[Any]:
         """The product of the transpose with a vector (m,) or with (m, k) vectors."""
         return self.T @ vectors
 
-    matvec, rmatvec = matmat, rmatmat
+    # SciPy's solvers call products with vectors by these names.
+    matvec, matmat, rmatvec = __matmul__, __matmul__, rmatmat
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -85,17 +85,6 @@ class JointLight:
             for part, matrix in zip(parts, self.matrices, strict=True)
         )
 
-    @cached_property
-    def without_signs(self) -> JointLight:
-        """The operator of the magnitudes of all entries; itself, unless T was estimated signed."""
-        if all((m.sparse.data >= 0).all() and (m.background >= 0).all() for m in self.matrices):
-            return self
-        magnitudes = [
-            replace(matrix, sparse=abs(matrix.sparse), background=abs(matrix.background))
-            for matrix in self.matrices
-        ]
-        return replace(self, matrices=tuple(magnitudes))
-
     def forward(self, light: Singles) -> Singles:
         """T p: camera samples (M,) of patterns (N,)."""
         result = np.zeros(self.matrices[0].shape[0], np.float32)
@@ -225,8 +214,13 @@ class BoundedFit:
 
     @cached_property
     def _bounds(self) -> Singles:
-        """T' W T 1, (N,), of the magnitudes of T."""
-        light = self.light.without_signs
+        """T' W T 1, (N,), of the magnitudes of T, which may have been estimated signed."""
+        light, several = self.light, self.light.matrices
+        if any((m.sparse.data < 0).any() or (m.background < 0).any() for m in several):
+            sizes = ((abs(m.sparse), abs(m.background)) for m in several)
+            pairs = zip(several, sizes, strict=True)
+            several = tuple(replace(m, sparse=s, background=b) for m, (s, b) in pairs)
+            light = replace(light, matrices=several)
         return light.adjoint(self.weights * light.white)
 
     @cached_property
