@@ -11,13 +11,7 @@ from lightmatrix.ranges import check_number
 from lightmatrix.resources.threads import work_ahead
 from lightmatrix.transport.correspondence import Correspondence, pixel_rows
 from lightmatrix.transport.matrix import LightTransport
-from lightmatrix.uses.separation import (
-    SPOTS,
-    blocks_of,
-    camera_pixels,
-    entries_of,
-    spot_deviation,
-)
+from lightmatrix.uses.separation import SPOTS, blocks_of, camera_pixels, entries_of, spot_deviation
 
 # The middle of a spot lies within this distance of the epipolar line, in projector pixels, and the
 # 3 x 3 pixels around it reach as far. Chosen by hand: one pixel and a half leave room for a spot

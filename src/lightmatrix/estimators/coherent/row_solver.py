@@ -30,12 +30,7 @@ from lightmatrix.patterns.atoms import AtomPatterns, Sheet, boxes_around
 from lightmatrix.patterns.pattern_set import PatternSet
 from lightmatrix.progress import Progress
 from lightmatrix.resources.threads import computed_once
-from lightmatrix.solvers.active_set import (
-    ActiveSet,
-    Candidates,
-    Cells,
-    solve_weighted,
-)
+from lightmatrix.solvers.active_set import ActiveSet, Candidates, Cells, solve_weighted
 from lightmatrix.solvers.fidelity import Fidelity
 from lightmatrix.solvers.problem import Problem, Result, Status
 from lightmatrix.transport.operator import cell_means
