@@ -317,10 +317,7 @@ _CACHED_VALUES = 1 << 20
 
 
 def irradiance(
-    matrix: csr_array,
-    patterns: PatternSet,
-    *,
-    progress: Progress | None = None,
+    matrix: csr_array, patterns: PatternSet, *, progress: Progress | None = None
 ) -> NDArray[np.float32]:
     """T P' for an (M, N) sparse T and K patterns: (M, K), linear, 1 = clip level at exposure 1."""
     rows, pixels = matrix.shape
