@@ -57,10 +57,7 @@ ESTIMATORS: dict[str, AnyEstimator | EstimateSettings] = {
 
 
 def demo(
-    folder: str | Path,
-    *,
-    overwrite: bool = False,
-    progress: Progress | None = None,
+    folder: str | Path, *, overwrite: bool = False, progress: Progress | None = None
 ) -> dict[str, Any]:
     """Simulate a capture, estimate T by four methods, and write a report of the default one.
 

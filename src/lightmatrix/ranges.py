@@ -113,18 +113,14 @@ def check_at_least_one(**values: int | None) -> None:
             raise InputError(f"{name} is {value}", hint="use a whole number, at least 1")
 
 
-def check_unmasked(what: str, values: Any) -> None:
-    """Refuse a NumPy array with masked values, whose mask would be dropped. `what` names it."""
+def real_array(what: str, values: Any) -> NDArray[Any]:
+    """The array of numbers that anything array-like holds; `what` names it if it holds others."""
+    # The mask of a masked array would be dropped.
     if isinstance(values, np.ma.MaskedArray) and np.ma.is_masked(values):
         raise InputError(
             f"{what} with {int(np.ma.getmaskarray(values).sum())} masked values",
             hint="give a plain array; which camera pixels count is said by the mask of a capture",
         )
-
-
-def real_array(what: str, values: Any) -> NDArray[Any]:
-    """The array of numbers that anything array-like holds; `what` names it if it holds others."""
-    check_unmasked(what, values)
     try:
         array = np.asarray(values)
     except ValueError:

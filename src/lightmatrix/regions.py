@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -54,17 +52,3 @@ class Region:
     def as_dict(self) -> dict[str, list[int]]:
         """Corner, shape and whole, JSON-ready."""
         return {name: list(pair) for name, pair in vars(self).items()}
-
-    @classmethod
-    def from_provenance(cls, provenance: Mapping[str, Any]) -> Self | None:
-        """The rectangle in the provenance of an estimate, or None without a valid one."""
-        description = provenance.get("capture_description")
-        crop = description.get("crop") if isinstance(description, Mapping) else None
-        if not isinstance(crop, Mapping):
-            return None
-        pairs = [crop.get(name) for name in ("corner", "shape", "whole")]
-        try:
-            corner, shape, whole = ((int(rows), int(cols)) for rows, cols in pairs)  # type: ignore[misc]
-            return cls(corner, shape, whole)
-        except (TypeError, ValueError, InputError):
-            return None

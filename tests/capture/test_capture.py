@@ -17,7 +17,7 @@ import lightmatrix as lm
 from lightmatrix.capture.capture import Capture
 from lightmatrix.capture.decoder import Decoder
 from lightmatrix.capture.folder import check_depth, write_capture
-from lightmatrix.capture.frames import in_memory
+from lightmatrix.capture.frames import ArrayStack
 from lightmatrix.capture.sensor import Sensor
 from lightmatrix.capture.settings import KEYS, ReadSettings
 from lightmatrix.check.refusals import refuse_unusable
@@ -323,16 +323,16 @@ def test_swapped_bytes_are_named() -> None:
     raw = (smooth + np.random.default_rng(0).normal(60, 20, (5, 24, 32))).astype(np.uint16)
     # Levels of 12 bits, shifted to 16, without low bytes, without high ones, and two levels.
     for frames in (raw, raw * 16, (raw // 16) * 256, raw // 16, (raw > 2000) * np.uint16(0xFF01)):
-        check_depth(in_memory(frames, None)[0], Decoder(4095, 65535))
+        check_depth(ArrayStack(frames), Decoder(4095, 65535))
     for frames in (raw, raw * 16):
         with pytest.raises(InputError, match="bytes of each level are swapped"):
-            check_depth(in_memory(frames.byteswap(), None)[0], Decoder(4095, 65535))
+            check_depth(ArrayStack(frames.byteswap()), Decoder(4095, 65535))
 
 
 def test_levels_below_black_are_named() -> None:
     frames = np.full((5, 24, 32), -0.5, np.float32)
     with pytest.raises(InputError, match="half of the levels that were looked at are below -0"):
-        check_depth(in_memory(frames, None)[0], Decoder(1, 1))
+        check_depth(ArrayStack(frames), Decoder(1, 1))
 
 
 def test_levels_of_float_images_are_stated_in_their_own_unit(tmp_path: Path) -> None:

@@ -211,12 +211,37 @@ def test_a_copied_photograph_is_refused(name: str) -> None:
     assert not [each for each in found if "same photograph" in each.message]
 
 
-def test_a_photograph_again_shows_the_pattern_of_the_other() -> None:
-    patterns = code("phase")
+@pytest.mark.parametrize("name", ["graycode", "phase", "microphase"])
+@pytest.mark.parametrize(("frame", "shown"), [(1, 4), (5, 3), (2, 3)])
+def test_a_photograph_of_another_pattern_is_refused(name: str, frame: int, shown: int) -> None:
+    """Also one that was taken anew, whose levels are not those of the other."""
+    patterns = code(name)
     frames = photographs(patterns)
-    frames[5] = photographs(patterns, noise=0.003)[4]
-    with pytest.raises(InputError, match="frame 5 shows the pattern of frame 4"):
+    frames[frame] = photographs(patterns, noise=0.003)[shown]
+    with pytest.raises(InputError, match=f"frame {frame}"):
         lm.decode(capture(patterns, frames))
+
+
+@pytest.mark.parametrize("name", ["graycode", "phase", "microphase"])
+@pytest.mark.parametrize("factor", [0.6, 1, 1.4])
+def test_a_photograph_of_other_light_is_named(name: str, factor: float) -> None:
+    patterns = code(name)
+    frames = photographs(patterns)
+    frames[3] *= np.float32(factor)
+    found = [each for each in lm.check(capture(patterns, frames)) if not each.is_note]
+    assert [(each.kind, each.frames) for each in found] == [("gain", (3,))] * (factor != 1)
+    assert all(f"frame 3 ({'-' if factor < 1 else '+'}" in each.message for each in found)
+
+
+@pytest.mark.parametrize("name", ["graycode", "phase", "microphase"])
+@pytest.mark.parametrize("gamma", [0.45, 2.2])
+def test_a_curve_that_is_not_stated_is_named(name: str, gamma: float) -> None:
+    """A camera brightens greys, a projector darkens them; Gray code has none."""
+    patterns = code(name)
+    found = lm.check(capture(patterns, photographs(patterns) ** np.float32(gamma)))
+    curve = "camera-curve" if gamma < 1 else "projector-curve"
+    expected = [] if name == "graycode" else [curve]
+    assert [each.kind for each in found if not each.is_note] == expected
 
 
 @pytest.mark.parametrize("flipped", [False, True])
@@ -257,6 +282,14 @@ def test_a_lost_frame_is_named(name: str, lost: int, named: str) -> None:
     survey = Survey.take(patterns, ArrayStack(frames), Sensor(bits=None).decoder())
     places = missing_places(survey)
     assert " or ".join(map(str, places)) == named
+
+
+def test_a_lost_frame_of_a_corner_is_named() -> None:
+    """The dark photograph in place of the white one must not make all pixels see one line."""
+    patterns = make_patterns("graycode", (64, 64))
+    taken = lm.simulate("corner", patterns, exposure=0.2, noise=0.003)
+    frames = np.stack([taken.frames.read(k) for k in range(patterns.count) if k != 3])
+    assert missing_places(Survey.take(patterns, ArrayStack(frames), taken.decoder)) == (3,)
 
 
 @pytest.mark.parametrize(

@@ -98,6 +98,7 @@ def test_ambient_light_has_the_stated_mean(truth: Truth) -> None:
 
 @pytest.mark.parametrize("value", [-0.1, float("nan")])
 @pytest.mark.parametrize("name", ["blur", "camera_blur", "vignetting", "leak", "ambient"])
-def test_impossible_strengths_are_refused(name: str, value: float) -> None:
+def test_impossible_strengths_are_refused(truth: Truth, name: str, value: float) -> None:
+    strength: dict[str, Any] = {name: value}
     with pytest.raises(InputError):
-        realism.check_realism((12, 10), **{name: value})
+        lm.simulate(truth, lm.BernoulliPatterns((12, 10), 2), **strength)

@@ -184,9 +184,7 @@ class Response(ShortRepr):
 
     def of_full_scale(self, full_scale: float) -> Response:
         """The same response with level 1 at `full_scale`, if it was measured from raw levels."""
-        if self.full_scale is None or self.full_scale == full_scale:
-            return self
-        if self.levels is None or self.light is None:
+        if self.full_scale in (None, full_scale) or self.levels is None or self.light is None:
             return self
         levels = self.levels * (self.full_scale / full_scale)
         inside = levels < 1

@@ -18,20 +18,13 @@ from numpy.typing import NDArray
 from lightmatrix.capture.correction import Correction
 from lightmatrix.capture.decoder import Decoder
 from lightmatrix.capture.folder import holds_capture, read_capture, read_folders
-from lightmatrix.capture.frames import (
-    ArrayStack,
-    CutFrames,
-    Frames,
-    Reader,
-    Surroundings,
-    cut,
-    in_memory,
-)
+from lightmatrix.capture.frames import ArrayStack, CutFrames, Frames, Reader, Surroundings, cut
 from lightmatrix.capture.samples import Samples
 from lightmatrix.capture.sensor import Sensor
 from lightmatrix.capture.settings import ReadSettings
 from lightmatrix.errors import InputError
 from lightmatrix.patterns.pattern_set import PatternSet, block_size
+from lightmatrix.ranges import check_finite, real_array
 from lightmatrix.regions import Region
 from lightmatrix.reprs import html_table, jsonable
 from lightmatrix.resources.threads import computed_once
@@ -228,21 +221,23 @@ class Capture(Reader):
         InputError
             On frames that do not fit the patterns.
         """
-        stack, counts = in_memory(frames, mask)
+        array, counts = real_array("frames", frames), None
+        if array.ndim not in (3, 4) or array.size == 0:
+            hint = "give (K, rows, cols) or (K, rows, cols, 3)"
+            raise InputError(f"frames of shape {array.shape}", hint=hint)
+        if mask is not None:
+            counts = real_array("a mask", mask)
+            check_finite("values of a mask", counts)
+            counts = np.asarray(counts != 0)
         decoder = sensor.decoder() if isinstance(sensor, Sensor) else sensor
-        capture = cls(patterns, stack, decoder, counts, provenance=provenance or {})
-        capture.decoder.check_count(capture.count, stack.array[0].size)
+        capture = cls(patterns, ArrayStack(array), decoder, counts, provenance=provenance or {})
+        capture.decoder.check_count(capture.count, array[0].size)
         return capture
 
-    def _cut_and_binned(
-        self,
-        crop: Crop | None,
-        bin_projector: int | tuple[int, int],
-        bin_camera: int | tuple[int, int],
-    ) -> Capture:
+    def _cut_and_binned(self, crop: Crop | None, *blocks: int | tuple[int, int]) -> Capture:
         self.decoder.check_count(self.count)
         whole = self if crop is None else self.crop(*crop)
-        return whole.bin(bin_projector, bin_camera)
+        return whole.bin(*blocks)
 
     @property
     def count(self) -> int:

@@ -15,9 +15,7 @@ from lightmatrix.capture.correction import Correction
 from lightmatrix.capture.decoder import Decoder
 from lightmatrix.capture.exposures import frame_weights
 from lightmatrix.capture.samples import Samples, bin_samples
-from lightmatrix.errors import InputError
 from lightmatrix.patterns.pattern_set import PatternSet
-from lightmatrix.ranges import check_finite, real_array
 from lightmatrix.regions import Region
 from lightmatrix.reprs import ShortRepr
 from lightmatrix.resources.memory import scratch_array
@@ -126,19 +124,6 @@ class ArrayStack(ShortRepr):
 
     def select(self, index: Sequence[int]) -> ArrayStack:
         return ArrayStack(self.array[list(index)])
-
-
-def in_memory(frames: Any, mask: Any) -> tuple[ArrayStack, NDArray[np.bool_] | None]:
-    """Frames and mask from anything array-like; an InputError says why they are none."""
-    array = real_array("frames", frames)
-    if array.ndim not in (3, 4) or array.size == 0:
-        hint = "give (K, rows, cols) or (K, rows, cols, 3)"
-        raise InputError(f"frames of shape {array.shape}", hint=hint)
-    if mask is None:
-        return ArrayStack(array), None
-    values = real_array("a mask", mask)
-    check_finite("values of a mask", values)
-    return ArrayStack(array), np.asarray(values != 0)
 
 
 @dataclass(frozen=True)

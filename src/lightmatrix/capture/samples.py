@@ -88,27 +88,17 @@ class Samples(ShortRepr):
 
     def rows(self, index: slice | NDArray[np.integer] | NDArray[np.bool_]) -> Samples:
         """The samples of some rows; arrays with one value for each pattern are shared."""
-        return Samples(
-            self.values[index],
-            self.clipped[index],
-            self.clip_level[index] if self.clip_level.ndim == 2 else self.clip_level,
-            self.weights[index]
-            if self.weights is not None and self.weights.ndim == 2
-            else self.weights,
-        )
+        parts: tuple[Any, ...] = self.values, self.clipped, self.clip_level, self.weights
+        own = (part is not None and part.ndim == 2 for part in parts)
+        return Samples(*(part[index] if o else part for part, o in zip(parts, own, strict=True)))
 
     def frames(self, index: NDArray[np.integer]) -> Samples:
         """The samples under some patterns, in contiguous arrays."""
-
-        def select(values: NDArray[Any]) -> NDArray[Any]:
-            return np.ascontiguousarray(values[..., index])
-
-        return Samples(
-            select(self.values),
-            select(self.clipped),
-            select(self.clip_level),
-            None if self.weights is None else select(self.weights),
-        )
+        chosen: list[Any] = [
+            part if part is None else np.ascontiguousarray(part[..., index])
+            for part in (self.values, self.clipped, self.clip_level, self.weights)
+        ]
+        return Samples(*chosen)
 
     @classmethod
     def joined(cls, parts: Sequence[Samples]) -> Samples:

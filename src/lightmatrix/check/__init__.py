@@ -9,6 +9,7 @@
 ``relation``        Do the photographs follow the patterns at all, or what else explains them?
                     Does each show its own pattern?
 ``code_order``      The same of stripes, by how far apart neighbouring camera pixels see.
+``code_frames``     Is a frame of stripes white or black, dimmed, or are greys too dark?
 ``motion``          Did something move by pixels?
 ``wrong_frames``    Which frames show something else, and what?
 ``inverse_pairs``   Frames and motion where patterns come with inverses (Gray code).

@@ -16,11 +16,11 @@ from lightmatrix.capture.capture import Capture, Crop
 from lightmatrix.capture.folder import check_depth, read_capture, read_folders
 from lightmatrix.capture.frames import CaptureParts
 from lightmatrix.capture.settings import ReadSettings
+from lightmatrix.check.code_frames import check_brightness, check_grey_values, check_uniform
 from lightmatrix.check.code_order import (
     CodeLattice,
     check_code_order,
     check_mirrored,
-    check_uniform,
     missing_of_code,
 )
 from lightmatrix.check.finding import Finding, join_names
@@ -127,10 +127,6 @@ def check_counts(survey: Survey | None, patterns: int, images: Sequence[Path]) -
         if gaps == 1 and count == patterns - 1 and numbers == sorted(numbers):
             place = whole.index(absent[0])
             frames = (place,) if place in frames else (place, *frames)
-    elif survey is not None and is_separable(survey.patterns) and count not in frames:
-        # The last one leaves no gap, and stripes look nearly the same without one or another.
-        complete = gaps == 0 and whole in (range(count), range(1, patterns))
-        frames += (count,) if frames and complete else ()
     if frames:
         which = " or ".join(map(str, frames))
         message += f": that of pattern {which} (counted from 0) is missing"
@@ -232,10 +228,20 @@ def _check_surveyed(survey: Survey, capture: Capture, copies: list[Finding]) -> 
     # Two frames may seem swapped for another reason, which what follows may find.
     two_swapped = len(displaced) == 1 and len(displaced[0].frames) == 2
     few = survey.count < _FEWEST_FRAMES or len(rows) < _FEWEST_ROWS
-    if few or (displaced and not two_swapped):
-        return of_light() + displaced
-
     pairs = find_pairs(survey.patterns)
+
+    def of_code(found: list[Finding]) -> list[Finding]:
+        """What stripes tell of single frames, if it is more than what was found."""
+        moved = any(each.kind in ("order", "motion", "unrelated") for each in found + displaced)
+        if lattice is None or moved or len(pairs):
+            return found
+        name = names.__getitem__
+        of_one = check_uniform(lattice, name) or check_brightness(lattice, name)
+        return of_one or found or check_grey_values(lattice)
+
+    if few or (displaced and not two_swapped):
+        return of_light() + displaced + of_code([])
+
     # Each of them keeps about one core busy.
     findings, unrelated = side_by_side(
         [of_light, lambda: check_relation(survey, names.__getitem__)]
@@ -244,9 +250,7 @@ def _check_surveyed(survey: Survey, capture: Capture, copies: list[Finding]) -> 
         of_frames = unrelated or _check_by_pairs(survey, rows, names, pairs, displaced)
         displaced = []
     else:
-        of_frames = _check_by_prediction(survey, rows, names, unrelated)
-        if lattice is not None and not displaced and not of_frames:
-            of_frames = check_uniform(lattice, names.__getitem__)
+        of_frames = of_code(_check_by_prediction(survey, rows, names, unrelated))
     # Motion, and a black frame, make neighbours see as distant places as a swap does.
     kinds = ("order", "motion")
     if displaced and not any(e.kind in kinds or "black" in e.message for e in of_frames):
@@ -379,10 +383,7 @@ def _check_by_pairs(
 
 
 def _check_by_prediction(
-    survey: Survey,
-    rows: NDArray[np.int64],
-    names: Sequence[str],
-    unrelated: list[Finding],
+    survey: Survey, rows: NDArray[np.int64], names: Sequence[str], unrelated: list[Finding]
 ) -> list[Finding]:
     """Checks of patterns that have nothing to do with each other."""
     order = [each for each in unrelated if each.kind == "order"]

@@ -16,7 +16,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from lightmatrix.check.finding import WRONG_ORDER, Finding, order_findings
+from lightmatrix.check.finding import WRONG_ORDER, Finding, join_names, order_findings
 from lightmatrix.check.relation import frames_of, likely_orders
 from lightmatrix.check.survey import Survey
 from lightmatrix.errors import InputError
@@ -28,7 +28,7 @@ FrameOrder = NDArray[np.int64]
 Name = Callable[[int], str]
 # Another order explains more if what it gains exceeds this many standard errors. Chosen by hand:
 # chance reaches 4 among a thousand orders.
-_CERTAIN = 8.0
+CERTAIN = 8.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -183,20 +183,24 @@ class CodeLattice:
         return result
 
     @cached_property
-    def twins(self) -> list[int]:
-        """Frames that show the same as the next one, although their patterns differ."""
-        shares = self.shares
+    def twins(self) -> list[tuple[int, int]]:
+        """Pairs of frames that show the same, although their patterns differ."""
         # Stripes that are too fine to be seen, or that lie beside what the camera sees, are alike.
-        dark, bright = (shares < 0.25).mean(axis=1), (shares > 0.75).mean(axis=1)
-        seen = np.minimum(dark, bright) > 0.1
+        dark, bright = (self.shares < 0.25).mean(axis=1), (self.shares > 0.75).mean(axis=1)
+        seen = (np.minimum(dark, bright) > 0.1) & ~self.invisible
+        both = seen & seen[:, None]
         ends = self.codes.white, self.codes.black
-        return [
-            k
-            for k in range(len(shares) - 1)
-            if ((seen[k] and seen[k + 1]) or {k, k + 1} == set(ends))
-            and np.abs(shares[k] - shares[k + 1]).mean() < 0.05
-            and np.abs(np.diff(self.patterns.images(k, k + 2), axis=0)).mean() > 0.05
-        ]
+        if ends[0] is not None and ends[1] is not None:
+            both[ends] = both[ends[::-1]] = True
+        pixels = np.random.default_rng(0).integers(self.patterns.pixels, size=1000)
+        frames, patterns = (
+            np.array([np.abs(each - all_).mean(axis=1) for each in all_])
+            for all_ in (self.shares, self.patterns.at(pixels))
+        )
+        # Frames of other patterns differ by 0.4 times as much as these or more. Noise of 1.5 % of
+        # the light is 0.03 to 0.07 of it.
+        alike = both & (patterns > 0.05) & (frames < 0.2 * patterns)
+        return [(int(a), int(b)) for a, b in np.argwhere(alike) if a < b]
 
     def cost(self, code: Code, frames: FrameOrder) -> NDArray[np.float64]:
         """How far apart pairs see, from 0 to 1, and how badly the code fits each pixel."""
@@ -245,14 +249,17 @@ def check_code_order(lattice: CodeLattice, name: Name) -> list[Finding]:
     read, invisible = lattice.readable, lattice.invisible
     own = np.where(lattice.possible(frames), frames, -1)
     # The later of two that are the same may have the other's image; nothing is read from it then.
-    own[[k + 1 for k in lattice.twins]] = -1
+    own[[later for _, later in lattice.twins]] = -1
     best, best_order, found = 0.0, frames, list[Finding]()
-    if lattice.twins and not invisible[later := lattice.twins[0] + 1]:
-        # One of the two is certainly wrong: the later one, unless another order explains more. A
-        # pattern and its inverse that are the same are left to the checks of pairs.
-        without = np.where(frames == later, -1, frames)
-        if lattice.possible(without).all():
-            best_order, found = without, order_findings({later: later - 1}, name)
+    if lattice.twins:
+        # One of the two is certainly wrong; nobody knows which, unless another order explains more.
+        best_order = np.where(frames == lattice.twins[0][1], -1, frames)
+        message = (
+            f"{join_names([name(k) for k in lattice.twins[0]])} show the same, although their "
+            "patterns differ"
+        )
+        advice = "take again the one that does not show its pattern"
+        found = [Finding("order", lattice.twins[0], message, advice)]
     for shown, findings in _orders(lattice, name):
         order = frames_of(shown)
         # Any frames of coarser stripes fit better in the place of those that nobody can see.
@@ -268,7 +275,7 @@ def check_code_order(lattice: CodeLattice, name: Name) -> list[Finding]:
         # Stray light differs a little from frame to frame, which many pixels show alike.
         gain[np.abs(gain) < 0.05] = 0
         total = float(gain.sum())
-        certain = _CERTAIN * float(np.sqrt((gain**2).sum()))
+        certain = CERTAIN * float(np.sqrt((gain**2).sum()))
         if total > max(best, certain):
             best, best_order, found = total, order, findings
     if lattice.unrelated(best_order):
@@ -302,69 +309,6 @@ def check_mirrored(lattice: CodeLattice) -> list[Finding]:
     return [Finding("mirrored", (), message, advice)]
 
 
-def check_uniform(lattice: CodeLattice, name: Name) -> list[Finding]:
-    """Whether a frame of a code is white or black although its pattern is not.
-
-    Nearly all pixels are then as bright, or as dark, as they ever are. Without a coarse bit, half
-    of the places are mirrored; without a fine one, neighbours see nearer to each other than without
-    another. A camera that sees only the white part of a pattern shows bright pixels alone.
-    """
-    codes = lattice.codes.codes
-    used = np.unique(np.concatenate([each.frames[np.ptp(each.values, 0) > 0] for each in codes]))
-    low, high = np.quantile(lattice.shares[used], [0.1, 0.9], axis=1)
-    plain = used[(low > 0.8) | (high < 0.2)]
-    if not len(plain):
-        return []
-    frames = np.arange(lattice.patterns.count)
-    wrong = [k for code in codes for k in _folding(lattice, code, plain)]
-    if not wrong:
-        own = lattice.costs(frames, {})
-        gains = [own - lattice.costs(np.where(frames == k, -1, frames), {}) for k in used]
-        total = np.sum(gains, axis=1)
-        best = int(np.where(np.isin(used, plain), total, -np.inf).argmax())
-        certain = _CERTAIN * float(np.sqrt((gains[best] ** 2).sum()))
-        if total[best] > max(certain, 1.5 * float(np.median(total))):
-            wrong = [int(used[best])]
-    advice = "take the photograph again, unless part of the scene is seen in a mirror"
-    shown = ["white" if lattice.shares[k].mean() > 0.5 else "black" for k in wrong]
-    return [
-        Finding("frame", (k,), f"{name(k)}: {grey}, although the pattern is not", advice)
-        for k, grey in zip(wrong, shown, strict=True)
-    ]
-
-
-def _folding(lattice: CodeLattice, code: Code, plain: NDArray[np.int64]) -> list[int]:
-    """The frame among plain ones that mirrors part of the places; empty if none are mirrored."""
-    frames = np.arange(lattice.patterns.count)
-    line = lattice.lines(code, frames)[0][0].reshape(3, -1)
-    steps = np.where((line >= 0).all(axis=0), line[1:] - line[0], 0)
-    turns = np.sign(steps[np.abs(steps).sum(axis=1).argmax()])
-    # Edges, noise and reflections mirror at most a tenth of the places of a whole capture. A
-    # lattice has 40 pixels at least.
-    if min((turns > 0).sum(), (turns < 0).sum()) < max(0.15 * np.abs(turns).sum(), 40):
-        return []
-    far = lattice.pairs[:, lattice.neighbours :]
-
-    def apart(lines: NDArray[np.int64]) -> float:
-        one, other = lines.ravel()[far]
-        # Words that do not occur are no likely places.
-        steps = np.where((one < 0) | (other < 0), 8, np.abs(one - other))
-        return float(np.minimum(steps, 8).mean())
-
-    unfolded = {}
-    for k in np.intersect1d(plain, code.frames):
-        # Its bit the other way round: dark comes first, and last, bright.
-        unread = lattice.lines(code, np.where(frames == k, -1, frames))[0]
-        turned = unread[0 if lattice.shares[k].mean() > 0.5 else -1].reshape(3, -1)
-        # Either way round may be the right one.
-        unfolded[int(k)] = min(apart(np.where(turns == t, turned, line)) for t in (1, -1))
-    # Unfolded by the frame that is wrong, bits place neighbours at most 2.2 times as far apart. In
-    # healthy captures, where noise or a rough surface turns single pixels, it is 2.9 to 6.6 times.
-    # For phases the factors are at most 0.94, and 0.98 and more.
-    most = (2.5 if code.bits else 0.97) * apart(line)
-    return [k for k in unfolded if unfolded[k] == min(unfolded.values()) < most]
-
-
 def _orders(lattice: CodeLattice, name: Name) -> Iterator[tuple[FrameOrder, list[Finding]]]:
     """The pattern that each frame shows, in likely wrong orders, and the findings of each."""
     count = lattice.patterns.count
@@ -380,11 +324,11 @@ def _orders(lattice: CodeLattice, name: Name) -> Iterator[tuple[FrameOrder, list
         )
         return shown, [Finding("order", tuple(range(first, last + 1)), message, WRONG_ORDER)]
 
-    if twins := lattice.twins:
-        # One of the two is wrong: the first if a frame before it was lost, else the second.
-        for start in range(twins[0] + 1):
-            yield displaced(start, twins[0], 1)
-        yield displaced(twins[0] + 1, count - 1, -1)
+    if repeated := [first for first, second in lattice.twins if second == first + 1]:
+        # The first of the two is wrong if a frame before it was lost, else the second.
+        for start in range(repeated[0] + 1):
+            yield displaced(start, repeated[0], 1)
+        yield displaced(repeated[0] + 1, count - 1, -1)
         return
     for message, shown in likely_orders(count):
         yield shown, [Finding("order", (), message, WRONG_ORDER)]
@@ -401,16 +345,17 @@ def missing_of_code(lattice: CodeLattice) -> tuple[int, ...]:
     """Which of K patterns has no frame among K - 1; several where nothing tells them apart."""
     frames = np.arange(lattice.patterns.count)
     known: dict[bytes, NDArray[np.float64]] = {}
-    costs = [
-        lattice.costs(np.where(frames == place, -1, frames - (frames > place)), known)
-        for place in frames
-    ]
-    best = int(np.argmin([cost.sum() for cost in costs]))
+    orders = [np.where(frames == place, -1, frames - (frames > place)) for place in frames]
+    # A dark photograph in place of the white one would place all pixels at one line.
+    possible = [lattice.possible(order).all() for order in orders]
+    costs = [lattice.costs(order, known) for order in orders]
+    sums = [cost.sum() for cost in costs]
+    best = int(np.where(possible, sums, np.inf).argmin())
     likely = []
-    for place, cost in enumerate(costs):
-        more = cost - costs[best]
+    for place in np.flatnonzero(possible):
+        more = costs[place] - costs[best]
         if more.sum() <= 3 * np.sqrt((more**2).sum()):
-            likely.append(place)
+            likely.append(int(place))
     for code in lattice.codes.codes if len(likely) == 1 else ():
         # Without its finest bit, a code is that without its coarsest one, of half the size.
         changes = np.abs(np.diff(code.values, axis=0)).sum(axis=0)

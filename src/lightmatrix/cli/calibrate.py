@@ -34,9 +34,7 @@ from lightmatrix.errors import InputError
         show_default="the middle",
     ),
     baseline=Option(
-        metavar="200mm",
-        help="Without a board: from the camera to the projector.",
-        show_default="1",
+        metavar="200mm", help="Without a board: from the camera to the projector.", show_default="1"
     ),
     diamond="Of a projector with diamond pixels (LightCrafter 4500): to which side of even rows "
     "odd rows (1, 3, ...) stand.",

@@ -183,12 +183,18 @@ def estimate(
             output = Path("scene")
         if output.suffix.lower() == ".zarr":
             what = "several projectors" if capture.projectors else "patterns in colour"
-            raise InputError(
-                f"{output} for {what}, whose T is a folder of stores",
-                hint=f"name a folder: -o {output.with_suffix('')}",
-            )
+            hint = f"name a folder: -o {output.with_suffix('')}"
+            raise InputError(f"{output} for {what}, whose T is a folder of stores", hint=hint)
     if not isinstance(capture.patterns, lm.ColourPatterns):
-        _check_report(output, report, viewer, geometry, overwrite=overwrite)
+        for name, given in (("--viewer", viewer), ("--geometry", geometry)):
+            if given and report is None:
+                hint = "add --report; or run `lightmatrix view` or `triangulate` on the estimate"
+                raise InputError(f"{name} without --report", hint=hint)
+        if report is not None:
+            if output.absolute() in (report.absolute(), *report.absolute().parents):
+                hint = "choose another folder for the report"
+                raise InputError(f"{report}: is where the estimate goes", hint=hint)
+            check_output(report, REPORT, overwrite=overwrite)
     capture = capture.bin(projector=size(bin_projector), camera=size(bin_camera))
     if isinstance(capture.patterns, lm.ColourPatterns):
         colour = lm.estimate_colour(capture, output=output, overwrite=overwrite, check=check)
@@ -249,21 +255,6 @@ def estimate(
         say("some rows reached the iteration limit: raise it with --iterations", style="yellow")
     if report is not None:
         say(f"report: {(report / 'report.html').absolute()}")
-
-
-def _check_report(
-    output: Path, report: Path | None, viewer: bool, geometry: Path | None, *, overwrite: bool
-) -> None:
-    """Refuse a viewer and a geometry without the report, and a report that cannot be written."""
-    for name, given in (("--viewer", viewer), ("--geometry", geometry)):
-        if given and report is None:
-            hint = "add --report; or run `lightmatrix view` or `triangulate` on the estimate"
-            raise InputError(f"{name} without --report", hint=hint)
-    if report is not None and output.absolute() in (report.absolute(), *report.absolute().parents):
-        hint = "choose another folder for the report"
-        raise InputError(f"{report}: is where the estimate goes", hint=hint)
-    if report is not None:
-        check_output(report, REPORT, overwrite=overwrite)
 
 
 def _truth(folder: Path | None, transport: lm.LightTransport) -> lm.LightTransport | None:

@@ -65,21 +65,17 @@ def evaluate(scene: Store, truth: str, exposure: float = 1.0, as_json: Json = Fa
     Shows the errors of T, of relit images and of single responses, over all rows and some kinds of
     rows. For a folder of three stores, it compares the three matrices of a colour projector.
     """
-    title = f"{scene} against {truth}"
     if holds_colour(scene):
         joint = lm.evaluate_colour(scene, truth, exposure)
-        if as_json:
-            show_json(joint.as_dict())
-        else:
-            show_table(title, labelled(joint.table()))
-        return
-    with progress("rendering", "paths") as report:
-        errors = lm.evaluate(scene, truth, exposure, progress=report).as_dict()
+        facts, shown = joint.as_dict(), joint.table()
+    else:
+        with progress("rendering", "paths") as report:
+            facts = lm.evaluate(scene, truth, exposure, progress=report).as_dict()
+        shown = {name: value for name, value in facts.items() if name != "exposure"}
     if as_json:
-        show_json(errors)
-        return
-    del errors["exposure"]
-    show_table(title, labelled(errors))
+        show_json(facts)
+    else:
+        show_table(f"{scene} against {truth}", labelled(shown))
 
 
 @described(

@@ -148,14 +148,11 @@ def unmixed_capture(
     A grey photograph stays one, with less noise. Where the gains (n, 3, 3) hardly tell a primary
     from the others, its noise is large, and its weight low in proportion.
     """
-    grey, coloured = (
-        np.flatnonzero(which) for which in (samples.patterns.grey, ~samples.patterns.grey)
-    )
+    grey = np.flatnonzero(samples.patterns.grey)
+    coloured = np.flatnonzero(~samples.patterns.grey)
     white = gains.sum(axis=2)
     white /= np.maximum((white**2).sum(axis=1, keepdims=True), _LEAST_GAIN)
-    parts = [_separated_samples(samples, gains, coloured)]
-    if len(grey):
-        parts.insert(0, _grey_samples(samples, white, grey))
+    parts = _grey_samples(samples, white, grey), _separated_samples(samples, gains, coloured)
     names = "values", "clipped", "clip_level", "weights"
     each = ([getattr(part, name) for part in parts] for name in names)
     known = Samples(*(np.concatenate(arrays, axis=1) for arrays in each))

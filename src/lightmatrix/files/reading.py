@@ -120,12 +120,10 @@ def parse_json(text: str, name: str, *, finite: bool = True) -> Any:
         return json.loads(
             text, parse_constant=_refuse_constant if finite else None, object_pairs_hook=_distinct
         )
-    except RecursionError as error:
+    except (RecursionError, ValueError) as error:
+        why = "nested too deeply" if isinstance(error, RecursionError) else str(error)[:120]
         hint = "restore it, or remove it"
-        raise InputError(f"{name}: cannot be read (nested too deeply)", hint=hint) from error
-    except ValueError as error:
-        hint = "restore it, or remove it"
-        raise InputError(f"{name}: cannot be read ({str(error)[:120]})", hint=hint) from error
+        raise InputError(f"{name}: cannot be read ({why})", hint=hint) from error
 
 
 @contextmanager

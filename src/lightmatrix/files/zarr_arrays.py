@@ -100,22 +100,16 @@ def _read_metadata(place: Path) -> dict[str, Any]:
     return content
 
 
-def read_attributes(place: Path) -> dict[str, Any]:
-    """The attributes of a group; empty if there is no group that can be read."""
-    if not place.is_dir() or not os.path.lexists(place / HEADER):
-        return {}
-    try:
-        attributes = _read_metadata(place).get("attributes")
-    except (InputError, ValueError):
-        if not os.access(place / HEADER, os.R_OK):
-            raise
-        return {}
-    return attributes if isinstance(attributes, dict) else {}
-
-
 def read_group(place: Path, kind: str, form: str, version: int, hint: str) -> dict[str, Any]:
     """The attributes of a group of ours; an InputError if it has another format or version."""
-    attributes = read_attributes(place)
+    attributes: Any = {}
+    if place.is_dir() and os.path.lexists(place / HEADER):
+        try:
+            attributes = _read_metadata(place).get("attributes")
+        except (InputError, ValueError):
+            if not os.access(place / HEADER, os.R_OK):
+                raise
+    attributes = attributes if isinstance(attributes, dict) else {}
     if attributes.get("format") != form:
         output = attributes.get("output")
         other = output.get("kind") if isinstance(output, dict) else None

@@ -36,11 +36,6 @@ class _Tuning:
 ROBUST = _Tuning()
 
 
-def spread_of_spots(distance: Array) -> float:
-    """The standard deviation of distances (n,) in pixels, from the median of their magnitudes."""
-    return max(1.48 * float(np.median(np.abs(distance))), ROBUST.least_spread_of_spots)
-
-
 def _reweighted(
     solve: Callable[[Array], Array],
     distances: Callable[[Array], Array],

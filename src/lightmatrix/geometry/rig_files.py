@@ -275,10 +275,9 @@ def write_rig(part: Path, rig: Any) -> None:
         what = "diamond pixels" if rig.projector_stagger else "skewed pixels"
         what = "a mirrored projector" if rig.projector_mirrored else what
         raise OutputError(f"this format cannot state {what}", hint="save it as .json")
-    (_write_colmap if part.is_dir() else _write_opencv)(part, rig)
-
-
-def _write_opencv(part: Path, rig: Any) -> None:
+    if part.is_dir():
+        _write_colmap(part, rig)
+        return
     cv2 = load_opencv("writing a file of OpenCV", "shape")
     storage = cv2.FileStorage(str(part), cv2.FILE_STORAGE_WRITE)
     storage.writeComment(f"{OUR_MARK}, unit of length: {rig.units or 'unknown'}")

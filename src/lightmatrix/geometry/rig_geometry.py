@@ -516,12 +516,9 @@ class RigGeometry(ShortRepr):
         or that cannot state a mirrored projector, diamond pixels or, of COLMAP's, skewed ones.
         """
         kind = geometry_kind(path)
-        if isinstance(kind, FolderKind):
-            with atomic_folder(path, kind, overwrite=overwrite) as folder:
-                write_rig(folder, self)
-        else:
-            with atomic_file(path, kind, overwrite=overwrite) as part:
-                write_rig(part, self)
+        atomic: Any = atomic_folder if isinstance(kind, FolderKind) else atomic_file
+        with atomic(path, kind, overwrite=overwrite) as part:
+            write_rig(part, self)
 
     @staticmethod
     def load(

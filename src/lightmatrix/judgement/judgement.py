@@ -336,7 +336,13 @@ class OwnError:
 
         It is that of the shortest exposure of the provenance; 0 where that is unknown.
         """
-        clipped = ~unclipped_rows(self.transport, _shortest_exposure(self.transport))
+        # The provenance of a store may hold anything. Nothing clips at an exposure of 0.
+        try:
+            exposure = float(np.min(self.transport.provenance["capture_description"]["exposure"]))
+        except (TypeError, ValueError, KeyError):
+            exposure = 0.0
+        exposure = exposure if np.isfinite(exposure) else 0.0
+        clipped = ~unclipped_rows(self.transport, exposure)
         bounded = _diagnostic(self.transport, "only_bounded")
         # A photograph that shows the pixel and does not clip tells how bright it is.
         return self._share(clipped & (bounded > 0) if bounded.size else clipped)
@@ -449,16 +455,6 @@ def _glints(transport: LightTransport) -> int:
     # The third among the neighbours from above; the sample itself comes before them.
     third = scipy.ndimage.rank_filter(image, -4, size=(3, 3, 1))
     return int((glint & (image - third > DOUBTFUL.apart).ravel()).sum())
-
-
-def _shortest_exposure(transport: LightTransport) -> float:
-    """The shortest exposure by the provenance; 0, at which nothing clips, if it is unknown."""
-    # The provenance of a store may hold anything.
-    try:
-        exposure = float(np.min(transport.provenance["capture_description"]["exposure"]))
-    except (TypeError, ValueError, KeyError):
-        return 0.0
-    return exposure if np.isfinite(exposure) else 0.0
 
 
 def _diagnostic(transport: LightTransport, name: str) -> NDArray[np.float64]:

@@ -177,8 +177,18 @@ def _from_images(place: Path, entries: list[Path | Page]) -> PatternSet:
     """The patterns that the images show, as bits unless one of them has a grey pixel."""
     stack = ImageStack.open(entries)
     shape, count = (stack.shape[0], stack.shape[1]), len(entries)
-    if len(stack.shape) == 3 and _shows_colours(stack):
-        return _in_colour(place, stack)
+    if len(stack.shape) == 3 and any(
+        image.any(axis=(0, 1)).sum() > 1 and not is_grey(image)
+        for image in work_ahead(stack.read, range(count))
+    ):
+        # A pattern of more than one colour is one of a colour projector.
+        check_memory(place, 4 * count * int(np.prod(stack.shape)))
+        shown = np.empty((count, *stack.shape), np.float32)
+        top = 1.0 if stack.dtype.kind == "f" else np.iinfo(stack.dtype).max
+        for k, image in enumerate(work_ahead(stack.read, range(count))):
+            shown[k] = image / np.float32(top)
+        _check_depth(place, stack.dtype, float(shown.max()))
+        return colour_images(shown)
     pixels = shape[0] * shape[1]
     bits = np.empty((count, (pixels + 7) // 8), np.uint8)
     images: NDArray[np.float32] | None = None
@@ -201,26 +211,6 @@ def _from_images(place: Path, entries: list[Path | Page]) -> PatternSet:
         )
     _check_depth(place, stack.dtype, brightest)
     return BitPatterns(shape, bits) if images is None else ImagePatterns(images)
-
-
-def _shows_colours(stack: ImageStack) -> bool:
-    """Whether an image of a stack shows more than one colour."""
-    for image in work_ahead(stack.read, range(stack.count)):
-        lit = [channel.any() for channel in np.moveaxis(image, 2, 0)]
-        if sum(lit) > 1 and not is_grey(image):
-            return True
-    return False
-
-
-def _in_colour(place: Path, stack: ImageStack) -> PatternSet:
-    """The patterns of a colour projector that a stack of colour images shows."""
-    check_memory(place, 4 * stack.count * int(np.prod(stack.shape)))
-    images = np.empty((stack.count, *stack.shape), np.float32)
-    top = 1.0 if stack.dtype.kind == "f" else np.iinfo(stack.dtype).max
-    for k, image in enumerate(work_ahead(stack.read, range(stack.count))):
-        images[k] = image / np.float32(top)
-    _check_depth(place, stack.dtype, float(images.max()))
-    return colour_images(images)
 
 
 def _check_depth(place: Path, dtype: np.dtype[Any], brightest: float) -> None:

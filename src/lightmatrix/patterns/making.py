@@ -104,7 +104,16 @@ def make_patterns(
     if levels is not None and kind != "random":
         raise InputError(f"levels for {kind} patterns", hint="make patterns of the kind random")
     if kind in CODES:
-        return _code(kind, shape, count, inverse, period)
+        given: dict[str, Any] = {} if period is None else {"period": period}
+        if kind == "microphase":
+            return MicroPhasePatterns(shape, **given | ({} if count is None else {"total": count}))
+        code: PatternSet = GrayCodePatterns(shape, inverse)
+        if kind == "phase":
+            code = PhasePatterns(shape, inverse=inverse, **given)
+        if count is not None and count != code.count:
+            hint = f"leave the number out: this code has {code.count}"
+            raise InputError(f"{count} {kind} patterns", hint=hint)
+        return code
     number = USUAL_COUNT if count is None else count
     check_geometry(shape, number)
     if kind == "random":
@@ -120,11 +129,17 @@ def make_patterns(
         if isinstance(shares, str):
             shares = parse_mix(shares, shape)
         return MixedPatterns(shape, number, shares, density, seed)
-    if kind == "onepixel":
-        return _some(BlockPatterns(shape), count, "onepixel", seed)
-    if kind == "blocks":
-        return _some(BlockPatterns(shape, block), count, "blocks", seed)
-    raise InputError(f"patterns of the kind {kind!r}", hint=f"use one of {', '.join(KINDS)}")
+    if kind not in ("onepixel", "blocks"):
+        raise InputError(f"patterns of the kind {kind!r}", hint=f"use one of {', '.join(KINDS)}")
+    whole = BlockPatterns(shape, (1, 1) if kind == "onepixel" else block)
+    if count is None or count == whole.count:
+        return whole
+    if not 1 <= count <= whole.count:
+        hint = f"there are {whole.count}; ask for fewer, or for all"
+        raise InputError(f"{count} {kind} patterns", hint=hint)
+    # Some of them are drawn at random, and kept in their order.
+    chosen = np.sort(np.random.default_rng(seed).permutation(whole.count)[:count])
+    return BlockPatterns(whole.shape, whole.block, chosen)
 
 
 def remake_patterns(description: Mapping[str, Any]) -> PatternSet | None:
@@ -146,30 +161,3 @@ def remake_patterns(description: Mapping[str, Any]) -> PatternSet | None:
             f"a description of {kind} patterns that cannot be read: {error}",
             hint="remove patterns.json to read the patterns from their images",
         ) from error
-
-
-def _code(
-    kind: str, shape: tuple[int, int], count: int | None, inverse: bool, period: float | None
-) -> PatternSet:
-    """Stripes that number the projector's columns and rows."""
-    given: dict[str, Any] = {} if period is None else {"period": period}
-    if kind == "microphase":
-        return MicroPhasePatterns(shape, **given | ({} if count is None else {"total": count}))
-    code: PatternSet = GrayCodePatterns(shape, inverse)
-    if kind == "phase":
-        code = PhasePatterns(shape, inverse=inverse, **given)
-    if count is not None and count != code.count:
-        hint = f"leave the number out: this code has {code.count}"
-        raise InputError(f"{count} {kind} patterns", hint=hint)
-    return code
-
-
-def _some(whole: BlockPatterns, count: int | None, kind: str, seed: int) -> BlockPatterns:
-    """All patterns, or `count` of them, drawn at random and kept in their order."""
-    if count is None or count == whole.count:
-        return whole
-    if not 1 <= count <= whole.count:
-        hint = f"there are {whole.count}; ask for fewer, or for all"
-        raise InputError(f"{count} {kind} patterns", hint=hint)
-    chosen = np.sort(np.random.default_rng(seed).permutation(whole.count)[:count])
-    return BlockPatterns(whole.shape, whole.block, chosen)

@@ -87,22 +87,6 @@ def groups(mixed: NDArray[np.float64]) -> NDArray[np.int64]:
     return group
 
 
-def far_twins(
-    group: NDArray[np.int64], shape: tuple[int, int], axes: tuple[bool, bool]
-) -> NDArray[np.bool_]:
-    """Whether a pixel of the same group lies more than a pixel away along one of the axes, (N,)."""
-    far = np.zeros(len(group), np.bool_)
-    count = int(group.max()) + 1
-    for place, counts in zip(np.divmod(np.arange(len(group)), shape[1]), axes, strict=True):
-        if not counts:
-            continue
-        for away in (place, -place):
-            least = np.full(count, np.iinfo(np.int64).max)
-            np.minimum.at(least, group, away)
-            far |= away - least[group] > NEAR
-    return far
-
-
 def seed_sequence(
     seed: int, shape: tuple[int, int], density: float = 0.5
 ) -> np.random.SeedSequence:
@@ -246,9 +230,9 @@ class PatternSet(ShortRepr, ABC):
             each.append(hashlib.sha256(repr(self.shape).encode() + content).hexdigest()[:16])
         return hasher.hexdigest()[:16], each
 
-    def chunks(self, size: int | None = None) -> Any:
+    def chunks(self) -> Any:
         """Iterate over (start, rows of P) in chunks of bounded memory."""
-        size = size or max(1, _CHUNK_BYTES // (4 * self.pixels))
+        size = max(1, _CHUNK_BYTES // (4 * self.pixels))
         for start in range(0, self.count, size):
             yield start, self.rows(start, min(start + size, self.count))
 
@@ -299,7 +283,15 @@ class PatternSet(ShortRepr, ABC):
         mixed = scipy.ndimage.convolve(
             self._mixture.reshape(self.shape), np.array(kernel), mode="nearest"
         )
-        return far_twins(groups(mixed.ravel()), self.shape, self.axes)
+        group, far = groups(mixed.ravel()), np.zeros(self.pixels, np.bool_)
+        # Whether a pixel of the same group lies more than a pixel away along one of the axes.
+        places = np.divmod(np.arange(self.pixels), self.shape[1])
+        for place in (place for place, varies in zip(places, self.axes, strict=True) if varies):
+            for away in (place, -place):
+                least = np.full(int(group.max()) + 1, np.iinfo(np.int64).max)
+                np.minimum.at(least, group, away)
+                far |= away - least[group] > NEAR
+        return far
 
     @property
     def _mixture(self) -> NDArray[np.float64]:

@@ -89,10 +89,8 @@ def relight(
     check_output(output, IMAGE, overwrite=overwrite)
     as_png = output is not None and as_path(output).suffix.lower() == ".png"
     if output is not None and gamma not in (None, 1) and not as_png:
-        raise InputError(
-            f"a gamma of {gamma:g} for {output}, which holds linear values",
-            hint="write a .png, or leave out the gamma",
-        )
+        hint = "write a .png, or leave out the gamma"
+        raise InputError(f"a gamma of {gamma:g} for {output}, which holds linear values", hint=hint)
     if isinstance(transport, str | Path) and holds_colour(transport):
         transport = colour_paths(transport)
     several = isinstance(transport, Sequence | ColourTransport) and not isinstance(transport, str)

@@ -111,14 +111,6 @@ def counts() -> list[int]:
     return sorted({int(row["frames"]) for row in table()})
 
 
-def frames_for(error: float) -> int:
-    """The fewest measured frames that reach an error on the worst scene, or the most."""
-    for count in counts():
-        if min(e.relative_error[1] for e in expectations(count)) <= error:
-            return count
-    return counts()[-1]
-
-
 @cache
 def table() -> list[dict[str, Any]]:
     """All rows of the table."""
@@ -355,7 +347,11 @@ def plan(
         values = photograph.values[:, 0].astype(np.float64) / unit
         frame = WhiteFrame(values, photograph.clipped[:, 0])
     fewest = fewest_frames(projector[0] * projector[1])
-    count = max(frames_for(error), fewest) if frames is None else frames
+    if frames is None:
+        # The fewest measured frames that reach the error on the worst scene, or the most.
+        worst = {n: min(e.relative_error[1] for e in expectations(n)) for n in counts()}
+        frames = max(next((n for n in worst if worst[n] <= error), counts()[-1]), fewest)
+    count = frames
     if count < fewest:
         raise InputError(
             f"{count} photographs do not tell {projector[0]} x {projector[1]} pixels apart",

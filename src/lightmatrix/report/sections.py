@@ -225,25 +225,15 @@ def _unseen_photographs(facts: Facts) -> list[Element]:
     )
     number = int(validation.frames[0])
     pattern = facts.capture.patterns.images(number, number + 1)[0]
-    difference = validation.predictions[0] - validation.photographs[0]
+    seen, predicted = validation.photographs[0], validation.predictions[0]
     # Samples that are not counted or clip in both images do not differ.
-    difference = np.where(validation.counted[0], difference, 0)
+    difference = np.where(validation.counted[0], predicted - seen, 0)
+    title = f"Photograph {number}"
     mean = float(abs(difference).mean())
     comparison = (
         pattern_image(pattern, f"Pattern {number}", f"Pattern {number}"),
-        photograph(
-            validation.photographs[0],
-            f"Photograph {number}",
-            f"Photograph {number}",
-            "White is the clip level.",
-            white=1.0,
-        ),
-        photograph(
-            validation.predictions[0],
-            f"Prediction of photograph {number}",
-            "Its prediction",
-            white=1.0,
-        ),
+        photograph(seen, title, title, "White is the clip level.", white=1.0),
+        photograph(predicted, f"Prediction of photograph {number}", "Its prediction", white=1.0),
         difference_image(
             difference,
             # Three times the usual noise, so that noise does not look like an error.

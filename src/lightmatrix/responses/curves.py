@@ -323,11 +323,7 @@ def camera_response(
     check_positive(clip=clip)
     end = range_end(frames.dtype, clip)
     top = end if clip is None else as_float(clip)
-    dark = (
-        float(np.median(read_image(black)))
-        if isinstance(black, str | Path)
-        else as_float(black or 0)
-    )
+    dark = as_float(np.median(read_image(black)) if isinstance(black, str | Path) else black or 0)
     if not 0 <= dark < 0.9 * top <= 0.9 * end:
         raise InputError(
             f"levels from {dark:g} without light to {top:g} where the camera clips, in images of "
@@ -415,11 +411,8 @@ def projector_response(
     count = frames.count
     if count < 5:
         raise InputError(f"{count} photographs of grey values", hint="take 5 at least, better 17")
-    grey = (
-        np.rint(np.linspace(0, TOP, count))
-        if levels is None
-        else real_numbers("grey values", levels)
-    )
+    even = np.rint(np.linspace(0, TOP, count))
+    grey = even if levels is None else real_numbers("grey values", levels)
     if grey.shape != (count,):
         hint = "give one for each, in the order of the photographs"
         raise InputError(f"{grey.size} grey values for {count} photographs", hint=hint)

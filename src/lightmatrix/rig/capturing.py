@@ -297,7 +297,32 @@ def take_capture(
             "camera": {key: known.camera.get(key) for key in ("name", "shape", "bits")},
         }
         with CaptureRecord.open(target, wanted, overwrite=overwrite) as record:
-            session = _begin(rig, record, patterns, known, settings, progress)
+            assert known.settle is not None
+            projected = ProjectedPatterns(patterns, screen, cell, known.response)
+            if not record.state.exposures:
+                asked: Any = settings.exposure
+                if asked is None:
+                    assert known.exposure is not None
+                    advised = known.exposure.seconds
+                    asked = exposure_sequence([(e, 1 / len(advised)) for e in advised], patterns)
+                record.state.exposures = np.broadcast_to(asked, patterns.count).tolist()
+                record.save()
+            seconds = np.array(record.state.exposures, np.float64)
+            photographer = Photographer(rig, known.settle.seconds)
+            references = rig.persistently(lambda: take_references(photographer, seconds))
+            black, white = record.read_image(_BLACK), record.read_image(_WHITE)
+            if black is None or white is None or not record.state.frames:
+                record.keep_image(_BLACK, references.black.without_noise)
+                record.keep_image(_WHITE, references.white.mean)
+            elif (warning := references.change(white, black)) is not None:
+                raise DeviceError(
+                    f"since the first {len(record.state.frames)} frames were taken: {warning}",
+                    hint="put the rig back as it was, or begin anew: overwrite=True",
+                )
+            session = CaptureSession(
+                photographer, record, patterns, projected.image, seconds, references,
+                check=settings.check, progress=progress,
+            )  # fmt: skip
 
             def estimate_so_far() -> LightTransport:
                 with TemporaryDirectory(prefix="lightmatrix-") as folder:
@@ -315,46 +340,6 @@ def take_capture(
             record.discard()
     _warn(record, known)
     return Capture.open(output)
-
-
-def _begin(
-    rig: Rig,
-    record: CaptureRecord,
-    patterns: PatternSet,
-    known: RigMeasurements,
-    settings: CaptureSettings,
-    progress: Callable[[Step], None] | None,
-) -> CaptureSession:
-    """A session with its references; refuses a rig that has changed since the frames so far."""
-    assert known.settle is not None
-    projected = ProjectedPatterns(patterns, rig.projector.shape, settings.cell, known.response)
-    if record.state.exposures:
-        seconds = np.array(record.state.exposures)
-    else:
-        if settings.exposure is not None:
-            seconds = np.full(patterns.count, settings.exposure)
-        else:
-            assert known.exposure is not None
-            advised = known.exposure.seconds
-            shares = [(each, 1 / len(advised)) for each in advised]
-            seconds = np.broadcast_to(exposure_sequence(shares, patterns), patterns.count).copy()
-        record.state.exposures = [float(each) for each in seconds]
-        record.save()
-    photographer = Photographer(rig, known.settle.seconds)
-    references = rig.persistently(lambda: take_references(photographer, seconds))
-    black, white = record.read_image(_BLACK), record.read_image(_WHITE)
-    if black is None or white is None or not record.state.frames:
-        record.keep_image(_BLACK, references.black.without_noise)
-        record.keep_image(_WHITE, references.white.mean)
-    elif (warning := references.change(white, black)) is not None:
-        raise DeviceError(
-            f"since the first {len(record.state.frames)} frames were taken: {warning}",
-            hint="put the rig back as it was, or begin anew: overwrite=True",
-        )
-    return CaptureSession(
-        photographer, record, patterns, projected.image, seconds, references, check=settings.check,
-        progress=progress,
-    )  # fmt: skip
 
 
 def _write(

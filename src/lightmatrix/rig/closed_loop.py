@@ -27,7 +27,7 @@ from lightmatrix.rig.photograph import (
     take_white_and_black,
 )
 from lightmatrix.rig.rig import ProjectedPatterns, Rig, UnfitRigError
-from lightmatrix.rig.rig_measurements import measure_rig
+from lightmatrix.rig.rig_measurements import RigMeasurements, measure_rig
 from lightmatrix.uses.compensation import (
     Compensation,
     Compensator,
@@ -167,7 +167,10 @@ def refine_compensation(
     samples = wanted_samples(wanted, shared.light.camera_shape, gamma=gamma, fit=fit)
     if brightness is None:
         brightness = shared.automatic_brightness(samples)
-    loop = _ClosedLoop(rig, shared, curve, cell * down, keep, settle, measuring)
+    known = measure_rig(
+        rig, ("flicker", "response"), keep=keep, settle=settle, response=curve, progress=measuring
+    )
+    loop = _ClosedLoop(rig, known, shared, curve, cell * down)
     target = np.float32(brightness) * samples * shared.white_point
     asked, found = target, shared.reaching(target, brightness)
     # Samples that no pattern reaches would pull their neighbours further with every step.
@@ -200,20 +203,10 @@ class _ClosedLoop:
     """A rig that is ready to photograph patterns in the units of T."""
 
     def __init__(
-        self,
-        rig: Rig,
-        shared: Compensator,
-        curve: str,
-        cell: int,
-        keep: str | Path | None,
-        settle: float | None,
-        measuring: Callable[[str, int, int], None] | None,
+        self, rig: Rig, known: RigMeasurements, shared: Compensator, curve: str, cell: int
     ) -> None:
-        """Measure the rig, choose an exposure, and compare white with what T says of it."""
-        parts = "flicker", "response"
-        self.known = known = measure_rig(
-            rig, parts, keep=keep, settle=settle, response=curve, progress=measuring
-        )
+        """Choose an exposure, and compare white with what T says of it."""
+        self.known = known
         assert known.settle is not None
         assert known.flicker is not None
         self.photographer = photographer = Photographer(rig, known.settle.seconds)

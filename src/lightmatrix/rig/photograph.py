@@ -373,7 +373,6 @@ def take_references(photographer: Photographer, seconds: NDArray[np.float64]) ->
     dark = dark_short = take_average(waiting, black, long, 8)
     if short != long:
         dark_short = take_average(photographer, black, short, 3)
-    waiting = replace(waiting)
     bright = take_average(waiting, white, short, 5)
     references = References(dark, bright, dark_short.mean)
     if np.quantile(references.light, 0.99) < 0.01 * bright.clip_level:

@@ -157,10 +157,7 @@ def open_rig(
     elif projector or camera is not None:
         hint = "a virtual rig has both; give one or the other"
         raise InputError("a rig and a projector or a camera", hint=hint)
-    return _virtual(rig if isinstance(rig, VirtualSettings) else parse_settings(rig))
-
-
-def _virtual(settings: VirtualSettings) -> Rig:
+    settings = rig if isinstance(rig, VirtualSettings) else parse_settings(rig)
     size = (settings.size, settings.size)
     if settings.scene == PROCEDURAL:
         truth = ProceduralScene(size, size, settings.seed).truth()
@@ -168,11 +165,11 @@ def _virtual(settings: VirtualSettings) -> Rig:
         truth = library.truth(settings.scene, size, camera=settings.camera)
     clock = SimulatedClock() if not settings.real else Clock()
     light = VirtualLight(truth, realism.ambient(truth, settings.room), settings)
-    camera = VirtualCamera(light, clock)
+    device = VirtualCamera(light, clock)
     # The light of a black pixel is in the black frame, so the T that can be measured is smaller.
     measurable = truth.scaled(np.float32(1 - HARDWARE.leak))
-    projector = VirtualProjector(light, clock)
-    return Rig(projector, camera, camera.reopen, clock, measurable, settings.unit)
+    lamp = VirtualProjector(light, clock)
+    return Rig(lamp, device, device.reopen, clock, measurable, settings.unit)
 
 
 @dataclass(frozen=True, eq=False)

@@ -366,8 +366,9 @@ class RigMeasurements:
         content = read_json(file, RIG_FORMAT, VERSION)
         try:
             parts = {
-                name: None if content[name] is None else _part(kind, content[name])
+                name: kind(**{k: tuple(v) if isinstance(v, list) else v for k, v in part.items()})
                 for name, kind in _KINDS.items()
+                if (part := content[name]) is not None
             }
             return cls(dict(content["projector"]), dict(content["camera"]), **parts)
         except (AttributeError, KeyError, TypeError, ValueError) as error:
@@ -385,13 +386,6 @@ class RigMeasurements:
             )
             for key in _IDENTITY
         )
-
-
-def _part(kind: Callable[..., Any], part: Mapping[str, Any]) -> Any:
-    """A part from JSON; a TypeError or AttributeError if it is none."""
-    return kind(
-        **{key: tuple(each) if isinstance(each, list) else each for key, each in part.items()}
-    )
 
 
 def _jsonable(info: Mapping[str, Any]) -> dict[str, Any]:

@@ -15,7 +15,7 @@ the variance of what a row misses, and the standard errors are right as far as t
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
@@ -38,6 +38,8 @@ class Regression:
     regressors: Mapping[str, Array]
     per_frame: Mapping[str, bool]
     weight: Array
+    # The blocks of the normal equations that were needed so far.
+    _blocks: dict[tuple[str, str], Array] = field(default_factory=dict)
 
     @property
     def total(self) -> float:
@@ -77,10 +79,6 @@ class Regression:
             )
             total += first.T @ second
         return total
-
-    @cached_property
-    def _blocks(self) -> dict[tuple[str, str], Array]:
-        return {}
 
     def _block(self, one: str, two: str) -> Array:
         """The normal equations between the numbers of two terms, made when they are needed."""

@@ -79,17 +79,14 @@ class DynamicContrast(Term):
     advice = "switch dynamic contrast, eco mode and iris off"
     between = (-1, 1)
 
-    def _means(self, means: Array) -> Array:
-        return means - means[0]
-
     def regressors(self, seen: Prediction) -> Array | None:
+        means = seen.sent.patterns.means
         # Patterns that are about as bright as each other tell nothing.
-        if float(np.std(seen.sent.patterns.means)) < 0.02:
-            return None
-        return (self._means(seen.sent.patterns.means) * seen.predicted)[None]
+        return None if float(np.std(means)) < 0.02 else ((means - means[0]) * seen.predicted)[None]
 
     def take_out(self, values: Array, draft: Draft) -> None:
-        draft.gain = draft.gain * (1 + values[0] * self._means(draft.capture.patterns.means))
+        means = draft.capture.patterns.means
+        draft.gain = draft.gain * (1 + values[0] * (means - means[0]))
 
     def sentence(self, values: Array) -> str:
         change = f"{100 * values[0]:+.0f} % from black to white"

@@ -26,10 +26,7 @@ class ProjectorCurve(Term):
         if seen.sent.patterns.as_bits() is not None:
             return None
 
-        def bent(images: Array, before: Array) -> Array:
-            return images * np.log(np.maximum(images, 1e-9))
-
-        return seen.under(bent)[None]
+        return seen.under(lambda images, before: images * np.log(np.maximum(images, 1e-9)))[None]
 
     def take_out(self, values: Array, draft: Draft) -> None:
         power = 1 + float(values[0])

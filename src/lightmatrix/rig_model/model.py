@@ -132,23 +132,19 @@ class RigModel:
             term.take_out(values, draft)
         changed = draft.capture
         if draft.patterns:
-            changed = replace(changed, patterns=_changed_patterns(capture, draft))
+            # The patterns that the projector really showed.
+            images = capture.patterns.images()
+            for change in draft.patterns:
+                before = [images[max(0, k - 1)][None] for k in range(len(images))]
+                shown = [change(*each) for each in zip(images[:, None], before, strict=True)]
+                images = np.concatenate(shown, dtype=np.float32)
+            changed = replace(changed, patterns=ImagePatterns(np.clip(images, 0, 1)))
         correction = Correction(draft.gain, draft.ambient, draft.profile, None, draft.lag)
         changed = replace(changed, correction=correction)
         if not draft.images and draft.shift is None:
             return changed
         added = _added(changed, transport, draft, self.detail)
         return replace(changed, correction=replace(correction, added=added))
-
-
-def _changed_patterns(capture: Capture, draft: Draft) -> ImagePatterns:
-    """The patterns that the projector really showed."""
-    images = capture.patterns.images()
-    for change in draft.patterns:
-        before = [images[max(0, k - 1)][None] for k in range(len(images))]
-        shown = [change(*each) for each in zip(images[:, None], before, strict=True)]
-        images = np.concatenate(shown, dtype=np.float32)
-    return ImagePatterns(np.clip(images, 0, 1))
 
 
 def _added(

@@ -83,7 +83,13 @@ class Prediction:
         around = predicted_light(transport, places.reshape(-1), capture.patterns)
         around = around.reshape(*places.shape, capture.count)
         counted = samples.counted & ~samples.clipped
-        pixels = _strongest_pixels(transport, inner[chosen], capture.count)
+        # The strongest projector pixels of each row, one for five frames, at most six.
+        count, sparse = max(1, min(6, capture.count // 5)), transport.sparse[inner[chosen]]
+        owner = np.repeat(np.arange(len(chosen)), np.diff(sparse.indptr))
+        ordered = sparse.indices[np.lexsort((-sparse.data, owner))]
+        firsts = sparse.indptr[:-1, None] + np.arange(count)
+        ordered = np.append(ordered, np.zeros(count, np.int64))
+        pixels = np.where(firsts < sparse.indptr[1:, None], ordered[firsts], 0)
         lit = np.moveaxis(capture.patterns.at(pixels), 0, 1).astype(np.float64)
         whole = around[INNER].reshape(-1, capture.count)[chosen]
         columns = np.concatenate([lit, np.ones_like(lit[..., :1])], axis=2) * counted[..., None]
@@ -166,18 +172,6 @@ def predicted_light(
         light[:, start : start + len(chunk)] = sparse @ shown
         light[:, start : start + len(chunk)] += background @ (transport.pooling @ shown)
     return light
-
-
-def _strongest_pixels(
-    transport: LightTransport, index: NDArray[np.int64], frames: int
-) -> NDArray[np.int64]:
-    """The strongest projector pixels of some rows, (m, count): one for five frames, at most six."""
-    count = max(1, min(6, frames // 5))
-    sparse = transport.sparse[index]
-    order = np.lexsort((-sparse.data, np.repeat(np.arange(len(index)), np.diff(sparse.indptr))))
-    places = sparse.indptr[:-1, None] + np.arange(count)
-    ordered = np.append(sparse.indices[order], np.zeros(count, np.int64))
-    return np.where(places < sparse.indptr[1:, None], ordered[places], 0)
 
 
 def slopes(images: Array) -> tuple[Array, Array]:

@@ -51,11 +51,9 @@ class Crosstalk(Term):
         return np.stack([seen.under(partial(lost, side=side)) for side in (0, 1)])
 
     def take_out(self, values: Array, draft: Draft) -> None:
-        def dimmed(images: Array, before: Array) -> Array:
-            dark = 1 - neighbours(images)
-            return images * (1 - np.tensordot(values, dark, axes=1))
-
-        draft.patterns.append(dimmed)
+        draft.patterns.append(
+            lambda images, before: images * (1 - np.tensordot(values, 1 - neighbours(images), 1))
+        )
 
     def sentence(self, values: Array) -> str:
         return f"a projector pixel between dark ones loses {100 * values.sum():.0f} % of its light"
@@ -119,10 +117,9 @@ class CameraSharpening(Term):
         return np.stack([seen.inner(2 * (np.maximum(images + r / 2, 0) - images)) for r in rings])
 
     def take_out(self, values: Array, draft: Draft) -> None:
-        def sharpened(images: NDArray[Any], places: Array) -> NDArray[Any]:
-            return np.asarray(np.tensordot(values, _differences(images), 1)[INNER])
-
-        draft.images.append(sharpened)
+        draft.images.append(
+            lambda images, places: np.tensordot(values, _differences(images), 1)[INNER]
+        )
 
     def sentence(self, values: Array) -> str:
         return f"the camera sharpens its photographs by {100 * values.sum():.0f} %"

@@ -393,7 +393,17 @@ def calibrate_rig(
         corners = {name: pose for name, pose in corners.items() if name not in badly}
         _check_count(len(corners), left_out)
         fit = fitted()
-    _check_errors(fit.rms())
+    causes = (
+        "are all poses in the order of their patterns? Is the board flat and of this many inner "
+        "corners, and did it lie still? Did the camera focus anew?"
+    )
+    rms = fit.rms()
+    off = f"{rms['camera']:.2f} camera pixels and {rms['projector']:.2f} projector pixels (RMS)"
+    # Good calibrations reach 0.1 to 0.5 pixels.
+    if not max(rms.values()) <= 3:
+        raise InputError(f"no geometry explains the corners: they are off by {off}", hint=causes)
+    if max(rms.values()) > 1:
+        warn(f"the corners are off by {off}; good calibrations reach 0.5\n  {causes}")
     if fit.behind:
         hint = "is an image mirrored or turned, or are patterns and photographs of two series?"
         raise InputError("the geometry that fits puts the board behind a device", hint=hint)
@@ -453,20 +463,6 @@ def _misfits(
         return {}
     reason = f"the others fit to {rest[name]:.2f} pixels without it, and to {far:.2f} with it"
     return {name: f"{reason}; did the board move?"}
-
-
-def _check_errors(rms: Mapping[str, float]) -> None:
-    """Refuses errors that no geometry should have, and warns of large ones, in pixels."""
-    causes = (
-        "are all poses in the order of their patterns? Is the board flat and of this many inner "
-        "corners, and did it lie still? Did the camera focus anew?"
-    )
-    off = f"{rms['camera']:.2f} camera pixels and {rms['projector']:.2f} projector pixels (RMS)"
-    # Good calibrations reach 0.1 to 0.5 pixels.
-    if not max(rms.values()) <= 3:
-        raise InputError(f"no geometry explains the corners: they are off by {off}", hint=causes)
-    if max(rms.values()) > 1:
-        warn(f"the corners are off by {off}; good calibrations reach 0.5\n  {causes}")
 
 
 def _captures_of(pose: Pose) -> list[list[Capture]]:

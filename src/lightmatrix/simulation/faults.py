@@ -41,10 +41,6 @@ class _Shots:
 # In the projector: patterns (K, rows, primaries, cols) in [0, 1] and what is emitted of them.
 
 
-def _projector_curve(shown: Images, shots: _Shots) -> Images:
-    return np.asarray(shown**shots.amount)
-
-
 def _sharpening(shown: Images, shots: _Shots) -> Images:
     blurred = scipy.ndimage.gaussian_filter(shown, (0, 1, 0, 1), mode="nearest")
     return (shown + shots.amount * (shown - blurred)).clip(0, 1)
@@ -124,10 +120,6 @@ def _camera_curve(light: Images, shots: _Shots) -> Images:
     return np.asarray((light * exposures).clip(0) ** np.float32(1 / shots.amount) / exposures)
 
 
-def _black(light: Images, shots: _Shots) -> Images:
-    return light  # `simulate` takes the black frame by itself, see `Faults.black_exposure`.
-
-
 # Displacement of each frame: where its image lies in the still one, (K, 2, 3) as an affine map of
 # the place (row, col) from the middle to a displacement in pixels.
 
@@ -164,7 +156,9 @@ class Fault:
 
 # The faults in the order in which they act.
 FAULTS: dict[str, Fault] = {
-    "projector-curve": Fault("projector", _projector_curve, 10, "gamma of grey values", 0.1),
+    "projector-curve": Fault(
+        "projector", lambda shown, shots: shown**shots.amount, 10, "gamma of grey values", 0.1
+    ),
     "sharpening": Fault("projector", _sharpening, 10, "strength of the projector's unsharp mask"),
     "crosstalk": Fault(
         "projector", _crosstalk, 1, "share of its light that a pixel loses among dark ones"
@@ -190,7 +184,10 @@ FAULTS: dict[str, Fault] = {
         "camera", _tone_mapping, 1, "exponent by which dark surroundings are brightened"
     ),
     "camera-curve": Fault("camera", _camera_curve, 10, "gamma of the levels", 0.1),
-    "black": Fault("black frame", _black, 10, "change of the black frame's exposure", -0.9),
+    # `simulate` takes the black frame by itself, see `Faults.black_exposure`.
+    "black": Fault(
+        "black frame", lambda light, _: light, 10, "change of the black frame's exposure", -0.9
+    ),
 }
 
 

@@ -12,33 +12,9 @@ from scipy.sparse import csr_array, eye_array, hstack, kron
 
 from lightmatrix.errors import InputError
 from lightmatrix.files.colours import COLOURS
-from lightmatrix.ranges import as_float, check_number
 from lightmatrix.simulation.thinning import joined, thinned_in_steps
 from lightmatrix.simulation.truth import Truth
 from lightmatrix.transport.matrix import LightTransport
-
-
-def check_realism(
-    projector_shape: tuple[int, int],
-    *,
-    blur: float = 0.0,
-    camera_blur: float = 0.0,
-    vignetting: float = 0.0,
-    leak: float = 0.0,
-    ambient: float = 0.0,
-) -> None:
-    """Raise InputError on settings out of range, before a scene is rendered for them."""
-    widest = max(projector_shape)
-    hint = f"use projector pixels from 0 to {widest}, as many as the projector has"
-    check_number("a blur", blur, most=widest, hint=hint)
-    hint = "use camera pixels from 0 to 100"
-    check_number("a blur of the camera", camera_blur, most=100, hint=hint)
-    if not 0 <= as_float(vignetting) < 1:
-        raise InputError(f"a vignetting of {vignetting}", hint="use a share from 0 to below 1")
-    if not 0 <= as_float(leak) < 1:
-        raise InputError(f"a leak of {leak}", hint="use a share from 0 to below 1, such as 0.001")
-    hint = "use a share of the white image, from 0 to 1000"
-    check_number("an ambient level", ambient, most=1000, hint=hint)
 
 
 def defocus(truth: Truth, sigma: float) -> Truth:

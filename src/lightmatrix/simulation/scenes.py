@@ -16,6 +16,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
 from lightmatrix.errors import InputError
 from lightmatrix.simulation.shapes import (
@@ -25,7 +26,6 @@ from lightmatrix.simulation.shapes import (
     box,
     bracket,
     extrude,
-    from_quaternion,
     l_block,
     merge,
     nut,
@@ -183,10 +183,12 @@ def _at_rest(name: str) -> list[tuple[str, Callable[[Mesh], Mesh]]]:
     position of the middle (x, y, z), and the quaternion (w, x, y, z) of each.
     """
     text = (files("lightmatrix.simulation") / "data" / "poses.json").read_text()
-    return [
-        (part, partial(Mesh.placed, position=pose[:3], rotation=from_quaternion(pose[3:])))
-        for part, *pose in json.loads(text)[name]
-    ]
+    placed = list[tuple[str, Callable[[Mesh], Mesh]]]()
+    for part, *place, w, x, y, z in json.loads(text)[name]:
+        # SciPy has w last.
+        rotation = Rotation.from_quat((x, y, z, w)).as_matrix()
+        placed.append((part, partial(Mesh.placed, position=place, rotation=rotation)))
+    return placed
 
 
 def _l_objects() -> Scene:

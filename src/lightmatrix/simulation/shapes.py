@@ -131,13 +131,8 @@ def revolve(profile: ArrayLike, points: int = 64) -> Mesh:
 
 def turn(axis: str, degrees: float) -> NDArray[np.float64]:
     """Rotation matrix about a coordinate axis."""
-    return scipy.spatial.transform.Rotation.from_euler(axis, degrees, degrees=True).as_matrix()
-
-
-def from_quaternion(quaternion: ArrayLike) -> NDArray[np.float64]:
-    """Rotation matrix of a unit quaternion (w, x, y, z)."""
-    # SciPy has w last.
-    return scipy.spatial.transform.Rotation.from_quat(np.roll(quaternion, -1)).as_matrix()
+    rotation = scipy.spatial.transform.Rotation.from_euler(axis, degrees, degrees=True)
+    return np.asarray(rotation.as_matrix())
 
 
 def sheet(size: float = 4.0) -> Mesh:

@@ -231,10 +231,17 @@ def simulate(
     sensor = Sensor(
         exposure_sequence(exposures, patterns), as_float(black_level), noise, shot_noise, bits
     )
-    realism.check_realism(
-        patterns.shape, blur=blur, camera_blur=camera_blur, vignetting=vignetting, leak=leak,
-        ambient=ambient,
-    )  # fmt: skip
+    widest = max(patterns.shape)
+    hint = f"use projector pixels from 0 to {widest}, as many as the projector has"
+    check_number("a blur", blur, most=widest, hint=hint)
+    hint = "use camera pixels from 0 to 100"
+    check_number("a blur of the camera", camera_blur, most=100, hint=hint)
+    if not 0 <= as_float(vignetting) < 1:
+        raise InputError(f"a vignetting of {vignetting}", hint="use a share from 0 to below 1")
+    if not 0 <= as_float(leak) < 1:
+        raise InputError(f"a leak of {leak}", hint="use a share from 0 to below 1, such as 0.001")
+    hint = "use a share of the white image, from 0 to 1000"
+    check_number("an ambient level", ambient, most=1000, hint=hint)
     wrong = Faults(faults or {}, seed)
     if wrong.black_exposure != 1 and not (leak or ambient):
         hint = "add room light too, such as ambient=0.05"
@@ -310,10 +317,7 @@ _CACHED_VALUES = 1 << 20
 
 
 def irradiance(
-    matrix: csr_array,
-    patterns: PatternSet,
-    *,
-    progress: Progress | None = None,
+    matrix: csr_array, patterns: PatternSet, *, progress: Progress | None = None
 ) -> NDArray[np.float32]:
     """T P' for an (M, N) sparse T and K patterns: (M, K), linear, 1 = clip level at exposure 1."""
     rows, pixels = matrix.shape

@@ -271,12 +271,10 @@ class ADMM(Splitting):
         mu = self.penalty_x or automatic_penalty_x(problem)
         scale = shared_weights(problem)
         system = system_of(problem, mu * problem.regularization, scale)
-        y = (
-            problem.samples.values
-            if scale is None
-            else problem.samples.values * scale.astype(problem.samples.values.dtype)
-        )
-        zero = np.zeros((problem.rows, system.unknowns), problem.samples.values.dtype)
+        y = problem.samples.values
+        if scale is not None:
+            y = y * scale.astype(y.dtype)
+        zero = np.zeros((problem.rows, system.unknowns), y.dtype)
         return ADMMState(zero, zero, zero, y, system, mu)
 
     def step(self, problem: Problem, state: ADMMState) -> ADMMState:

@@ -52,12 +52,8 @@ class TotalVariation(Splitting):
 
     Parameters
     ----------
-    penalty_x : float or None
-        As in `ADMM`.
-    max_iterations : int
-        Limit of iterations, at least 1. A row that reaches it is returned as it is.
-    tolerance : float
-        A row stops when its relative primal and dual residuals are at most this, > 0.
+    penalty_x, max_iterations, tolerance
+        As for `ADMM`.
 
     Examples
     --------

@@ -224,7 +224,16 @@ class LightTransport(TransportOperator):
     @property
     def region(self) -> Region | None:
         """The rectangle of the photographs that the estimate used; None if all of them."""
-        return Region.from_provenance(self.provenance)
+        description = self.provenance.get("capture_description")
+        crop = description.get("crop") if isinstance(description, Mapping) else None
+        if not isinstance(crop, Mapping):
+            return None
+        pairs = [crop.get(name) for name in ("corner", "shape", "whole")]
+        # The provenance of a store may hold anything.
+        try:
+            return Region(*((int(rows), int(cols)) for rows, cols in pairs))  # type: ignore[misc]
+        except (TypeError, ValueError, InputError):
+            return None
 
     def summary(self) -> dict[str, Any]:
         """Shapes, sparsity, clipping, convergence and gaps by name; JSON-ready."""

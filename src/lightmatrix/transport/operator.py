@@ -75,15 +75,12 @@ class Operator(ABC):
     def __rmatmul__(self, other: Any) -> NDArray[Any]:
         raise InputError("a product with T on the right", hint="write transport.T @ c")
 
-    def matmat(self, vectors: NDArray[Any]) -> NDArray[Any]:
-        """The product with a vector (n,) or with (n, k) vectors, as SciPy's solvers call it."""
-        return self @ vectors
-
     def rmatmat(self, vectors: NDArray[Any]) -> NDArray[Any]:
         """The product of the transpose with a vector (m,) or with (m, k) vectors."""
         return self.T @ vectors
 
-    matvec, rmatvec = matmat, rmatmat
+    # SciPy's solvers call products with vectors by these names.
+    matvec, matmat, rmatvec = __matmul__, __matmul__, rmatmat
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -199,10 +196,6 @@ class TransportOperator(Operator):
         """The row of T of a camera sample; raises InputError if the camera has none there."""
         return _checked_index(camera_index, self.image_shapes[0], "camera sample")
 
-    def column_number(self, row: int, col: int) -> int:
-        """The column of T of a projector pixel; raises InputError if there is none."""
-        return _checked_index((row, col), self.image_shapes[1], "projector pixel")
-
     def relight(self, patterns: NDArray[Any]) -> NDArray[np.float32]:
         """Camera images under patterns: c = T p, linear, not clipped.
 
@@ -246,7 +239,7 @@ class TransportOperator(Operator):
 
         Raises InputError if the projector has no such pixel.
         """
-        index = self.column_number(row, col)
+        index = _checked_index((row, col), self.image_shapes[1], "projector pixel")
         return self.dense_columns(np.array([index]))[:, 0].reshape(self.image_shapes[0])
 
 

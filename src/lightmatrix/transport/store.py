@@ -15,6 +15,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from itertools import pairwise
 from pathlib import Path
 from typing import Any, Self
 
@@ -463,10 +464,10 @@ class StoredTransport(TransportOperator):
 
     def blocks(self) -> Iterator[tuple[int, SparseRows]]:
         """All rows in blocks of bounded size, without diagnostics: (first row, rows)."""
-        for start, stop in zip(self._cuts[:-1], self._cuts[1:], strict=True):
-            block = self._kept.get(start := int(start))
+        for start, stop in pairwise(row_blocks(self._indptr, _BLOCK_ENTRIES).tolist()):
+            block = self._kept.get(start)
             if block is None:
-                block = self.some_rows(start, int(stop))
+                block = self.some_rows(start, stop)
                 # The first blocks stay: going through all blocks in order, replacing the oldest
                 # would always remove the one that is needed next.
                 # A list, since other threads may add blocks meanwhile.
@@ -514,11 +515,6 @@ class StoredTransport(TransportOperator):
             indptr = self.arrays["indptr"].read()
             check_indptr(indptr, self.arrays["data"].shape[0])
         return indptr.astype(np.int64)
-
-    @cached_property
-    def _cuts(self) -> NDArray[np.int64]:
-        """First rows of the blocks, and M."""
-        return row_blocks(self._indptr, _BLOCK_ENTRIES)
 
 
 def _bytes(rows: SparseRows) -> int:

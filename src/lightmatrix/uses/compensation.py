@@ -85,22 +85,10 @@ class JointLight:
             for part, matrix in zip(parts, self.matrices, strict=True)
         )
 
-    @cached_property
-    def without_signs(self) -> JointLight:
-        """The operator of the magnitudes of all entries; itself, unless T was estimated signed."""
-        if all((m.sparse.data >= 0).all() and (m.background >= 0).all() for m in self.matrices):
-            return self
-        magnitudes = [
-            replace(matrix, sparse=abs(matrix.sparse), background=abs(matrix.background))
-            for matrix in self.matrices
-        ]
-        return replace(self, matrices=tuple(magnitudes))
-
     def forward(self, light: Singles) -> Singles:
         """T p: camera samples (M,) of patterns (N,)."""
         result = np.zeros(self.matrices[0].shape[0], np.float32)
-        ends = np.cumsum([matrix.shape[1] for matrix in self.matrices])
-        for pattern, matrix in zip(np.split(light, ends[:-1]), self.matrices, strict=True):
+        for pattern, matrix in zip(map(np.ravel, self.split(light)), self.matrices, strict=True):
             result += matrix.sparse @ pattern
             result += matrix.background @ (matrix.pooling @ pattern)
         return result
@@ -226,8 +214,13 @@ class BoundedFit:
 
     @cached_property
     def _bounds(self) -> Singles:
-        """T' W T 1, (N,), of the magnitudes of T."""
-        light = self.light.without_signs
+        """T' W T 1, (N,), of the magnitudes of T, which may have been estimated signed."""
+        light, several = self.light, self.light.matrices
+        if any((m.sparse.data < 0).any() or (m.background < 0).any() for m in several):
+            sizes = ((abs(m.sparse), abs(m.background)) for m in several)
+            pairs = zip(several, sizes, strict=True)
+            several = tuple(replace(m, sparse=s, background=b) for m, (s, b) in pairs)
+            light = replace(light, matrices=several)
         return light.adjoint(self.weights * light.white)
 
     @cached_property
@@ -455,18 +448,13 @@ class Compensator:
         return np.divide(light, weight, out=np.zeros_like(light), where=weight > 0)
 
     def solve(
-        self,
-        wanted: Singles,
-        brightness: float | None = None,
-        *,
-        start: Singles | None = None,
-        iterations: int = USUAL_ITERATIONS,
+        self, wanted: Singles, brightness: float | None, iterations: int = USUAL_ITERATIONS
     ) -> Compensation:
-        """Compensate for wanted light (M,) in [0, 1]; `start` is the pattern (N,) to begin with."""
+        """Compensate for wanted light (M,) in [0, 1]."""
         if brightness is None:
             brightness = self.automatic_brightness(wanted)
         target = np.float32(brightness) * wanted * self.white_point
-        return self.reaching(target, brightness, start=start, iterations=iterations)
+        return self.reaching(target, brightness, iterations=iterations)
 
     def reaching(
         self,
@@ -484,7 +472,19 @@ class Compensator:
         first = self.start(target) if start is None else start
         goal = (target if asked is None else asked) - self.ambient
         pattern = self.fit.solve(goal, first, iterations)
-        return self._judged(pattern, self.light.forward(pattern) + self.ambient, target, brightness)
+        predicted = self.light.forward(pattern) + self.ambient
+        reach = np.full(len(target), Reach.REACHED, np.uint8)
+        missed, allowed = predicted - target, _CLOSE * brightness * self.white_point
+        reach[missed > allowed] = Reach.TOO_BRIGHT
+        reach[missed < -allowed] = Reach.TOO_DARK
+        reach[~self.lit] = Reach.SHADOW
+        reach[~self.chosen] = Reach.MASKED
+        scale = self.scale(brightness)
+        shape = self.light.camera_shape
+        return Compensation(
+            self.light.split(pattern), predicted.reshape(shape), target.reshape(shape), scale,
+            brightness, reach.reshape(shape), in_colour=self.light.in_colour,
+        )  # fmt: skip
 
     def frame_solver(self, brightness: float) -> Callable[..., tuple[NDArray[Any], NDArray[Any]]]:
         """A function that solves up to 16 frames of a video, (M,) each, after an earlier one.
@@ -511,22 +511,6 @@ class Compensator:
     def scale(self, brightness: float) -> float:
         """The light of wanted white, a mean over channels; see `Compensation`."""
         return brightness * float(self.white_point[: len(self._channels)].mean())
-
-    def _judged(
-        self, pattern: Singles, predicted: Singles, target: Singles, brightness: float
-    ) -> Compensation:
-        reach = np.full(len(target), Reach.REACHED, np.uint8)
-        missed, allowed = predicted - target, _CLOSE * brightness * self.white_point
-        reach[missed > allowed] = Reach.TOO_BRIGHT
-        reach[missed < -allowed] = Reach.TOO_DARK
-        reach[~self.lit] = Reach.SHADOW
-        reach[~self.chosen] = Reach.MASKED
-        scale = self.scale(brightness)
-        shape = self.light.camera_shape
-        return Compensation(
-            self.light.split(pattern), predicted.reshape(shape), target.reshape(shape), scale,
-            brightness, reach.reshape(shape), in_colour=self.light.in_colour,
-        )  # fmt: skip
 
 
 def compensator(

@@ -25,7 +25,7 @@ from lightmatrix.files.images import given_image, read_grey
 from lightmatrix.files.kinds import SEPARATION
 from lightmatrix.files.reading import errors_naming
 from lightmatrix.files.writing import atomic_folder, check_output
-from lightmatrix.geometry.matches import ROBUST, fit_fundamental, spread_of_spots
+from lightmatrix.geometry.matches import ROBUST, fit_fundamental
 from lightmatrix.reprs import ShortRepr
 from lightmatrix.transport import store
 from lightmatrix.transport.correspondence import pixel_rows
@@ -73,18 +73,14 @@ class EpipolarGeometry(ShortRepr):
 
     def parallax(self, camera: Floats, projector: Floats) -> Floats:
         """Places of projector pixels (n, 2) along the line, relative to the mean surface."""
-        away = projector - on_surface(self.surface, camera)
-        return np.asarray((away * self._along(camera)).sum(axis=1))
+        away, line = projector - on_surface(self.surface, camera), self._lines(camera)
+        # The direction of a line is its normal, turned by 90 degrees.
+        return np.asarray((away * np.stack([-line[:, 1], line[:, 0]], axis=1)).sum(axis=1))
 
     def _lines(self, camera: Floats) -> Floats:
         """Epipolar lines (n, 3) with normals of length 1."""
         line = np.column_stack([camera, np.ones(len(camera))]) @ self.fundamental.T
         return np.asarray(line / np.maximum(np.linalg.norm(line[:, :2], axis=1), 1e-12)[:, None])
-
-    def _along(self, camera: Floats) -> Floats:
-        """The directions of epipolar lines (n, 2) as (row, col), of length 1."""
-        line = self._lines(camera)
-        return np.stack([-line[:, 1], line[:, 0]], axis=1)
 
 
 def mean_surface(camera: Floats, projector: Floats) -> Floats:
@@ -120,7 +116,9 @@ def fit_epipolar(camera: Floats, projector: Floats, surface: Floats) -> Epipolar
         made = EpipolarGeometry(fundamental, 0.0, surface, (0.0, 0.0))
         distance = made.distance(camera, projector)
         share = float((np.abs(distance) < ROBUST.support).mean())
-        return replace(made, spread=spread_of_spots(distance)), share
+        # The standard deviation of normal distances is 1.48 times the median of their magnitudes.
+        spread = max(1.48 * float(np.median(np.abs(distance))), ROBUST.least_spread_of_spots)
+        return replace(made, spread=spread), share
 
     geometry, share = fitted(fit_fundamental(camera, projector, parallel=True))
     # A fundamental matrix has 7 unknowns, so that fewer matches hardly support it.

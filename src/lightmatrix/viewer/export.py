@@ -18,7 +18,8 @@ from lightmatrix.files.kinds import PAGE
 from lightmatrix.files.writing import atomic_file, check_output
 from lightmatrix.geometry.rig_geometry import RigGeometry
 from lightmatrix.transport.matrix import LightTransport
-from lightmatrix.viewer.scene import ViewedScene, opened, page_size
+from lightmatrix.viewer.layers import page_size
+from lightmatrix.viewer.scene import ViewedScene, opened
 
 STYLE = "viewer.css"
 # How our modules import from each other: a line each.

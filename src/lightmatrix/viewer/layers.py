@@ -22,6 +22,7 @@ from lightmatrix.shape.shape import Shape
 from lightmatrix.shape.triangulation import triangulate
 from lightmatrix.transport.correspondence import Correspondence, correspondence
 from lightmatrix.transport.matrix import LightTransport
+from lightmatrix.transport.store import StoredTransport
 from lightmatrix.uses.separation import Separation, separate
 from lightmatrix.viewer.lights import Light
 from lightmatrix.viewer.packed import halves, packed
@@ -32,8 +33,11 @@ from lightmatrix.viewer.packed import halves, packed
 _SHORT_ROWS = 1 << 16
 
 
-def matrix_size(samples: int, pixels: int, entries: int, cells: int) -> int:
+def page_size(matrix: LightTransport | StoredTransport) -> int:
     """Bytes that a matrix takes in the page, but for a short header."""
+    samples, pixels = matrix.shape
+    entries = matrix.sparse.nnz if isinstance(matrix, LightTransport) else matrix.entries
+    cells = matrix.background_grid[0] * matrix.background_grid[1]
     return entries * (4 if samples <= _SHORT_ROWS else 6) + 4 * (pixels + 1) + 2 * samples * cells
 
 

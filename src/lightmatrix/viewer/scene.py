@@ -19,7 +19,7 @@ from lightmatrix.transport import store
 from lightmatrix.transport.matrix import LightTransport
 from lightmatrix.transport.store import StoredTransport
 from lightmatrix.uses.compensation import compensate
-from lightmatrix.viewer.layers import COMPUTED_ENTRIES, LayerSource, matrix_data, matrix_size
+from lightmatrix.viewer.layers import COMPUTED_ENTRIES, LayerSource, matrix_data, page_size
 from lightmatrix.viewer.lights import Light, MemoryLight, StageProgress, StoredLight
 from lightmatrix.viewer.packed import packed
 from lightmatrix.viewer.session import HEADER_BYTES, Session
@@ -149,13 +149,6 @@ def opened(
         return store.open(transport)
     stored = StoredTransport.open(transport, memory=0)
     return stored if page_size(stored) > page_bytes else stored.load()
-
-
-def page_size(matrix: LightTransport | StoredTransport) -> int:
-    """Bytes that a matrix takes in the page."""
-    entries = matrix.sparse.nnz if isinstance(matrix, LightTransport) else matrix.entries
-    cells = matrix.background_grid[0] * matrix.background_grid[1]
-    return matrix_size(*matrix.shape, entries, cells)
 
 
 def _binned(patterns: PatternSet, shape: tuple[int, int]) -> PatternSet:

@@ -76,7 +76,13 @@ def measure_jacobian(
     result = np.empty((*camera, 4), np.float32)
     for axis in (0, 1):
         usual = _frame_displacement(places, lit, axis, JACOBIAN.fastest * spacing)
-        slopes = [_slope(place, axis) for place in places]
+        # Differences per pixel, between `step` pixels to both sides.
+        index = np.arange(camera[axis])
+        before = np.maximum(index - JACOBIAN.step, 0)
+        after = np.minimum(index + JACOBIAN.step, camera[axis] - 1)
+        distance = np.maximum(after - before, 1).reshape(-1, *[1] * (2 - axis))
+        steps = (place.take(after, axis) - place.take(before, axis) for place in places)
+        slopes = [(each / distance).astype(np.float32) for each in steps]
         off = np.hypot(slopes[0] - usual[0], slopes[1] - usual[1])
         outliers = (off > JACOBIAN.unlike * max(1.0, float(np.hypot(*usual)))) | ~lit
         for i in (0, 1):
@@ -140,16 +146,6 @@ def _commonest(steps: list[NDArray[np.int64]], reach: int) -> tuple[float, float
     down, right = np.mgrid[-1:2, -1:2]
     place = [float((around * each).sum() / around.sum()) for each in (down, right)]
     return place[0] + int(r) - reach, place[1] + int(c) - reach
-
-
-def _slope(place: NDArray[np.int64], axis: int) -> NDArray[np.float32]:
-    """Differences along an axis per pixel, between `step` pixels to both sides."""
-    length = place.shape[axis]
-    index = np.arange(length)
-    before = np.maximum(index - JACOBIAN.step, 0)
-    after = np.minimum(index + JACOBIAN.step, length - 1)
-    distance = np.maximum(after - before, 1).reshape(-1, *[1] * (place.ndim - 1 - axis))
-    return ((place.take(after, axis) - place.take(before, axis)) / distance).astype(np.float32)
 
 
 # Camera samples that are read at a time to pick those on the grid. Chosen by hand: their frames fit

@@ -161,7 +161,13 @@ class HeldOut:
         pixels = np.sort(np.random.default_rng(0).permutation(patterns.pixels)[:most])
         values = patterns.columns(pixels).astype(np.float64)
         values -= values.mean(axis=1, keepdims=True)
-        compared = _most_alike(values, usual)
+        compared = np.arange(len(values))
+        if len(values) > _COMPARED:
+            spread = np.linalg.norm(values, axis=1)
+            lengths = np.maximum(spread[:, None] * spread[usual], 1e-300)
+            cosines, each = np.abs(values @ values[usual].T) / lengths, _COMPARED // len(usual)
+            nearest = np.argpartition(-cosines, each, axis=0)[:each]
+            compared = np.union1d(nearest.ravel(), usual)
         chosen = cls._among(values[compared], np.searchsorted(compared, usual))
         return cls(compared[chosen.frames], compared[chosen.judged])
 
@@ -181,21 +187,16 @@ class HeldOut:
                 break
         frames = np.unique(np.concatenate([nothing, *groups.values()]))
         judged = np.array(sorted(groups), np.int64)
+        rest = np.delete(values, frames, axis=0)
+        off = (values[judged] - rest.mean(axis=0)) ** 2
+        # Pixels whose values, less the mean of their pattern, differ by less than this never vary.
+        # Patterns of one pixel each have means that differ by a pixel's share. If the contrast of
+        # frames is mostly in such pixels, T is right where it is known, and predicts nothing.
+        never = np.ptp(rest, axis=0) < 0.1
         # One frame alone has no variance.
-        if len(judged) < 2 or _show_only_their_own(values, frames, judged):
+        if len(judged) < 2 or off[:, never].sum() > off.sum() / 2:
             return cls(nothing, nothing)
         return cls(frames, judged)
-
-
-def _most_alike(values: NDArray[np.float64], usual: NDArray[np.int64]) -> NDArray[np.int64]:
-    """The usual frames, and all others or those that are most like one of them, in order."""
-    if len(values) <= _COMPARED:
-        return np.arange(len(values))
-    spread = np.linalg.norm(values, axis=1)
-    cosines = np.abs(values @ values[usual].T) / np.maximum(spread[:, None] * spread[usual], 1e-300)
-    each = _COMPARED // len(usual)
-    nearest = np.argpartition(-cosines, each, axis=0)[:each]
-    return np.union1d(nearest.ravel(), usual)
 
 
 def _complete(
@@ -244,21 +245,6 @@ def _unexplained(
     coefficients = vectors[:, used] @ (projected / values[used])
     weight = np.abs(coefficients) * np.sqrt(np.diag(gram)[rest])
     return 1 - explained / gram[frame, frame], int(rest[weight.argmax()]), int(used.sum())
-
-
-def _show_only_their_own(
-    values: NDArray[np.float64], frames: NDArray[np.int64], judged: NDArray[np.int64]
-) -> bool:
-    """Whether the contrast of frames is mostly in pixels that the frames not held out never vary.
-
-    Then T is right where it is known, and nothing can be predicted: one pixel at a time, say.
-    """
-    rest = np.delete(values, frames, axis=0)
-    off = (values[judged] - rest.mean(axis=0)) ** 2
-    # Pixels whose values, less the mean of their pattern, differ by less than this never vary.
-    # Patterns of one pixel each have means that differ by a pixel's share.
-    never = np.ptp(rest, axis=0) < 0.1
-    return bool(off[:, never].sum() > off.sum() / 2)
 
 
 # The most rows, evenly spread, whose residuals are looked at. Chosen by hand: what is wrong in all

@@ -89,7 +89,15 @@ def schedule(
 ) -> tuple[Round, ...]:
     """All rounds in turn; `windows` are those of a small frame after the search."""
     steps = spacings(camera, pixels, windows)
-    (first, seed_windows), *finer = zip(steps, _windows_by_level(steps, windows), strict=True)
+    # The windows of the rounds of each spacing; those of the seeds come after the search.
+    by_level, cut = [windows], GROWTH.near_seed_rounds
+    if len(steps) > 1 and steps[0] == GROWTH.near_seeds:
+        by_level = [windows[:cut], windows[cut:]]
+    elif len(steps) > 1:
+        between = (windows[0], *windows[-GROWTH.settling - 1 : -1])
+        final = (windows[0], *windows[-GROWTH.settling :])
+        by_level = [windows[:-1], *([between] * (len(steps) - 2)), final]
+    (first, seed_windows), *finer = zip(steps, by_level, strict=True)
     near = first <= GROWTH.near_seeds
     share = GROWTH.unexplained_near if near else GROWTH.unexplained
     rounds = [Round(first, None, 0, brief=near)]
@@ -103,20 +111,6 @@ def schedule(
             rounds.append(Round(spacing, window, age, False, False, searching, settled))
     last = rounds.pop()
     return (*rounds, Round(last.spacing, last.window, last.age, last=True))
-
-
-def _windows_by_level(
-    steps: tuple[int, ...], windows: tuple[Window, ...]
-) -> list[tuple[Window, ...]]:
-    """The windows of the rounds of each spacing; those of the seeds come after the search."""
-    if len(steps) == 1:
-        return [windows]
-    if steps[0] == GROWTH.near_seeds:
-        return [windows[: GROWTH.near_seed_rounds], windows[GROWTH.near_seed_rounds :]]
-    between = (windows[0], *windows[-GROWTH.settling - 1 : -1])
-    return [
-        windows[:-1], *([between] * (len(steps) - 2)), (windows[0], *windows[-GROWTH.settling :]),
-    ]  # fmt: skip
 
 
 def is_large(samples: int, pixels: int) -> bool:

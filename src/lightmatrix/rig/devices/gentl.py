@@ -33,9 +33,17 @@ class GenTLCamera(GenICamCamera):
         self._acquirer: Any = None
         self._stamps = FrameStamps()
         with self._opening(), self._talking("be set up"):
-            device = _chosen_device(harvester, address)
+            devices, wanted = harvester.device_info_list, address.argument
+            for number, device in enumerate(devices):
+                if not wanted or wanted in (device.id_, device.serial_number, str(number)):
+                    break
+            else:
+                listed = ", ".join(device.id_ for device in devices) or "none"
+                hint = "check its cable and power, and whether another program has it"
+                what = f"{address}: no such camera was found; there are: {listed}"
+                raise DeviceError(what, hint=hint)
             self._name = f"{device.vendor} {device.model} {device.serial_number}"
-            self._acquirer = harvester.create(harvester.device_info_list.index(device))
+            self._acquirer = harvester.create(number)
             self._set_up()
 
     def _set_up(self) -> None:
@@ -209,17 +217,6 @@ def _producers(address: Address) -> list[Path]:
             "it: producer=FILE.cti",
         )
     return files
-
-
-def _chosen_device(harvester: Any, address: Address) -> Any:
-    devices = harvester.device_info_list
-    wanted = address.argument
-    for number, device in enumerate(devices):
-        if not wanted or wanted in (device.id_, device.serial_number, str(number)):
-            return device
-    listed = ", ".join(device.id_ for device in devices) or "none"
-    hint = "check its cable and power, and whether another program has it"
-    raise DeviceError(f"{address}: no such camera was found; there are: {listed}", hint=hint)
 
 
 def _one_line(error: BaseException) -> str:
