@@ -238,6 +238,14 @@ def test_what_a_rig_does_to_all_camera_pixels_hides_no_relation(
     assert [each.kind for each in relation(other)] == ["unrelated"]
 
 
+@pytest.mark.parametrize("exposure", ["2.3:0.34,0.575:0.33,0.143:0.33", "4:0.5,0.3:0.5"])
+def test_sixteen_frames_that_partly_clip_are_no_other_series(exposure: str) -> None:
+    """A few frames of each exposure, or those that clip all over, tell too little by themselves."""
+    patterns = lm.BernoulliPatterns((64, 64), 16)
+    for scene in ("corner", "l_objects"):
+        assert relation(lm.simulate(scene, patterns, exposure=exposure, noise=0.01)) == []
+
+
 def test_patterns_of_any_density_under_two_exposures_are_no_other_series() -> None:
     """Such photographs are divided by their mean brightness, and so must their patterns be."""
     generator = np.random.default_rng(1)

@@ -41,6 +41,10 @@ class _Limits:
     # standard deviation exceeds this share of that of the most varied tenth.
     frames: int = 16
     rows: int = 40
+    # Frames of several exposures are standardised by themselves if there are more of each exposure
+    # on average, and the capture is not judged if there are fewer: 16 intact frames of `metal`
+    # under three exposures, of much noise, follow no better than chance.
+    of_each: int = 8
     varied: float = 0.3
     # The work is bounded: a projector is binned to at most 2^16 pixels, and at most 2^23 values of
     # patterns and 2^22 samples of at most 256 frames are compared at a time. Correlations, which
@@ -167,7 +171,8 @@ class Relation:
     `shown` some pixels of the patterns at each blur, (F', n, K), standardised. `patterns` are all,
     and `pixels` is the number of the projector's pixels once binned. `contrasted` tells whether the
     usual camera pixel varies by far more than noise, and `overlap` how much of the light of either
-    half of the frames the other one has, too.
+    half of the frames the other one has, too. `enough` tells whether enough of the frames do not
+    clip in most camera pixels.
     """
 
     patterns: PatternSet
@@ -178,6 +183,7 @@ class Relation:
     pixels: int
     contrasted: bool
     overlap: float
+    enough: bool
     # The frames of each exposure, which are standardised by themselves; or none.
     groups: list[NDArray[np.int64]]
     first: int = 0
@@ -203,15 +209,19 @@ class Relation:
         least = _LIMITS.contrast_levels * survey.one_level
         least = np.maximum(_LIMITS.contrast * known.highest[rows], least)
         rows = np.sort(np.random.default_rng(0).permutation(rows)[: _LIMITS.most_samples // count])
-        values = survey.samples(rows).values[:, frames].copy()
+        taken = survey.samples(rows)
+        values = taken.values[:, frames].copy()
         images = _binned(survey.patterns, frames, step)
         # Under a curve that is not declared, frames differ most by their exposure. The frames of
-        # each exposure are therefore standardised by themselves first.
+        # each exposure, to a factor of two, are therefore standardised by themselves first.
         exposures = np.broadcast_to(survey.decoder.exposure, survey.count)[frames]
-        levels = np.unique(exposures)
-        groups = [np.flatnonzero(exposures == e) for e in levels if 3 * len(levels) < count]
+        levels, of_frame = np.unique(np.rint(np.log2(exposures)), return_inverse=True)
+        few = count <= _LIMITS.of_each * len(levels)
+        groups = [np.flatnonzero(of_frame == k) for k in range(len(levels))]
+        if few and len(levels) > 1:
+            groups = []
         # A displaced frame may have another exposure than that of its place.
-        if len(groups) > 1:
+        if len(levels) > 1:
             values /= np.maximum(values.mean(axis=0), 1e-6)
             images /= np.maximum(images.mean(axis=(1, 2), keepdims=True), 1e-6)
         for group in groups:
@@ -225,7 +235,9 @@ class Relation:
             # Camera pixels that see single projector pixels follow little of what bins show.
             features = np.concatenate([features, _sharp_cosines(survey.patterns, frames)])
         contrasted = bool(np.median(span - least) > 0)
-        made = (samples, rest, features, shown, pixels, contrasted, overlap, groups, first)
+        telling = int((taken.clipped[:, frames].mean(axis=0) < 0.5).sum())
+        enough = telling >= max(_LIMITS.frames, _LIMITS.of_each * len(levels))
+        made = (samples, rest, features, shown, pixels, contrasted, overlap, enough, groups, first)
         return cls(survey.patterns, *made)
 
     @cached_property
@@ -373,7 +385,8 @@ class Relation:
         pairs = count * (count - 1) / 2
         clear = len(self.samples) / self.patterns.pixels * pairs > _LIMITS.clear**2
         visible = self.contrasted or self._agreement > _LIMITS.agree
-        return bool(clear and self.random and visible and self.as_they_are < _LIMITS.follows)
+        judged = clear and self.enough and self.random and visible
+        return bool(judged and self.as_they_are < _LIMITS.follows)
 
     @property
     def parted(self) -> bool:
