@@ -13,9 +13,9 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
 from PIL.JpegImagePlugin import JpegImageFile
-from scipy.fft import dctn, idctn
 
 from lightmatrix.capture.clip_level import find_pile
 from lightmatrix.check.finding import Finding, join_names
@@ -169,7 +169,7 @@ def likely_quality(blocks: NDArray[np.floating]) -> int | None:
     """The quality at which libjpeg's table compressed blocks (n, 8, 8) of levels, if any."""
     if len(blocks) < _FEWEST_COEFFICIENTS:
         return None
-    coefficients = dctn(blocks - 128, axes=(1, 2), norm="ortho")
+    coefficients = scipy.fft.dctn(blocks - 128, axes=(1, 2), norm="ortho")
     # From quality 96 on steps are 1 and photographs as good as lossless.
     qualities, change = range(20, 96), []
     for quality in qualities:
@@ -177,7 +177,9 @@ def likely_quality(blocks: NDArray[np.floating]) -> int | None:
         coded = encode_image(np.zeros((BLOCK, BLOCK), np.uint8), "jpeg", quality=quality)
         table = JpegImageFile(io.BytesIO(coded)).quantization[0]
         steps = np.reshape(table, (BLOCK, BLOCK)).astype(np.float32)
-        again = idctn(steps * np.rint(coefficients / steps), axes=(1, 2), norm="ortho") + 128
+        again = (
+            scipy.fft.idctn(steps * np.rint(coefficients / steps), axes=(1, 2), norm="ortho") + 128
+        )
         change.append(float(np.mean((np.rint(again).clip(0, 255) - blocks) ** 2)))
     # Photographs that were never compressed change less and less as the quality rises. At the
     # quality of the first time they change by less than 60 % of what they do at 5 more or less.
@@ -194,7 +196,7 @@ def comb_step(blocks: NDArray[np.floating]) -> float | None:
     blocks = blocks[(blocks.min(axis=(1, 2)) > 0) & (blocks.max(axis=(1, 2)) < 255)]
     if not len(blocks):
         return None
-    coefficients = dctn(blocks, axes=(1, 2), norm="ortho").reshape(-1, BLOCK * BLOCK)
+    coefficients = scipy.fft.dctn(blocks, axes=(1, 2), norm="ortho").reshape(-1, BLOCK * BLOCK)
     # Rounding to whole levels hides steps below 3 levels.
     all_steps = np.arange(3, 128)
     frequencies, combs = 0, []
