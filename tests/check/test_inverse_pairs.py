@@ -108,3 +108,15 @@ def test_the_last_frame_is_missing_as_well_as_any() -> None:
     capture = lm.Capture.from_arrays(PATTERNS.subset(np.arange(K - 1)), frames, DECODER)
     survey = Survey.take(capture.patterns, capture.frames, capture.decoder)
     assert missing_places(replace(survey, patterns=PATTERNS)) == (K - 1,)
+
+
+@pytest.mark.parametrize("first", [4, 9])
+def test_a_thing_that_moves_within_the_scene_is_named(first: int) -> None:
+    frames = photographs(PATTERNS, exposure=0.5)
+    rows, cols = frames.shape[1:]
+    part = np.s_[first:, rows // 3 : rows // 3 + rows // 4, cols // 3 : cols // 3 + cols // 4]
+    still = found(frames)
+    frames[part] = np.roll(frames, (3, 5), axis=(1, 2))[part]
+    moved = [kind_frames for kind_frames in found(frames) if kind_frames not in still]
+    assert [kind for kind, _ in moved] == ["motion"]
+    assert moved[0][1][0] in (first - 1, first)
