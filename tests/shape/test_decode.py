@@ -311,6 +311,15 @@ def test_a_white_or_black_photograph_is_named(name: str, frame: int, part: bool,
     assert "frame" not in plain
 
 
+@pytest.mark.parametrize("name", CODES)
+def test_a_photograph_that_clips_all_over_is_named_alone(name: str) -> None:
+    patterns = code(name)
+    frames = photographs(patterns)
+    frames[4] = 1.5
+    (found,) = [each for each in lm.check(capture(patterns, frames)) if not each.is_note]
+    assert found.message == "frame 4: white, although the pattern is not"
+
+
 def test_noise_and_darkness_are_refused_and_leave_no_file(tmp_path: Path) -> None:
     patterns = code("graycode, inverse")
     random = np.random.default_rng(0)

@@ -30,6 +30,7 @@ from lightmatrix.check.levels import (
     check_jpeg,
     check_light_level,
     check_plain_frames,
+    check_saturated,
     check_two_levels,
 )
 from lightmatrix.check.motion import check_motion
@@ -189,7 +190,7 @@ def check_capture(capture: Capture) -> list[Finding]:
     """
     with one_blas_thread():
         survey = _survey(capture.whole)
-        findings = check_interchanged(survey)
+        findings = check_interchanged(survey) or check_saturated(survey, capture.frames.name)
         if findings:
             return findings
         # What follows judges by the level at which the photographs do clip, and by the pixels that
@@ -220,7 +221,10 @@ def _check_surveyed(survey: Survey, capture: Capture, copies: list[Finding]) -> 
         return found + check_jpeg(survey, names)
 
     lattice = CodeLattice.of(survey)
-    displaced = [] if lattice is None else check_code_order(lattice, names.__getitem__)
+    # A white photograph, or a black one, fits better anywhere else.
+    plain = lattice is not None and lattice.possible(np.arange(survey.count)).all()
+    white = check_uniform(lattice, names.__getitem__) if lattice and plain else []
+    displaced = check_code_order(lattice, names.__getitem__) if lattice and not white else []
     # Stripes tell that two photographs are alike, and not which one is in the other's place.
     copied = {k for each in copies for k in each.frames}
     if any(each.frames and copied.issuperset(each.frames) for each in displaced):
@@ -236,7 +240,7 @@ def _check_surveyed(survey: Survey, capture: Capture, copies: list[Finding]) -> 
         if lattice is None or moved or len(pairs):
             return found
         name = names.__getitem__
-        of_one = check_uniform(lattice, name) or check_brightness(lattice, name)
+        of_one = white or check_brightness(lattice, name)
         return of_one or found or check_grey_values(lattice)
 
     if few or (displaced and not two_swapped):
@@ -413,6 +417,8 @@ def _check_by_prediction(
     # Without a frame, its rows may be explained by other places; then it seems wrong only now.
     both = wrong & wrong_frames(usual, LIKELY) if len(usual.miss) else wrong
     both[exchanged] = False
+    # A black pattern is dark whatever others let expect.
+    both[survey.patterns.means < 0.01] = False
     # The light of a pixel that no other pattern shows follows from no other photograph.
     if not lights_one(survey.patterns):
         findings += check_frames(prediction.rows(prediction.predicted), both, names)

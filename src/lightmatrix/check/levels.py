@@ -8,7 +8,7 @@ shows as coefficients that lie on combs.
 """
 
 import io
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -67,6 +67,30 @@ def check_clip_level(survey: Survey) -> tuple[list[Finding], Survey]:
     return [Finding("clip", (), message, advice)], replace(
         survey, decoder=replace(decoder, clip=float(pile.shown))
     )
+
+
+def check_saturated(survey: Survey, name: Callable[[int], str]) -> list[Finding]:
+    """Whether single frames clip all over, although their patterns are not white.
+
+    They reveal nothing, and look like any pattern.
+    """
+    valid = survey.valid
+    if not valid.any():
+        return []
+    clipped = np.zeros(survey.count)
+    for part, tile in survey.chunks():
+        clipped += tile.clipped[valid[part]].sum(axis=0)
+    clipped /= valid.sum()
+    exposures = np.broadcast_to(survey.decoder.exposure, survey.count)
+    found = []
+    for k in np.flatnonzero((clipped > 0.95) & (survey.patterns.means < 0.9)):
+        # Whole captures that are overexposed are said by other checks.
+        if np.median(clipped[exposures == exposures[k]]) < 0.5:
+            found.append(int(k))
+    if not found:
+        return []
+    message = f"{join_names([name(k) for k in found])}: white, although the pattern is not"
+    return [Finding("frame", tuple(found), message, "take it again, without other light")]
 
 
 def check_two_levels(survey: Survey, rows: NDArray[np.int64]) -> list[Finding]:
