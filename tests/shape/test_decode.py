@@ -211,8 +211,18 @@ def test_a_copied_photograph_is_refused(name: str) -> None:
     assert not [each for each in found if "same photograph" in each.message]
 
 
-@pytest.mark.parametrize("name", ["graycode", "phase", "microphase"])
-@pytest.mark.parametrize(("frame", "shown"), [(1, 4), (5, 3), (2, 3)])
+@pytest.mark.parametrize(
+    ("name", "frame", "shown"),
+    [
+        *(
+            (name, *both)
+            for name in ("graycode", "phase", "microphase")
+            for both in ((1, 4), (5, 3))
+        ),
+        ("graycode, inverse", 1, 4),
+        ("graycode, inverse", 2, 8),
+    ],
+)
 def test_a_photograph_of_another_pattern_is_refused(name: str, frame: int, shown: int) -> None:
     """Also one that was taken anew, whose levels are not those of the other."""
     patterns = code(name)

@@ -229,8 +229,9 @@ def _check_surveyed(survey: Survey, capture: Capture, copies: list[Finding]) -> 
     copied = {k for each in copies for k in each.frames}
     if any(each.frames and copied.issuperset(each.frames) for each in displaced):
         displaced = copies
-    # Two frames may seem swapped for another reason, which what follows may find.
+    # Two frames may seem swapped for another reason, which what follows may find; but not alike.
     two_swapped = len(displaced) == 1 and len(displaced[0].frames) == 2
+    alike = lattice is not None and any(each.frames in lattice.twins for each in displaced)
     few = survey.count < _FEWEST_FRAMES or len(rows) < _FEWEST_ROWS
     pairs = find_pairs(survey.patterns)
 
@@ -243,7 +244,7 @@ def _check_surveyed(survey: Survey, capture: Capture, copies: list[Finding]) -> 
         of_one = white or check_brightness(lattice, name)
         return of_one or found or check_grey_values(lattice)
 
-    if few or (displaced and not two_swapped):
+    if few or alike or (displaced and not two_swapped):
         return of_light() + displaced + of_code([])
 
     # Each of them keeps about one core busy.
