@@ -220,9 +220,9 @@ def _check_surveyed(survey: Survey, capture: Capture, copies: list[Finding]) -> 
             found += check_mirrored(lattice)
         return found + check_jpeg(survey, names)
 
-    lattice = CodeLattice.of(survey)
-    # A white photograph, or a black one, fits better anywhere else.
-    plain = lattice is not None and lattice.possible(np.arange(survey.count)).all()
+    lattice, pairs = CodeLattice.of(survey), find_pairs(survey.patterns)
+    # A white photograph, or a black one, fits better anywhere else. Inverses tell which one it is.
+    plain = not len(pairs) and lattice and lattice.possible(np.arange(survey.count)).all()
     white = check_uniform(lattice, names.__getitem__) if lattice and plain else []
     displaced = check_code_order(lattice, names.__getitem__) if lattice and not white else []
     # Stripes tell that two photographs are alike, and not which one is in the other's place.
@@ -233,7 +233,6 @@ def _check_surveyed(survey: Survey, capture: Capture, copies: list[Finding]) -> 
     two_swapped = len(displaced) == 1 and len(displaced[0].frames) == 2
     alike = lattice is not None and any(each.frames in lattice.twins for each in displaced)
     few = survey.count < _FEWEST_FRAMES or len(rows) < _FEWEST_ROWS
-    pairs = find_pairs(survey.patterns)
 
     def of_code(found: list[Finding]) -> list[Finding]:
         """What stripes tell of single frames, if it is more than what was found."""
