@@ -221,15 +221,18 @@ def _check_surveyed(survey: Survey, capture: Capture, copies: list[Finding]) -> 
         return found + check_jpeg(survey, names)
 
     lattice, pairs = CodeLattice.of(survey), find_pairs(survey.patterns)
-    # A white photograph, or a black one, fits better anywhere else. Inverses tell which one it is.
-    plain = not len(pairs) and lattice and lattice.possible(np.arange(survey.count)).all()
-    white = check_uniform(lattice, names.__getitem__) if lattice and plain else []
-    displaced = check_code_order(lattice, names.__getitem__) if lattice and not white else []
+    # A white photograph, or a black one, would seem to be in the wrong place. Where patterns come
+    # with inverses, the sums of pairs tell which one it is.
+    uniform = list[Finding]()
+    if lattice and not len(pairs) and lattice.possible(np.arange(survey.count)).all():
+        uniform = check_uniform(lattice, names.__getitem__)
+    displaced = check_code_order(lattice, names.__getitem__) if lattice and not uniform else []
     # Stripes tell that two photographs are alike, and not which one is in the other's place.
     copied = {k for each in copies for k in each.frames}
     if any(each.frames and copied.issuperset(each.frames) for each in displaced):
         displaced = copies
-    # Two frames may seem swapped for another reason, which what follows may find; but not alike.
+    # Two frames may seem swapped for another reason, which later checks may find. Two that show the
+    # same are certainly wrong.
     two_swapped = len(displaced) == 1 and len(displaced[0].frames) == 2
     alike = lattice is not None and any(each.frames in lattice.twins for each in displaced)
     few = survey.count < _FEWEST_FRAMES or len(rows) < _FEWEST_ROWS
@@ -240,7 +243,7 @@ def _check_surveyed(survey: Survey, capture: Capture, copies: list[Finding]) -> 
         if lattice is None or moved or len(pairs):
             return found
         name = names.__getitem__
-        of_one = white or check_brightness(lattice, name)
+        of_one = uniform or check_brightness(lattice, name)
         return of_one or found or check_grey_values(lattice)
 
     if few or alike or (displaced and not two_swapped):
@@ -417,7 +420,7 @@ def _check_by_prediction(
     # Without a frame, its rows may be explained by other places; then it seems wrong only now.
     both = wrong & wrong_frames(usual, LIKELY) if len(usual.miss) else wrong
     both[exchanged] = False
-    # A black pattern is dark whatever others let expect.
+    # The photograph of a black pattern is dark, whatever the others let expect.
     both[survey.patterns.means < 0.01] = False
     # The light of a pixel that no other pattern shows follows from no other photograph.
     if not lights_one(survey.patterns):

@@ -23,7 +23,7 @@ _OTHER_LIGHT = 0.12
 # camera pixels. Chosen by hand: in intact captures it differs by less than 0.02, and by 0.04 under
 # a gamma of 1.2.
 _SKEWED = 0.03
-# Fewer camera pixels tell no fault from chance.
+# Fewer camera pixels tell no fault from chance; a lattice has as many at least.
 _FEWEST = 40
 _Array = NDArray[np.float64]
 
@@ -65,9 +65,8 @@ def _folding(lattice: CodeLattice, code: Code, plain: NDArray[np.int64]) -> list
     line = lattice.lines(code, frames)[0][0].reshape(3, -1)
     steps = np.where((line >= 0).all(axis=0), line[1:] - line[0], 0)
     turns = np.sign(steps[np.abs(steps).sum(axis=1).argmax()])
-    # Edges, noise and reflections mirror at most a tenth of the places of a whole capture. A
-    # lattice has 40 pixels at least.
-    if min((turns > 0).sum(), (turns < 0).sum()) < max(0.15 * np.abs(turns).sum(), 40):
+    # Edges, noise and reflections mirror at most a tenth of the places of a whole capture.
+    if min((turns > 0).sum(), (turns < 0).sum()) < max(0.15 * np.abs(turns).sum(), _FEWEST):
         return []
     far = lattice.pairs[:, lattice.neighbours :]
 
@@ -101,7 +100,7 @@ def check_brightness(lattice: CodeLattice, name: Name) -> list[Finding]:
         enough = lit.sum(axis=0) >= _FEWEST
         ratio = np.divide(samples, predicted, out=np.full(lit.shape, np.nan), where=lit)[:, enough]
         light[:, code.frames[enough]] = np.nanquantile(ratio, [0.25, 0.5, 0.75], axis=0)
-        changes[code.frames] = np.rint(np.abs(np.diff(code.values, axis=0)).sum(axis=0))
+        changes[code.frames] = code.changes
     (low, middle, high), odd = light, dict[int, float]()
     known = np.isfinite(middle)
     for k in np.flatnonzero(known):
@@ -109,11 +108,11 @@ def check_brightness(lattice: CodeLattice, name: Name) -> list[Finding]:
         # bright as coarser ones, finer ones, or in between.
         parts = (known, known & (changes <= changes[k]), known & (changes >= changes[k]))
         usual = [float(np.median(middle[part])) for part in parts]
-        change = middle[k] / np.clip(middle[k], min(usual), max(usual)) - 1
-        agreed = high[k] < (1 - _OTHER_LIGHT / 2) * min(usual) or low[k] > (
-            1 + _OTHER_LIGHT / 2
-        ) * max(usual)
-        if abs(change) > _OTHER_LIGHT and agreed:
+        least, most = min(usual), max(usual)
+        change = middle[k] / np.clip(middle[k], least, most) - 1
+        darker = high[k] < (1 - _OTHER_LIGHT / 2) * least
+        brighter = low[k] > (1 + _OTHER_LIGHT / 2) * most
+        if abs(change) > _OTHER_LIGHT and (darker or brighter):
             odd[int(k)] = float(change)
     if not odd:
         return []

@@ -197,8 +197,9 @@ class CodeLattice:
             np.array([np.abs(each - all_).mean(axis=1) for each in all_])
             for all_ in (self.shares, self.patterns.at(pixels))
         )
-        # Frames of other patterns differ by 0.4 times as much as these or more. Noise of 1.5 % of
-        # the light is 0.03 to 0.07 of it.
+        # Patterns count as different if their mean difference is a twentieth of white. Photographs
+        # of different patterns differ by 0.4 of what the patterns do, or more; those of one pattern
+        # differ by their noise, which is 0.03 to 0.07 of it where the noise is 1.5 % of the light.
         alike = both & (patterns > 0.05) & (frames < 0.2 * patterns)
         return [(int(a), int(b)) for a, b in np.argwhere(alike) if a < b]
 
@@ -358,7 +359,7 @@ def missing_of_code(lattice: CodeLattice) -> tuple[int, ...]:
             likely.append(int(place))
     for code in lattice.codes.codes if len(likely) == 1 else ():
         # Without its finest bit, a code is that without its coarsest one, of half the size.
-        changes = np.abs(np.diff(code.values, axis=0)).sum(axis=0)
+        changes = code.changes
         if code.bits and likely[0] == code.frames[changes > 0][changes[changes > 0].argmin()]:
             likely.append(int(code.frames[changes.argmax()]))
     return tuple(likely) if len(likely) <= 4 else ()

@@ -84,7 +84,7 @@ def check_saturated(survey: Survey, name: Callable[[int], str]) -> list[Finding]
     exposures = np.broadcast_to(survey.decoder.exposure, survey.count)
     found = []
     for k in np.flatnonzero((clipped > 0.95) & (survey.patterns.means < 0.9)):
-        # Whole captures that are overexposed are said by other checks.
+        # Where most frames of this exposure clip, it is too long, which other checks say.
         if np.median(clipped[exposures == exposures[k]]) < 0.5:
             found.append(int(k))
     if not found:

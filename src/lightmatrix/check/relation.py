@@ -216,10 +216,8 @@ class Relation:
         # each exposure, to a factor of two, are therefore standardised by themselves first.
         exposures = np.broadcast_to(survey.decoder.exposure, survey.count)[frames]
         levels, of_frame = np.unique(np.rint(np.log2(exposures)), return_inverse=True)
-        few = count <= _LIMITS.of_each * len(levels)
-        groups = [np.flatnonzero(of_frame == k) for k in range(len(levels))]
-        if few and len(levels) > 1:
-            groups = []
+        many = len(levels) == 1 or count > _LIMITS.of_each * len(levels)
+        groups = [np.flatnonzero(of_frame == k) for k in range(len(levels)) if many]
         # A displaced frame may have another exposure than that of its place.
         if len(levels) > 1:
             values /= np.maximum(values.mean(axis=0), 1e-6)

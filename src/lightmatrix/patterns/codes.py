@@ -69,6 +69,11 @@ class Code:
         return lines
 
     @property
+    def changes(self) -> NDArray[np.float64]:
+        """How often each pattern changes along the axis, (k,); fine stripes change most often."""
+        return np.rint(np.abs(np.diff(self.values, axis=0)).sum(axis=0))
+
+    @property
     def paired(self) -> bool:
         """Whether the values are bits with inverses."""
         return min((inverse for _, inverse in self.bits), default=-1) >= 0
@@ -412,7 +417,7 @@ def _evidence(
         return np.asarray(-0.5 * (frames - 2) * np.log(left) - np.log(lines))
 
     best = logarithm(explained, own.shape[1], len(code.values))
-    changes = np.rint(np.abs(np.diff(code.values, axis=0)).sum(axis=0))
+    changes = code.changes
     for most in np.unique(changes)[-2::-1]:
         frames = np.flatnonzero(changes <= most)
         some = np.flatnonzero(best < 10)
