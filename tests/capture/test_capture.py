@@ -11,13 +11,14 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from numpy.typing import NDArray
 from PIL import Image
 
 import lightmatrix as lm
 from lightmatrix.capture.capture import Capture
 from lightmatrix.capture.decoder import Decoder
 from lightmatrix.capture.folder import check_depth, write_capture
-from lightmatrix.capture.frames import ArrayStack
+from lightmatrix.capture.frames import ArrayStack, PixelFrames
 from lightmatrix.capture.sensor import Sensor
 from lightmatrix.capture.settings import KEYS, ReadSettings
 from lightmatrix.check.refusals import refuse_unusable
@@ -316,6 +317,31 @@ def test_files_with_unused_bits_are_refused(tmp_path: Path, bits: int) -> None:
             judge(ReadSettings(), block)
     judge(ReadSettings(clip=2**bits - 1))
     judge(ReadSettings(clip=65535))
+
+
+class ByPixel(ArrayStack):
+    """Frames that are read fast by pixel, as packed ones."""
+
+    def levels(self, start: int, stop: int) -> NDArray[Any]:
+        return self.array.reshape(self.count, -1)[:, start:stop].T
+
+    def part(self, rows: slice, cols: slice) -> ByPixel:
+        return ByPixel(self.array[:, rows, cols])
+
+
+@pytest.mark.parametrize("stack", [ArrayStack, ByPixel])
+def test_hot_pixels_do_not_hide_unused_bits(stack: type[ArrayStack]) -> None:
+    assert isinstance(stack(np.zeros((1, 2, 2))), PixelFrames) == (stack is ByPixel)
+    frames = np.random.default_rng(0).integers(0, 4096, (16, 40, 40)).astype(np.uint16)
+    decoder = Decoder(4, 65535, clip_assumed=True)
+    frames[:, 7, 9] = 65535
+    with pytest.raises(InputError, match="no level above 4095"):
+        check_depth(stack(frames), decoder)
+    # A pixel that is bright in one photograph sees light, as two in a thousand bright ones do.
+    frames[1:, 7, 9] = 0
+    check_depth(stack(frames), decoder)
+    frames[:, 7:9, 9] = 65535
+    check_depth(stack(frames), decoder)
 
 
 def test_swapped_bytes_are_named() -> None:

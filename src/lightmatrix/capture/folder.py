@@ -461,11 +461,9 @@ def check_depth(frames: Frames, decoder: Decoder) -> None:
             )
     if frames.dtype != np.uint16:
         return
-    top = 0
-    for block in level_blocks(frames):
-        top = max(top, int(block.max()))
-        if (likely := likely_white(frames.dtype, top)) is None:
-            return
+    top = _highest_level(frames)
+    if (likely := likely_white(frames.dtype, top)) is None:
+        return
     pile = pile_of_frames(frames)
     which = f"that clips at {likely}?" if pile is None else f"that clips? {pile}"
     hint = f"give clip={likely if pile is None else pile.shown}"
@@ -473,6 +471,24 @@ def check_depth(frames: Frames, decoder: Decoder) -> None:
         f"the images have 16 bits, but no level above {top}: a camera {which}",
         hint=f'{hint}, or "clip" in capture.json; clip=65535 if they are just dark',
     )
+
+
+def _highest_level(frames: Frames) -> int:
+    """The highest level of all pixels but hot ones, which are never darker than half of it."""
+    lowest, highest = [], []
+    for block in level_blocks(frames):
+        if isinstance(frames, PixelFrames):
+            lowest.append(block.min(axis=1))
+            highest.append(block.max(axis=1))
+        else:
+            lowest = [np.minimum(block, *lowest) if lowest else block]
+            highest = [np.maximum(block, *highest) if highest else block]
+        # More than one pixel in a thousand is no defect.
+        if likely_white(frames.dtype, int(np.quantile(highest[-1], 0.999))) is None:
+            break
+    low, high = (np.concatenate([block.ravel() for block in part]) for part in (lowest, highest))
+    stuck = low > high.max() // 2
+    return int(high.max() if stuck.mean() > 1e-3 else high[~stuck].max())
 
 
 def _swapped(levels: Iterable[NDArray[Any]]) -> bool:
