@@ -338,6 +338,12 @@ def test_bit_planes_hold_the_patterns(order: str, tmp_path: Path) -> None:
     assert lm.read_patterns(tmp_path / "p").count == 27
 
 
+def test_a_capture_in_place_of_its_patterns_is_named(tmp_path: Path) -> None:
+    lm.write_patterns(tmp_path / "patterns", lm.BernoulliPatterns((6, 8), 4))
+    with pytest.raises(InputError, match="is a capture\n.*its patterns are in .*patterns"):
+        lm.read_patterns(tmp_path)
+
+
 @pytest.mark.parametrize(
     ("patterns", "order", "words"),
     [

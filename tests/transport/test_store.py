@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from scipy.io import loadmat
 
 from lightmatrix.errors import InputError, OutputError
+from lightmatrix.files.kinds import CORRESPONDENCE_MARK
 from lightmatrix.transport import store
 from lightmatrix.transport.checkpoint import Checkpoint, unfinished_spans
 from lightmatrix.transport.npz import export, import_npz
@@ -150,6 +151,9 @@ def test_npz_of_others(tmp_path: Path) -> None:
             import_npz(tmp_path / name)
     with pytest.raises(InputError, match="no sparse matrix: format, shape, data"):
         import_npz(tmp_path / "other.npz")
+    np.savez(tmp_path / "decoded.npz", **{CORRESPONDENCE_MARK: np.ones(1)})
+    with pytest.raises(InputError, match="for `lightmatrix triangulate`"):
+        import_npz(tmp_path / "decoded.npz")
     with pytest.raises(InputError, match="no such file"):
         import_npz(tmp_path / "none.npz")
 

@@ -143,6 +143,8 @@ def read_patterns(source: str | Path) -> PatternSet:
     BernoulliPatterns(shape=(8, 8), count=4, density=0.5, seed=0)
     """
     place = as_path(source)
+    if (place / "patterns").is_dir():
+        raise InputError(f"{place}: is a capture", hint=f"its patterns are in {place / 'patterns'}")
     entries = list_entries(place)
     # A stack in one file was not written from an operator.
     paths = [entry for entry in entries if isinstance(entry, Path)]

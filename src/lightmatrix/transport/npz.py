@@ -142,6 +142,8 @@ def read_transport(path: str | Path) -> tuple[LightTransport, dict[str, NDArray[
     needed = ("format", "shape", "data", "indices", "indptr")
     if lacking := [name for name in needed if name not in content]:
         hint = "give a file from `lightmatrix export` or `render`"
+        if kinds.CORRESPONDENCE_MARK in content:
+            hint = "it says what each camera pixel sees: for `lightmatrix triangulate` and `map`"
         raise InputError(f"{file}: no sparse matrix: {', '.join(lacking)} missing", hint=hint)
     if not {"camera_shape", "projector_shape"} <= set(content):
         hint = "use lm.LightTransport.from_matrix(matrix, camera_shape, projector_shape)"
