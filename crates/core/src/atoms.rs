@@ -14,8 +14,9 @@ use rayon::prelude::*;
 /// Image columns that are blurred together: their sums fit into vector registers.
 const STRETCH: usize = 64;
 
-/// Pixels that one thread handles at a time, enough to hide the cost of starting a task.
-const TASK: usize = 256;
+/// Rows and columns of pixels that are blurred together. What they and those around them take under 64
+/// patterns, 230 kB, fits into the second cache.
+const BLOCK: [usize; 2] = [32, 16];
 
 /// The spots of one size.
 #[derive(Clone, Debug)]
@@ -65,7 +66,8 @@ impl Atoms {
         WordColumns::from_padded(values, stride)
     }
 
-    /// Computes the column of each atom, `stride` values, and stores it by `keep`.
+    /// Computes the column of each atom, `stride` values, and stores those of pixels side by side by
+    /// `keep`.
     fn each<T: Send>(
         &self,
         level: Level,
@@ -75,55 +77,58 @@ impl Atoms {
         keep: impl Fn(&[f32], &mut [T]) + Sync,
     ) {
         let [rows, cols] = self.grid;
-        let mut plain = vec![0f32; self.pixels() * stride];
-        at_places(stride, &mut plain, |pixel, out| {
-            columns.copy_scaled(level, pixel as u32, 1.0, out);
+        // Rows of pixels lie between margins of zeros, as wide as the widest spot reaches.
+        let margin = (self.planes.iter()).map(|plane| plane.kernel.len() - 1);
+        let margin = margin.max().unwrap_or(0);
+        let width = (cols.next_multiple_of(BLOCK[1]) + 2 * margin) * stride;
+        let mut plain = vec![0f32; rows * width];
+        (plain.par_chunks_exact_mut(width).enumerate()).for_each(|(row, line)| {
+            let pixels = line[margin * stride..].chunks_exact_mut(stride).take(cols);
+            for (col, out) in pixels.enumerate() {
+                columns.copy_scaled(level, (row * cols + col) as u32, 1.0, out);
+            }
         });
-        let mut across = vec![0f32; plain.len()];
-        for (plane, kept) in (self.planes.iter()).zip(kept.chunks_exact_mut(plain.len())) {
-            at_places(stride, &mut across, |place, sum| {
-                let (r, c) = (place / cols, place % cols);
-                sum.fill(0.0);
-                for (other, weight) in taps(&plane.kernel, c, cols) {
-                    add(level, weight, &plain[(r * cols + other) * stride..], sum);
+        let planes = self
+            .planes
+            .par_iter()
+            .zip(kept.par_chunks_exact_mut(rows * cols * stride));
+        planes.for_each(|(plane, kept)| {
+            let reach = plane.kernel.len() - 1;
+            let blocks = kept.par_chunks_mut(BLOCK[0] * cols * stride).enumerate();
+            blocks.for_each_init(Vec::new, |buffer, (block, kept)| {
+                let top = block * BLOCK[0];
+                let step = BLOCK[1] * stride;
+                buffer.clear();
+                buffer.resize((BLOCK[0] + 2 * reach + 1) * step, 0f32);
+                let (out, middle) = buffer.split_at_mut(step);
+                for left in (0..cols).step_by(BLOCK[1]) {
+                    // Blurred across, with as many rows above and below as spots reach.
+                    let lines = middle.chunks_exact_mut(step).enumerate();
+                    for (line, across) in lines.take(kept.len() / (cols * stride) + 2 * reach) {
+                        match (top + line).checked_sub(reach).filter(|&row| row < rows) {
+                            Some(row) => {
+                                let first = row * width + (left + margin - reach) * stride;
+                                along(level, &plane.kernel, 1.0, stride, &plain[first..], across);
+                            }
+                            None => across.fill(0.0),
+                        }
+                    }
+                    for (row, kept) in kept.chunks_exact_mut(cols * stride).enumerate() {
+                        let kept = &mut kept[left * stride..];
+                        let count = kept.len().min(step);
+                        along(
+                            level,
+                            &plane.kernel,
+                            plane.gain,
+                            step,
+                            &middle[row * step..],
+                            out,
+                        );
+                        keep(&out[..count], &mut kept[..count]);
+                    }
                 }
             });
-            let places = kept.par_chunks_exact_mut(stride).enumerate();
-            places.with_min_len(TASK).for_each_init(
-                || vec![0f32; stride],
-                |sum, (place, kept)| {
-                    let (r, c) = (place / cols, place % cols);
-                    sum.fill(0.0);
-                    for (other, weight) in taps(&plane.kernel, r, rows) {
-                        let weight = weight * plane.gain;
-                        add(level, weight, &across[(other * cols + c) * stride..], sum);
-                    }
-                    keep(sum, kept);
-                },
-            );
-        }
-    }
-}
-
-/// Calls `set` for the `stride` values of every pixel, on all threads.
-fn at_places(stride: usize, values: &mut [f32], set: impl Fn(usize, &mut [f32]) + Sync) {
-    let places = values.par_chunks_exact_mut(stride).enumerate();
-    (places.with_min_len(TASK)).for_each(|(place, out)| set(place, out));
-}
-
-/// The places on a line of `length` that a kernel centred at `place` covers, and its values there.
-fn taps(kernel: &[f32], place: usize, length: usize) -> impl Iterator<Item = (usize, f32)> + '_ {
-    let first = place.saturating_sub(kernel.len() - 1);
-    let last = (place + kernel.len()).min(length);
-    (first..last).map(move |other| (other, kernel[other.abs_diff(place)]))
-}
-
-multiversion! {
-    /// sum += weight values, as long as `sum`.
-    fn add(weight: f32, values: &[f32], sum: &mut [f32]) {
-        for (sum, value) in sum.iter_mut().zip(values) {
-            *sum += weight * value;
-        }
+        });
     }
 }
 

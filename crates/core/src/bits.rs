@@ -189,11 +189,13 @@ pub fn columns(bits: Bits, index: &[usize], out: &mut [f32]) {
     if index.is_empty() {
         return;
     }
-    for (k, row) in out.chunks_mut(index.len()).enumerate() {
+    let rows = out.par_chunks_mut(index.len()).enumerate();
+    rows.for_each(|(k, row)| {
+        let pattern = bits.pattern(k);
         for (value, &pixel) in row.iter_mut().zip(index) {
-            *value = f32::from(u8::from(bits.lit(k, pixel)));
+            *value = f32::from(pattern[pixel / 8] >> (pixel % 8) & 1);
         }
-    }
+    });
 }
 
 #[cfg(test)]

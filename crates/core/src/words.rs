@@ -62,7 +62,9 @@ multiversion! {
     /// Rounds values in [0, 1] to the nearest 16-bit numbers.
     pub fn to_words(values: &[f32], out: &mut [u16]) {
         for (out, value) in out.iter_mut().zip(values) {
-            *out = (value.clamp(0.0, 1.0) * STEPS + 0.5) as u16;
+            // Numbers beside 2^23 have a step of 1, so that the last bits of this sum are the nearest
+            // number. Conversions that look for overflows take three times as long.
+            *out = (value.clamp(0.0, 1.0) * STEPS + 8_388_608.0).to_bits() as u16;
         }
     }
 }

@@ -180,7 +180,9 @@ class Rounds(Work):
             result = _for_next_round(solved, before)
             if this_round.search_unexplained:
                 share = this_round.search_unexplained
-                result = self._search_unexplained(samples, solved, result, share, progress)
+                result = self._search_unexplained(
+                    samples, solved, result, share, neighbours, start, progress
+                )
             return with_change(result, before)
         moving = np.flatnonzero(unsettled(neighbours.rows, neighbours.camera)[start:stop])
         if not len(moving):
@@ -193,16 +195,18 @@ class Rounds(Work):
         return unchanged(before).replaced(moving, new)
 
     def _search_unexplained(
-        self, samples: Samples, solved: Result, rows: SparseRows, share: float, progress: Progress
-    ) -> SparseRows:
+        self, samples: Samples, solved: Result, rows: SparseRows, share: float,
+        neighbours: Neighbourhood, start: int, progress: Progress,
+    ) -> SparseRows:  # fmt: skip
         """Rows of which those that leave more than a share unexplained have searched all atoms."""
         unexplained = self.solver.unexplained(samples, solved, share)
         if not len(unexplained):
             return rows
 
         solved = self.solver.everywhere(
-            samples.rows(unexplained), lambda *_: progress(rows.count, rows.count), brief=True
-        )
+            samples.rows(unexplained), lambda *_: progress(rows.count, rows.count), brief=True,
+            squares=self.solver.squares_seen(start + unexplained, neighbours),
+        )  # fmt: skip
         again = _searched(solved)
         lit = np.flatnonzero(np.diff(again.coefficients.indptr) > 0)
         return unchanged(rows).replaced(unexplained[lit], again.rows(lit)) if len(lit) else rows

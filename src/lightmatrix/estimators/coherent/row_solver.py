@@ -255,9 +255,13 @@ class RowSolver:
         return Backgrounds(grid, self.capture.patterns, self.unseen.single)
 
     def everywhere(
-        self, samples: Samples, progress: Progress | None = None, *, brief: bool = False
-    ) -> Result:
-        """Solve each row by itself on all atoms; in two passes if it may be `brief`."""
+        self, samples: Samples, progress: Progress | None = None, *, brief: bool = False,
+        squares: NDArray[np.bool_] | None = None,
+    ) -> Result:  # fmt: skip
+        """Solve each row by itself on all atoms; in two passes if it may be `brief`.
+
+        Where not all atoms are kept, each row can be searched in some of the squares only, (m, S).
+        """
         problem, parts = self.first_problem(samples), in_parts(self.capture)
         most = min(2, self.solver.max_passes) if brief or parts else self.solver.max_passes
         # A gap of 1 % suffices to show where light may be. Until it is reached there would be 3.5
@@ -266,25 +270,54 @@ class RowSolver:
         solver = replace(self.solver, tolerance=tolerance, max_passes=most)
         if not parts:
             return solver.solve(problem, progress)
-        best, (rows, cols), reach = None, self.atoms.shape, len(self.atoms.kernels[-1]) - 1
+        (rows, cols), reach = self.atoms.shape, len(self.atoms.kernels[-1]) - 1
         problem = replace(problem, background_column=self.capture.patterns.means)
-        for top, left in product(range(0, rows, _SQUARE), range(0, cols, _SQUARE)):
-            sides = zip((top, left), (rows, cols), strict=True)
+        best, before = None, np.full(problem.rows, np.inf)
+        corners = product(range(0, rows, _SQUARE), range(0, cols, _SQUARE))
+        for number, corner in enumerate(corners):
+            some = np.arange(problem.rows)
+            some = some if squares is None else some[squares[:, number]]
+            if not len(some):
+                continue
+            sides = zip(corner, (rows, cols), strict=True)
             square = tuple(slice(max(0, n - reach), min(n + _SQUARE + reach, m)) for n, m in sides)
             sheet = Sheet.of([square], (rows, cols), 0)
             # Every second size suffices to find light, and takes half of the time.
-            problem = replace(problem, patterns=self.atoms.part(sheet.pixels, every=2))
-            found = solver.solve(problem, progress).rows
+            patterns = self.atoms.part(sheet.pixels, every=2)
+            part = replace(problem, patterns=patterns, samples=samples.rows(some))
+            found = solver.solve(part, progress).rows
             lifted = sheet.lifted(found.coefficients, self.atoms.planes, every=2)
             found = replace(found, coefficients=lifted)
-            if best is not None:
-                # A row keeps the square that explains its samples best.
-                left_over, before = (each.diagnostics["objective"] for each in (found, best))
-                better = np.flatnonzero(left_over < before)
-                found = best.replaced(better, found.rows(better))
-            best = found
+            if best is None:
+                # Any rows, until each has its own.
+                best = found.rows(np.zeros(problem.rows, np.int64))
+            # A row keeps the square that explains its samples best.
+            left_over = found.diagnostics["objective"]
+            better = np.flatnonzero(left_over < before[some])
+            before[some[better]] = left_over[better]
+            best = best.replaced(some[better], found.rows(better))
         assert best is not None
         return Result(best, Status.CONVERGED)
+
+    def squares_seen(
+        self, rows: NDArray[np.int64], neighbours: Neighbourhood
+    ) -> NDArray[np.bool_] | None:
+        """The squares of the projector that some rows or those around them see, (m, S)."""
+        if not in_parts(self.capture):
+            return None
+        near, own = neighbours.part(rows, 16)
+        light = near.rows.coefficients
+        row, col = np.divmod(light.indices % self.atoms.single.pixels, self.atoms.shape[1])
+        down, right = (-(-side // _SQUARE) for side in self.atoms.shape)
+        seen = np.zeros((near.rows.count, down * right), np.bool_)
+        owner = np.repeat(np.arange(near.rows.count), np.diff(light.indptr))
+        seen[owner, row // _SQUARE * right + col // _SQUARE] = True
+        around = scipy.ndimage.maximum_filter(
+            seen.reshape(*near.camera, -1), size=(33, 33, near.camera[2], 1)
+        )
+        some = around.reshape(seen.shape)[own]
+        # Rows in the dark may see anything.
+        return np.asarray(some | ~some.any(axis=1, keepdims=True))
 
     def unexplained(self, samples: Samples, solved: Result, share: float) -> NDArray[np.int64]:
         """Rows whose samples the solution does not explain, but other atoms might.
