@@ -13,7 +13,10 @@ from lightmatrix.capture.capture import Capture
 from lightmatrix.capture.sensor import Sensor
 from lightmatrix.estimators.coherent import row_solver, schedule
 from lightmatrix.estimators.coherent.estimator import WINDOWS, CoherentEstimator
-from lightmatrix.estimators.coherent.neighbourhood import CameraGrid
+from lightmatrix.estimators.coherent.neighbourhood import (
+    CameraGrid,
+    Neighbourhood,
+)
 from lightmatrix.estimators.coherent.rounds import SEARCHED
 from lightmatrix.judgement.metrics import relative_error
 from lightmatrix.patterns.atoms import AtomPatterns
@@ -230,6 +233,39 @@ def test_a_projector_in_parts_gives_the_same(
     for name in ("estimated_error", "prediction_error"):
         stated = [np.nanmedian(each.diagnostics[name]) for each in (parts, whole)]
         assert stated[0] == pytest.approx(stated[1], rel=0.02)
+
+
+def test_rows_search_where_rows_around_them_see_light(
+    scene: Truth, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """All squares tell what the best one does; rows in the dark search all of them."""
+    monkeypatch.setattr(row_solver, "KEPT_PIXELS", 0)
+    monkeypatch.setattr(row_solver, "_SQUARE", 16)
+    capture = photographed(scene)
+    solver = CoherentEstimator().row_solver(capture)
+    samples = capture.samples(0, capture.rows)
+    everywhere = solver.everywhere(samples).rows
+    squares = np.broadcast_to(np.eye(9, dtype=bool)[:, None], (9, capture.rows, 9))
+    each = [solver.everywhere(samples, squares=square).rows for square in squares]
+    best = np.argmin([rows.diagnostics["objective"] for rows in each], axis=0)
+    for number in np.unique(best):
+        rows = np.flatnonzero(best == number)
+        assert (each[number].rows(rows).coefficients != everywhere.rows(rows).coefficients).nnz == 0
+    mixed = solver.everywhere(samples, squares=np.arange(9) == best[:, None]).rows
+    assert (mixed.coefficients != everywhere.coefficients).nnz == 0
+
+    # Only the upper rows of camera pixels see light: some squares of the projector.
+    light = everywhere.coefficients
+    light.data[np.repeat(np.arange(capture.rows), np.diff(light.indptr)) >= 4 * 36] = 0
+    light.eliminate_zeros()
+    near = Neighbourhood(everywhere, CameraGrid(capture).camera, solver.atoms)
+    seen = solver.squares_seen(np.array([0, 15 * 36, 30 * 36]), near)
+    assert seen is not None
+    row, col = np.divmod(light.indices % solver.atoms.single.pixels, 40)
+    lit = np.bincount(row // 16 * 3 + col // 16, minlength=9) > 0
+    assert not lit.all()
+    assert (seen.any(axis=0) >= lit).all()
+    assert [each.all() for each in seen] == [False, False, True]
 
 
 @pytest.mark.parametrize("lit", [0, 8])
