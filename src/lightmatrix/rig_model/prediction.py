@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import scipy
 from numpy.typing import NDArray
+from scipy.sparse import csr_array
 
 from lightmatrix.capture.capture import Capture
 from lightmatrix.capture.samples import Samples
@@ -162,15 +163,18 @@ def predicted_light(
     """T p of some rows under K patterns, or under a change of them, (m, K)."""
     sparse, background = transport.sparse[rows], transport.background[rows]
     light = np.empty((sparse.shape[0], patterns.count))
+    # The patterns at the pixels that these rows see.
+    used, place = np.unique(sparse.indices, return_inverse=True)
+    sparse = csr_array((sparse.data, place, sparse.indptr), (sparse.shape[0], len(used)))
     before = patterns.images(0, 1)
     for start, chunk in patterns.chunks():
         images = chunk.reshape(-1, *patterns.shape)
         if change is not None:
             earlier = np.concatenate([before, images[:-1]])
             before, images = images[-1:], change(images, earlier)
-        shown = images.reshape(len(images), -1).T
-        light[:, start : start + len(chunk)] = sparse @ shown
-        light[:, start : start + len(chunk)] += background @ (transport.pooling @ shown)
+        shown = images.reshape(len(images), -1)
+        light[:, start : start + len(chunk)] = sparse @ shown[:, used].T
+        light[:, start : start + len(chunk)] += background @ (transport.pooling @ shown.T)
     return light
 
 
