@@ -445,8 +445,8 @@ class RowSolver:
             sizes = ([s.stop - s.start + wider for s in box] for box in boxes)
             size = sum(high * wide for high, wide in sizes)
             place = row if np.ptp(row) > np.ptp(col) else col
-            # Halves that see much the same light are not cut further.
-            fits = size <= most or 0.7 * before < size < np.inf
+            # Halves that see much the same light are not cut further, unless they take too much.
+            fits = size <= most or 0.7 * before < size <= 4 * most
             if (len(some) <= self.together and fits) or not np.ptp(place):
                 yield some
             else:
