@@ -39,6 +39,7 @@ from lightmatrix.check.finding import NOTES
 from lightmatrix.judgement.judgement import verdicts
 from lightmatrix.judgement.metrics import relative_error
 from lightmatrix.pictures.style import COLOURS, figure, fix_ticks, save
+from lightmatrix.rig_model.model import RigModel
 from lightmatrix.rig_model.terms import TERMS
 from lightmatrix.simulation import library
 
@@ -162,7 +163,9 @@ def measure(case: Case) -> Outcome:
             estimate = lm.estimate(drawn.capture)
         except lm.InputError as error:
             return Outcome(case, "refused", error.message, seconds=seconds())
-    kinds = tuple(sorted({each["kind"] for each in estimate.provenance["findings"]}))
+    said = {each["kind"] for each in estimate.provenance["findings"]}
+    # What the rig did is said, too: T is then that of the camera's mean place, for one.
+    kinds = tuple(sorted(said.union(RigModel.of(estimate).names)))
     judged = verdicts(estimate).transport
     true = relative_error(estimate, drawn.truth)
     return Outcome(case, judged.level, judged.sentence, kinds, true, judged.error, seconds())

@@ -19,6 +19,7 @@ from lightmatrix.check.levels import (
     check_clip_level,
     check_light_level,
     check_plain_frames,
+    check_saturated,
     check_two_levels,
 )
 from lightmatrix.check.relation import check_unseen
@@ -51,6 +52,16 @@ def kinds(frames: NDArray[np.uint8], decoder: lm.Decoder = CAMERA) -> list[str]:
 
 def random_frames(top: int = 200) -> NDArray[np.uint8]:
     return np.random.default_rng(0).integers(0, top + 1, (K, SIDE, SIDE)).astype(np.uint8)
+
+
+def test_a_frame_that_clips_all_over_is_white_unless_patterns_are_coarse() -> None:
+    frames = random_frames()
+    frames[4] = 255
+    (found,) = check_saturated(survey(frames), str)
+    assert found.message == "4: white, although the pattern is not"
+    # The camera sees a part of coarse patterns, of which another is nearly white.
+    frames[7, 2:] = 255
+    assert not check_saturated(survey(frames), str)
 
 
 def test_two_thirds_of_the_samples_may_clip() -> None:
