@@ -6,11 +6,12 @@ process of its own: processor and clock seconds, and the largest resident set be
 is fitted to the processor's seconds is a constant times a power of the camera's pixels times one of
 the projector's.
 
-    python -m benchmarks.scale [--sizes 128:128 192:384 ... 576:384] [--4k] [--count 64]
+    python -m benchmarks.scale [--sizes 128:128 192:384 ... 576:384] [--4k] [--count 64] [-o OUT]
 
 A size is camera:projector, each a side or ROWSxCOLS; 1024x1024:768x1024 is a megapixel. A camera of
 96of1024 is the middle of one of 1024 x 1024, as a projector of 4K needs fine camera pixels. `--4k`
-adds such sizes, which take an hour.
+adds such sizes, which take an hour. OUT/scale.jsonl gets the lines, and OUT/scale.png a figure; a
+later run goes on after the last size.
 """
 
 from __future__ import annotations
@@ -27,6 +28,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from matplotlib.ticker import NullFormatter
 from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
@@ -34,6 +36,7 @@ import lightmatrix as lm
 from benchmarks.procedural_captures import photograph
 from experiments.harness import options as options_of
 from lightmatrix.judgement.metrics import relative_error
+from lightmatrix.pictures.style import COLOURS, figure, save
 from lightmatrix.transport.sparse_rows import stack_rows
 
 Shape = tuple[int, int]
@@ -47,6 +50,7 @@ def main(arguments: list[str] | None = None) -> None:
     parser.add_argument("--sizes", nargs="+", default=SIZES, metavar="SIZE")
     parser.add_argument("--4k", dest="large", action="store_true")
     parser.add_argument("--count", type=int, default=64)
+    parser.add_argument("-o", "--out", type=Path, default=Path("scale-out"))
     parser.add_argument("--make", metavar="FOLDER", help="write the capture of the first size")
     parser.add_argument("--judge", metavar="STORE", help="the error of the first size's estimate")
     options = parser.parse_args(arguments)
@@ -59,16 +63,51 @@ def main(arguments: list[str] | None = None) -> None:
     if options.judge:
         print(json.dumps(judged(lm.open(options.judge), Middle.of(sizes[0]))))
         return
-    measured = []
+    options.out.mkdir(parents=True, exist_ok=True)
+    lines = options.out / "scale.jsonl"
+    known = [json.loads(line) for line in lines.read_text().splitlines()] if lines.exists() else []
+    costs = {cost["size"]: cost for cost in known}
     for name in sizes:
-        cost = estimated(name, options.count)
-        print(json.dumps({"size": name, **cost}), flush=True)
-        scene = Middle.of(name)
-        pixels = np.prod(scene.camera_shape), np.prod(scene.projector_shape)
-        measured.append((*pixels, cost["processor_s"]))
-    if len(measured) >= 3:
-        camera_power, projector_power = powers(np.array(measured, float))
-        print(json.dumps({"power_of_camera": camera_power, "power_of_projector": projector_power}))
+        if name not in costs:
+            costs[name] = {"size": name, **estimated(name, options.count)}
+            with lines.open("a") as stream:
+                stream.write(json.dumps(costs[name]) + "\n")
+        print(json.dumps(costs[name]), flush=True)
+    if len(sizes) >= 3:
+        draw_growth([costs[name] for name in sizes], options.out)
+
+
+def draw_growth(costs: list[dict[str, Any]], folder: Path) -> None:
+    """Time and memory against what they grow with, and a line for each, as OUT/scale.png."""
+    pixels = np.array([[np.prod(shape) for shape in size(cost["size"])] for cost in costs], float)
+    shown = (
+        ("processor_s", "processor, seconds", COLOURS[0]),
+        ("peak_gib", "memory, GiB", COLOURS[1]),
+    )
+    with figure(7.2, 3.2) as drawing:
+        for axes, (key, label, colour) in zip(drawing.subplots(1, 2), shown, strict=True):
+            values = np.array([cost[key] for cost in costs])
+            camera, projector, factor = powers(np.column_stack([pixels, values]))
+            print(
+                json.dumps({"of": key, "power_of_camera": camera, "power_of_projector": projector})
+            )
+            grown = pixels[:, 0] ** camera * pixels[:, 1] ** projector
+            order = np.argsort(grown)
+            axes.loglog(grown[order], factor * grown[order], color=colour)
+            axes.loglog(grown, values, "o", color=colour)
+            axes.set_xlabel(
+                f"camera pixels$^{{{camera:.2f}}}$ × projector pixels$^{{{projector:.2f}}}$"
+            )
+            axes.set_ylabel(label)
+            for axis in (axes.xaxis, axes.yaxis):
+                axis.set_major_formatter("{x:g}")
+                axis.set_minor_formatter(NullFormatter())
+            for cost, across, up in zip(costs, grown, values, strict=True):
+                axes.annotate(
+                    cost["size"].replace(":", " : "), (across, up), (4, -3),
+                    textcoords="offset points", fontsize=6, va="top",
+                )  # fmt: skip
+        save(drawing, folder, "scale")
 
 
 @dataclass(frozen=True)
@@ -186,16 +225,16 @@ def command_cost(*words: str | Path) -> dict[str, float]:
     return {"processor_s": spent, "clock_s": clock, "peak_gib": used.ru_maxrss / 2**20}
 
 
-def powers(measured: NDArray[np.float64]) -> tuple[float, float]:
-    """The powers of camera and of projector pixels with which a cost grows.
+def powers(measured: NDArray[np.float64]) -> tuple[float, float, float]:
+    """The powers of camera and of projector pixels with which a cost grows, and its factor.
 
     They are fitted by least squares of the logarithms of `measured`, (n, 3): camera pixels,
     projector pixels, cost.
     """
     logs = np.log(measured)
     terms = np.column_stack([logs[:, :2], np.ones(len(logs))])
-    camera, projector, _ = np.linalg.lstsq(terms, logs[:, 2])[0]
-    return float(camera), float(projector)
+    camera, projector, factor = np.linalg.lstsq(terms, logs[:, 2])[0]
+    return float(camera), float(projector), float(np.exp(factor))
 
 
 if __name__ == "__main__":
