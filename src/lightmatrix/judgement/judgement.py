@@ -33,8 +33,8 @@ Level = Literal["good", "fair", "doubtful", "not tested"]
 # correspondence is judged likewise by the share of the pixels that are uncertain. Both were chosen
 # by hand; no measurement stands behind them.
 GOOD, FAIR = 0.05, 0.2
-# A report advises shorter exposures if rows that clip under a single projector pixel hold more than
-# this share of the squared light. Chosen by hand.
+# A report advises shorter exposures if rows that clip whenever their strongest projector pixel is lit
+# hold more than this share of the squared light. Chosen by hand.
 SINGLY_CLIPPED = 0.02
 # Kinds of findings of `check` that spoil T where neither estimated errors nor unseen photographs
 # show it; and those after which photographs held out, which are wrong alike, test nothing.
@@ -68,10 +68,9 @@ class _Doubtful:
     # `bounded_error`, relative to their length: by 0.04 to 0.17.
     bounded: float = 0.65
     bounded_error: float = 0.12
-    # Rows that clip under their strongest projector pixel alone err by about this, times their
-    # share of the squared light: T erred by up to 0.09 at a share of 0.08, by 0.10 to 0.24 at 0.2
-    # to 0.37, and by 0.23 to 0.49 from 0.73 on.
-    singly_clipped_error: float = 0.6
+    # Such rows let T err by about this, too, times their share of the squared light: by 0.05 to
+    # 0.18 at shares of 0.2 to 0.6, and by 0.19 to 0.35 at 0.64 to 0.8.
+    singly_clipped_error: float = 0.4
     # A sample lies in a highlight if three of its eight neighbours clip in nearly as large a share
     # of the frames. On the bundled scene `metal`, the brightest pixel clips in 0.81 of 32 frames,
     # its neighbours in up to 0.72. Pixels around a lone glint clip in few.
@@ -332,30 +331,30 @@ class OwnError:
 
     @cached_property
     def singly_clipped(self) -> float:
-        """Share of the squared light in rows that clip under a single projector pixel.
+        """Share of the squared light in rows that clip whenever their strongest pixel is lit.
 
-        It is that of the shortest exposure of the provenance; 0 where that is unknown.
+        Where the estimate does not say so, they are those that clip under a single projector pixel
+        at the shortest exposure of the provenance; 0 where that is unknown.
         """
+        if _diagnostic(self.transport, "only_bounded").size:
+            return self._bounded_share
         # The provenance of a store may hold anything. Nothing clips at an exposure of 0.
         try:
             exposure = float(np.min(self.transport.provenance["capture_description"]["exposure"]))
         except (TypeError, ValueError, KeyError):
             exposure = 0.0
         exposure = exposure if np.isfinite(exposure) else 0.0
-        clipped = ~unclipped_rows(self.transport, exposure)
-        bounded = _diagnostic(self.transport, "only_bounded")
-        # A photograph that shows the pixel and does not clip tells how bright it is.
-        return self._share(clipped & (bounded > 0) if bounded.size else clipped)
+        return self._share(~unclipped_rows(self.transport, exposure))
 
     @property
     def warnings(self) -> list[str]:
-        """Sentences if rows clip under a single projector pixel, or are unknown since a change."""
+        """Sentences if light is only bounded from below, or is unknown since a change."""
         warnings, share = list[str](), self.unknown_share
         # Less than 0.2 % is not worth a sentence.
         if self.singly_clipped > SINGLY_CLIPPED / 10:
             warnings.append(
                 f"But {percent(self.singly_clipped)} of the squared light is in rows that clip "
-                "under a single projector pixel, and no photograph shows by how much."
+                "whenever their strongest projector pixel is lit: no photograph shows by how much."
             )
         if 0 < share <= 0.5:
             of = f"{percent(share)} of the light is in rows that changed"

@@ -55,9 +55,10 @@ def recommendations(facts: Facts) -> tuple[str, ...]:
     often = float(np.mean(np.asarray(transport.diagnostics.get("clipped_share", 0.0)) > 0.5))
     if facts.own.singly_clipped > SINGLY_CLIPPED:
         sentences.append(
-            f"{percent(facts.own.singly_clipped)} of the squared light is in rows that clip under "
-            "a single projector pixel, so that their strongest entry is only a lower bound. Take a "
-            "few frames at a quarter of the exposure (`lightmatrix plan` says how many)."
+            f"{percent(facts.own.singly_clipped)} of the squared light is in rows that clip "
+            "whenever their strongest projector pixel is lit, so that this entry is only a lower "
+            "bound. Take a few frames at a quarter of the exposure (`lightmatrix plan` says how "
+            "many)."
         )
     elif often > 0.1:
         sentences.append(
