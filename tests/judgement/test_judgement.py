@@ -276,3 +276,17 @@ def test_rows_that_are_only_bounded_raise_the_stated_error() -> None:
     assert before is not None
     assert after is not None
     assert after > 2 * before
+
+
+@pytest.mark.parametrize(("seed", "exposure", "least"), [(0, 1.8, 0.4), (1, 1.6, 0.6)])
+def test_a_scene_exposed_too_long_states_most_of_its_error(
+    seed: int, exposure: float, least: float
+) -> None:
+    """A row that clips is found to be just as bright as the clip level, never above it."""
+    truth = ProceduralScene((32, 32), (32, 32), seed=seed).truth()
+    patterns = lm.BernoulliPatterns((32, 32), 32)
+    capture = lm.simulate(truth, patterns, exposure=exposure, noise=0.003)
+    estimate = lm.estimate(capture, check=False, correct="none")
+    stated = OwnError(estimate).stated
+    assert stated is not None
+    assert least * relative_error(estimate, truth.transport()) < stated < 0.3
