@@ -107,6 +107,18 @@ def test_the_store_keeps_what_was_corrected(tmp_path: Path) -> None:
     assert error(stored, capture) < 0.03
 
 
+@pytest.mark.parametrize("frame", [0, 7])
+def test_a_frame_of_other_light_is_named_and_sets_no_exposure(frame: int) -> None:
+    capture = photographed()
+    frames = np.stack([capture.frame(k) for k in range(capture.count)])
+    frames[frame] //= 2
+    changed = lm.Capture.from_arrays(capture.patterns, frames, capture.sensor)
+    words = f"not that of the other frames in frame {frame} \\(-(49|50|51) %\\)"
+    with pytest.warns(lm.LightMatrixWarning, match=words):
+        transport = lm.estimate(changed, check=False)
+    assert error(transport, capture) < 0.04
+
+
 @pytest.mark.filterwarnings("ignore::lightmatrix.errors.LightMatrixWarning")
 def test_only_what_is_allowed_is_corrected() -> None:
     capture = photographed(previous=0.1).crop((20, 0), (24, 24))

@@ -131,7 +131,8 @@ def estimate(
         "camera-curve", "projector-curve", "crosstalk", "sharpening", "camera-sharpening",
         "dynamic-contrast", "tone-mapping", "black" and "camera-blur". A correction stays only if
         photographs held out are predicted better with it; estimates row by row hold none out, and
-        are never corrected. The exposure of T is then that of the first frame.
+        are never corrected. The exposure of T is then that of the first frame, or of the others if
+        it is odd.
     progress : bool or callable
         Whether to show a bar on a terminal and in notebooks; or what to call with (done, total)
         rows.

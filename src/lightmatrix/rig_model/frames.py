@@ -3,6 +3,7 @@
 from functools import partial
 
 import numpy as np
+from numpy.typing import NDArray
 
 from lightmatrix.capture.capture import Capture
 from lightmatrix.check.finding import STEADY_LIGHT, odd_light
@@ -30,7 +31,9 @@ class Gain(Term):
         return (1 + values) * (1 + step) - 1
 
     def based(self, values: Array) -> Array:
-        return (1 + values) / (1 + values[:, :1]) - 1
+        # A first frame that is odd is no measure, as of a lamp or shutter that had just started.
+        usual = np.median(values) if 0 in _odd(values[0]) else values[0, 0]
+        return np.asarray((1 + values) / (1 + usual) - 1)
 
     def label_of(self, values: Array) -> str:
         return "gain" if _step(values[0]) is None else "exposure"
@@ -38,17 +41,24 @@ class Gain(Term):
     def sentence(self, values: Array) -> str:
         k = _step(values[0])
         if k is None:
-            usual = values[0] - np.median(values[0])
-            odd = np.flatnonzero(np.abs(usual) > max(0.02, 6 * np.median(np.abs(usual))))
-            if 0 < len(odd) <= 3:
-                return odd_light({f"frame {j}": usual[j] for j in odd})
+            if len(odd := _odd(values[0])):
+                return odd_light({f"frame {j}": values[0, j] - np.median(values) for j in odd})
             return f"the light varied by {100 * deviation(values):.1f} % from frame to frame"
         change = (1 + values[0, k:].mean()) / (1 + values[0, :k].mean()) - 1
         return f"the exposure changed by {100 * change:+.1f} % before frame {k}"
 
 
+def _odd(gain: Array) -> NDArray[np.int64]:
+    """Up to three frames whose light is not that of the others."""
+    usual = gain - np.median(gain)
+    odd = np.flatnonzero(np.abs(usual) > max(0.02, 6 * np.median(np.abs(usual))))
+    return odd if len(odd) <= 3 else odd[:0]
+
+
 def _step(gain: Array) -> int | None:
     """The frame before which the light changed once, if that leaves a tenth of its variance."""
+    if len(_odd(gain)):
+        return None
     cuts = range(1, len(gain))
     left = [gain[:k].var() * k + gain[k:].var() * (len(gain) - k) for k in cuts]
     best = int(np.argmin(left))
@@ -175,13 +185,13 @@ class Torn(Term):
             [draw.choice(band, _PIXELS) * cols + draw.integers(0, cols, _PIXELS) for band in bands]
         )
         samples = samples_of_rows(capture, chosen.ravel())
-        follow = np.zeros((3, len(bands) * _PIXELS))
-        follow[1] = _followed(capture, samples.values, 0)
+        each = np.zeros((3, len(bands) * _PIXELS))
+        each[1] = _followed(capture, samples.values, 0)
         # Where a pixel is followed as well as this, none can be followed better by 0.1.
-        some = follow[1] < 0.9
-        for late in (-1, 1) if some.any() else ():
-            follow[1 + late, some] = _followed(capture, samples.values[some], late)
-        follow = follow.reshape(3, len(bands), _PIXELS)
+        some = each[1] < 0.9
+        for lag in (-1, 1) if some.any() else ():
+            each[1 + lag, some] = _followed(capture, samples.values[some], lag)
+        follow = each.reshape(3, len(bands), _PIXELS)
         # Dark pixels follow nothing, and tell nothing.
         lit = follow.max(axis=0) > 0.8
         better = (follow - follow[1] > 0.1) & lit
