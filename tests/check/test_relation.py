@@ -186,6 +186,8 @@ def test_little_evidence_accuses_nobody() -> None:
         (np.roll(np.arange(64), -1), "each photograph shows the pattern after its own"),
         (np.roll(np.arange(64), 1), "each photograph shows the pattern before its own"),
         (np.arange(64)[::-1], "the photographs are in the opposite order"),
+        (np.roll(np.arange(64), -10), "begin with that of pattern 10"),
+        (np.roll(np.arange(64), 2), "begin with that of pattern 62"),
         (np.argsort(sorted(range(64), key=str)), "the patterns are in the order of their names"),
     ],
 )

@@ -100,6 +100,11 @@ def check_relation(survey: Survey, name: Callable[[int], str] = str) -> list[Fin
         (relation.excess(order[: len(relation.frames)]), message)
         for message, order in likely_orders(survey.count)
     ]
+    # The counter of a camera starts again after DSC_9999.
+    for k in range(2, survey.count - 1):
+        order = np.roll(np.arange(survey.count), -k)[: len(relation.frames)]
+        message = f"the photographs begin with that of pattern {k}: did their numbers start again?"
+        tried.append((relation.excess(order), message))
     score, message = max(tried)
     count, size = survey.count, len(relation.frames)
     later = [Relation.of(survey, min(k, count - size)) for k in range(size, count, size)]
@@ -128,7 +133,7 @@ def check_relation(survey: Survey, name: Callable[[int], str] = str) -> list[Fin
         return order_findings({k: j for part in parts for k, j in part.exchanged.items()}, name)
     message = (
         "the photographs do not follow the patterns: do they belong together? Neither another "
-        "order (by name, shifted by one, backwards) nor negatives explain them"
+        "order (by name, shifted, backwards) nor negatives explain them"
     )
     advice = (
         "check that patterns and photographs are of one series (same seed and size) and in the "
