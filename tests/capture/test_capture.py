@@ -163,6 +163,10 @@ def test_options_of_plain_folders(tmp_path: Path) -> None:
     assert not samples.values[samples.weights == 0].any()
     assert not samples.clipped[samples.weights == 0].any()
     np.testing.assert_allclose(samples.values[5:9, -1], 130 / 180, rtol=1e-6)
+    with pytest.raises(InputError, match=r"darker than the black level of 50\n.*at most 20"):
+        Capture.from_folders(
+            patterns, photos, ReadSettings(black=tmp_path / "black.png", black_level=50)
+        )
     kept = samples.weights[:, 0] > 0
     np.testing.assert_allclose(
         samples.values[kept, :-1], expected.samples().values[kept], atol=1e-6

@@ -340,7 +340,7 @@ def test_bit_planes_hold_the_patterns(order: str, tmp_path: Path) -> None:
 
 def test_a_capture_in_place_of_its_patterns_is_named(tmp_path: Path) -> None:
     lm.write_patterns(tmp_path / "patterns", lm.BernoulliPatterns((6, 8), 4))
-    with pytest.raises(InputError, match="is a capture\n.*its patterns are in .*patterns"):
+    with pytest.raises(InputError, match=r"is a capture\n.*its patterns are in .*patterns"):
         lm.read_patterns(tmp_path)
 
 

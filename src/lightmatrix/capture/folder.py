@@ -407,9 +407,14 @@ def _read_black(
             f"{file}: the black frame is {image.dtype}, the images {stack.dtype}",
             hint="save it with the bit depth of the images",
         )
-    if float(np.median(image)) >= np.min(clip):
+    if (dark := float(np.median(image))) >= np.min(clip):
         hint = "take it with the projector showing black"
         raise InputError(f"{file}: the black frame is clipped", hint=hint)
+    level = -np.inf if settings.black_level is None else np.min(settings.black_level)
+    # Noise reaches somewhat below.
+    if dark < level - 0.01 * np.max(clip):
+        hint = f"leave the black level out, or give one of at most {dark:g}"
+        raise InputError(f"{file}: is darker than the black level of {level:g}", hint=hint)
     exposure = settings.black_exposure
     differs = exposure is not None and bool((np.asarray(settings.exposure) != exposure).any())
     if settings.black_level is None and differs:

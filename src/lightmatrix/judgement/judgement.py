@@ -33,8 +33,8 @@ Level = Literal["good", "fair", "doubtful", "not tested"]
 # correspondence is judged likewise by the share of the pixels that are uncertain. Both were chosen
 # by hand; no measurement stands behind them.
 GOOD, FAIR = 0.05, 0.2
-# A report advises shorter exposures if rows that clip whenever their strongest pixel is lit hold more
-# than this share of the squared light. Chosen by hand.
+# A report advises shorter exposures if rows that clip whenever their strongest pixel is lit hold
+# more than this share of the squared light. Chosen by hand.
 SINGLY_CLIPPED = 0.02
 # Kinds of findings of `check` that spoil T where neither estimated errors nor unseen photographs
 # show it; and those after which photographs held out, which are wrong alike, test nothing.
