@@ -215,3 +215,11 @@ def test_wrong_faults_are_refused(
     assert main(words.split()) == 2
     said = " ".join(capsys.readouterr().err.split())
     assert re.search(advice, said), said
+
+
+def test_the_help_lists_all_faults(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["simulate", "--help-all"]) == 0
+    # Names may be parted at the end of a line.
+    shown = re.sub(r"-\s+", "-", capsys.readouterr().out)
+    words = set(re.findall(r"[a-z]+(?:-[a-z]+)*", shown))
+    assert set(FAULTS) <= words

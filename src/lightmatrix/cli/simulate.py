@@ -106,8 +106,10 @@ def render(
     ),
     fault=typer.Option(
         metavar="NAME=AMOUNT",
-        help="Something that the rig does wrong, such as shake=0.1 (camera pixels). Repeat it "
-        "for several; an unknown name lists all.",
+        help="What the rig does wrong, such as shake=0.1 (camera pixels); repeat it for several: "
+        "shake, creep, breathing, gain, exposure, ambient, rows, previous, torn, crosstalk, black, "
+        "sharpening, camera-sharpening, camera-curve, projector-curve, dynamic-contrast, "
+        "tone-mapping.",
     ),
 )
 def simulate(
@@ -134,9 +136,9 @@ def simulate(
     """Photograph a scene under patterns.
 
     The command writes a capture folder, with the true T beside the frames as truth.npz. Camera and
-    projector have the size of the patterns; the scene `procedural` has any that fits into memory.
-    Patterns for two projectors stand one above the other, 128x64 for 64x64 each; every camera has a
-    folder: camera-1, camera-2.
+    projector have the size of the patterns; the scene `procedural` has any that fits, from 16x16 to
+    thousands. Patterns for two projectors stand one above the other, 128x64 for 64x64 each; every
+    camera has a folder: camera-1, camera-2.
     """
     cameras = next((one.cameras for one in lm.scenes() if one.name == scene), 1)
     several = [output / f"camera-{k}{output.suffix}" for k in range(1, cameras + 1)]
