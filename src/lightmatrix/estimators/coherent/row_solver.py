@@ -293,7 +293,7 @@ class RowSolver:
                 best = found.rows(np.zeros(problem.rows, np.int64))
             # A row keeps the square that explains its samples best.
             left_over = found.diagnostics["objective"]
-            better = np.flatnonzero(left_over < before[some])
+            better = np.flatnonzero(~(left_over >= before[some]))
             before[some[better]] = left_over[better]
             best = best.replaced(some[better], found.rows(better))
         assert best is not None
