@@ -128,7 +128,7 @@ def check_relation(survey: Survey, name: Callable[[int], str] = str) -> list[Fin
             "but do not fit together: was something turned or moved in between?"
         )
         late = tuple(range(survey.count // 2, survey.count))
-        advice = "turn them back (the orientation that EXIF states is not followed), or take it again"
+        advice = "turn them back (EXIF orientation is not followed), or take the capture again"
         return [Finding("motion", late, message, advice)]
     if not relation.unrelated:
         return order_findings({k: j for part in parts for k, j in part.exchanged.items()}, name)
