@@ -101,7 +101,7 @@ def _make_captures() -> None:
 
 def _make_pictures() -> None:
     rng = np.random.default_rng(0)
-    lm.write_image("black.png", np.full((16, 16), 16, np.uint8))
+    lm.write_image("black.png", np.zeros((16, 16), np.uint8))
     lm.write_image("mask.png", np.full((16, 16), 255, np.uint8))
     lm.write_image("pattern.png", rng.integers(0, 256, (16, 16), np.uint8))
     colours = np.kron(rng.integers(60, 255, (6, 8, 3), np.uint8), np.ones((8, 8, 1), np.uint8))
