@@ -151,7 +151,8 @@ def test_npz_of_others(tmp_path: Path) -> None:
             import_npz(tmp_path / name)
     with pytest.raises(InputError, match="no sparse matrix: format, shape, data"):
         import_npz(tmp_path / "other.npz")
-    np.savez(tmp_path / "decoded.npz", **{CORRESPONDENCE_MARK: np.ones(1)})
+    mark: dict[str, Any] = {CORRESPONDENCE_MARK: np.ones(1)}
+    np.savez(tmp_path / "decoded.npz", **mark)
     with pytest.raises(InputError, match="for `lightmatrix triangulate`"):
         import_npz(tmp_path / "decoded.npz")
     with pytest.raises(InputError, match="no such file"):
