@@ -131,7 +131,7 @@ impl PreparedPatterns {
         let planes = planes.iter().map(plane).collect::<PyResult<Vec<_>>>()?;
         let atoms = Atoms { grid, planes };
         let (level, patterns) = (single.level, single.patterns);
-        // The columns, and two temporary copies of those of one plane.
+        // The columns, and those of single pixels between margins, which may be as wide as they are.
         let size = atoms.planes.len() * if narrow { 2 } else { 4 } + 2 * size_of::<f32>();
         check_memory::<u8>(&[size, pixels, padded(patterns)], "the prepared atoms")?;
         let dictionary = on_all_cores(py, || Dictionary {
