@@ -63,7 +63,8 @@ def motion_finding(when: str, start: int, shift: Displacement, count: int) -> Fi
         "after it alone"
     )
     frames = tuple(range(start, count))
-    return Finding("motion", frames, f"{message} ({', '.join(words)})", advice)
+    slow = ", or drifted there" if np.hypot(*shift) < 1.5 else ""
+    return Finding("motion", frames, f"{message} ({', '.join(words)}){slow}", advice)
 
 
 class _Follower:
