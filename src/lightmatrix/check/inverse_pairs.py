@@ -101,7 +101,7 @@ def _check_moved_part(
         rest = np.hypot(before.std(axis=1), after.std(axis=1))
         # Noise, shake and light of the room that grows change the sums from pair to pair.
         shares.append(float((step > np.maximum(0.1, 4 * rest)).mean()))
-    # Where most pixels see something else, whole photographs are odd.
+    # A cut after which most pixels see something else means that whole photographs are odd.
     share = max((each for each in shares if each < 0.3), default=0.0)
     # In intact captures, also of rigs that shake or warm up, up to 0.0017 do. An object that moves,
     # and hides 2 to 6 % of the image, gives 0.01 to 0.07.

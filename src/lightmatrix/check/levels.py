@@ -84,8 +84,8 @@ def check_saturated(survey: Survey, name: Callable[[int], str]) -> list[Finding]
     exposures = np.broadcast_to(survey.decoder.exposure, survey.count)
     found = []
     for k in np.flatnonzero((clipped > 0.95) & (survey.patterns.means < 0.9)):
-        # Where most frames of this exposure clip, it is too long, which other checks say. Where
-        # another clips nearly all over, patterns are coarse, and the camera sees a white part.
+        # If most frames of an exposure clip, the exposure is too long, which other checks say. If
+        # another one clips nearly all over, patterns are coarse, and the camera sees a white part.
         others = clipped[(exposures == exposures[k]) & (clipped <= 0.95)]
         if len(others) and np.median(others) < 0.5 and others.max() < 0.8:
             found.append(int(k))

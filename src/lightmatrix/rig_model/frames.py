@@ -187,7 +187,7 @@ class Torn(Term):
         samples = samples_of_rows(capture, chosen.ravel())
         each = np.zeros((3, len(bands) * _PIXELS))
         each[1] = _followed(capture, samples.values, 0)
-        # Where a pixel is followed as well as this, none can be followed better by 0.1.
+        # A sample that follows the frame's own pattern this well follows no other better by 0.1.
         some = each[1] < 0.9
         for lag in (-1, 1) if some.any() else ():
             each[1 + lag, some] = _followed(capture, samples.values[some], lag)

@@ -198,7 +198,7 @@ class Rounds(Work):
         self, samples: Samples, solved: Result, rows: SparseRows, share: float,
         neighbours: Neighbourhood, start: int, progress: Progress,
     ) -> SparseRows:  # fmt: skip
-        """Rows of which those that leave more than a share unexplained have searched all atoms."""
+        """Rows of which those that leave more than a share unexplained have searched for light."""
         unexplained = self.solver.unexplained(samples, solved, share)
         if not len(unexplained):
             return rows
