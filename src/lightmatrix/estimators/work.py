@@ -108,7 +108,12 @@ class TilesInMemory:
     def read(self, step: str) -> SparseRows:
         """All tiles of a step, joined."""
         tiles = self.rows[step]
-        return SparseRows.joined([tiles[span] for span in sorted(tiles)])
+        spans = sorted(tiles)
+        size = spans[-1][1], sum(tile.coefficients.nnz for tile in tiles.values())
+        # Each is thrown away as soon as it is copied.
+        whole = SparseRows.joined(map(tiles.pop, spans), size)
+        tiles[0, whole.count] = whole
+        return whole
 
     def forget(self, step: str) -> None:
         """Throw away the tiles of a step."""
@@ -138,23 +143,17 @@ def complete(
         # What an earlier run has finished counts as well.
         done = max(stop for _, stop in spans) - sum(stop - start for start, stop in spans)
 
-        def report(rows: int, _: int = 0, step: str = step, already: int = done) -> None:
+        def report(rows: int, _: int = 0, step: str = step, before: int = done) -> None:
             if progress is not None:
-                progress(work.solved(step, already + rows), work.capture.rows)
+                progress(work.solved(step, before + rows), work.capture.rows)
 
+        keep = partial(finished.write, step=step)
         if pool is not None:
             pool.solve(work, step, spans, finished, report)
-        elif min(work.together, len(spans)) > 1:
-            solve_tile = work.prepare(step, finished.read)
-            keep = partial(finished.write, step=step)
-            _solve_side_by_side(solve_tile, spans, work.together, keep, report)
         else:
-            # This thread solves, too: others would only delay small estimates.
-            solve_tile = work.prepare(step, finished.read)
-            for start, stop in spans:
-                note = partial(report, already=done)
-                finished.write(start, stop, solve_tile(start, stop, note), step)
-                done += stop - start
+            # No variable keeps what a step was prepared with until the next one is.
+            together = min(work.together, len(spans))
+            _solve(work.prepare(step, finished.read), spans, together, keep, report)
         for before in work.steps[step]:
             if [name for name, needed in work.steps.items() if before in needed] == [step]:
                 finished.forget(before)
@@ -164,15 +163,26 @@ class _Stopped(Exception):  # noqa: N818 - nobody sees it; it ends a tile that n
     """Another tile failed, or the user stopped the estimate."""
 
 
-def _solve_side_by_side(
+def _solve(
     solve_tile: SolveTile, spans: list[Span], together: int,
     keep: Callable[[int, int, SparseRows], None], report: Callable[[int], None],
 ) -> None:  # fmt: skip
     """Solve tiles, `together` of them at a time, and `keep` each at once.
 
     While the core solves the rows of one tile on all cores, Python prepares those of another: so no
-    core waits for the main thread.
+    core waits for the main thread. One at a time is solved in this thread, as others would only
+    delay small estimates.
     """
+    if together == 1:
+        done = 0
+        for start, stop in spans:
+
+            def note_own(rows: int, _: int, before: int = done) -> None:
+                report(before + rows)
+
+            keep(start, stop, solve_tile(start, stop, note_own))
+            done += stop - start
+        return
     stopped, rows_done = Event(), dict.fromkeys(spans, 0)
 
     def solve(span: Span) -> SparseRows:

@@ -7,7 +7,7 @@ is wrong; the reader adds the name of the file.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, Self
 
@@ -20,6 +20,8 @@ from lightmatrix.files.numpy_files import as_float32
 
 # How arrays of diagnostics are named among those of `SparseRows.arrays`.
 _DIAGNOSTIC = "diagnostic_"
+# Its arrays that have a value for each entry; the others have one for each row.
+_OF_ENTRIES = ("data", "indices")
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,17 +70,45 @@ class SparseRows:
         return replace(rows, background=np.rint(rows.background / step) * step)
 
     @classmethod
-    def joined(cls, parts: Sequence[SparseRows]) -> SparseRows:
+    def joined(cls, parts: Iterable[SparseRows], size: tuple[int, int] | None = None) -> SparseRows:
         """The rows of one or more parts, which have the same diagnostics, below each other.
 
-        A single part is returned as it is, so that T is not in memory twice.
+        With a `size`, as many rows and entries as all parts have at most, parts may be made one
+        after the other, so that T is not in memory twice. Otherwise a single part is returned as it
+        is.
         """
-        if len(parts) == 1:
-            return parts[0]
-        each = {name: [p.diagnostics[name] for p in parts] for name in parts[0].diagnostics}
-        diagnostics = {name: np.concatenate(values) for name, values in each.items()}
-        background = np.concatenate([part.background for part in parts])
-        return cls(stack_rows([part.coefficients for part in parts]), background, diagnostics)
+        if size is None:
+            parts = list(parts)
+            if len(parts) == 1:
+                return parts[0]
+            size = sum(part.count for part in parts), sum(part.coefficients.nnz for part in parts)
+        # Memory is taken where it is written, so that a bound may be large.
+        whole, ends, row, entry = dict[str, NDArray[Any]](), [np.zeros(1, np.int64)], 0, 0
+        for part in parts:
+            arrays = part.arrays()
+            columns = int(arrays.pop("shape")[1])
+            ends.append(arrays.pop("indptr")[1:] + np.int64(entry))
+            for name, array in arrays.items():
+                start, most = (entry, size[1]) if name in _OF_ENTRIES else (row, size[0])
+                if name not in whole:
+                    kind = _index_type(columns) if name == "indices" else array.dtype
+                    whole[name] = np.empty((most, *array.shape[1:]), kind)
+                assert name == "indices" or whole[name].dtype == array.dtype, (
+                    name,
+                    whole[name].dtype,
+                    array.dtype,
+                )
+                whole[name][start : start + len(array)] = array
+            row, entry = row + part.count, entry + part.coefficients.nnz
+        whole = {
+            name: each[: entry if name in _OF_ENTRIES else row] for name, each in whole.items()
+        }
+        whole["indptr"] = np.concatenate(
+            ends, dtype=_index_type(entry, columns), casting="same_kind"
+        )
+        named = {n.removeprefix(_DIAGNOSTIC): each for n, each in whole.items() if _DIAGNOSTIC in n}
+        matrix = csr_array((whole["data"], whole["indices"], whole["indptr"]), shape=(row, columns))
+        return cls(matrix, whole["background"], named)
 
     def arrays(self) -> dict[str, NDArray[Any]]:
         """The rows as named arrays, for `from_arrays`."""
@@ -119,10 +149,14 @@ def stack_rows(parts: Sequence[csr_array]) -> csr_array:
     SciPy may give 64-bit ones, which take half as much memory again, and products longer.
     """
     stacked = csr_array(vstack(parts, format="csr"))
-    if max(stacked.nnz, *stacked.shape) <= np.iinfo(np.int32).max:
-        places = (stacked.indices, stacked.indptr)
-        stacked.indices, stacked.indptr = (part.astype(np.int32, copy=False) for part in places)
+    places, kind = (stacked.indices, stacked.indptr), _index_type(stacked.nnz, *stacked.shape)
+    stacked.indices, stacked.indptr = (part.astype(kind, copy=False) for part in places)
     return stacked
+
+
+def _index_type(*largest: int) -> type[np.signedinteger[Any]]:
+    """The type of indices up to some numbers: 32-bit ones if they fit."""
+    return np.int32 if max(largest) <= np.iinfo(np.int32).max else np.int64
 
 
 def footprint_sizes(rows: csr_array) -> NDArray[np.float64]:

@@ -327,10 +327,13 @@ class Neighbourhood:
     def part(self, rows: NDArray[np.int64], reach: int) -> tuple[Neighbourhood, NDArray[np.int64]]:
         """The camera pixels within a reach of some rows, and the rows' numbers among them."""
         row, col, channel = np.unravel_index(rows, self.camera)
-        top, left = max(0, int(row.min()) - reach), max(0, int(col.min()) - reach)
-        index = np.arange(self.rows.count).reshape(self.camera)
-        index = index[top : row.max() + reach + 1, left : col.max() + reach + 1]
-        own = np.ravel_multi_index((row - top, col - left, channel), index.shape)
+        down, right = (
+            np.arange(max(0, int(place.min()) - reach), min(side, int(place.max()) + reach + 1))
+            for place, side in zip((row, col), self.camera[:2], strict=True)
+        )
+        around = np.ix_(down, right, np.arange(self.camera[2]))
+        index = np.ravel_multi_index(around, self.camera)
+        own = np.ravel_multi_index((row - down[0], col - right[0], channel), index.shape)
         known = [self.jacobian[index.ravel()]]
         near = replace(
             self, rows=self.rows.rows(index.ravel()), camera=index.shape, known_jacobians=known

@@ -114,10 +114,14 @@ class Rounds(Work):
         if number == 0:
             return self._search
         neighbours = self._neighbours(number, read)
+        if step == ROWS:
+            self._latest.clear()
         if step == HELD_OUT:
             return partial(self._hold_out, neighbours)
         if step != ROWS:
-            return partial(self._solve, number, neighbours)
+            skips = self._grows and self.rounds[number].skip_settled
+            moving = unsettled(neighbours.rows, neighbours.camera) if skips else None
+            return partial(self._solve, number, neighbours, moving)
         if not self.judged:
             return partial(self._judge, neighbours, None, None)
         before = read(HELD_OUT).diagnostics
@@ -165,9 +169,10 @@ class Rounds(Work):
         return _searched(solved) if self._grows else _for_next_round(solved)
 
     def _solve(
-        self, number: int, neighbours: Neighbourhood, start: int, stop: int, progress: Progress
-    ) -> SparseRows:
-        """The rows start..stop of a round, with what their neighbours say of them."""
+        self, number: int, neighbours: Neighbourhood, moving: NDArray[np.bool_] | None,
+        start: int, stop: int, progress: Progress,
+    ) -> SparseRows:  # fmt: skip
+        """The rows start..stop of a round, or those that are moving, as their neighbours say."""
         this_round = self.rounds[number]
         samples = self._grid(number).samples(start, stop)
         rows = np.arange(start, stop)
@@ -175,7 +180,7 @@ class Rounds(Work):
             solved, _ = self.solver.near(samples, rows, this_round, neighbours, progress)
             return _for_next_round(solved)
         before = neighbours.rows.rows(rows)
-        if not this_round.skip_settled:
+        if moving is None:
             solved, _ = self.solver.near(samples, rows, this_round, neighbours, progress)
             result = _for_next_round(solved, before)
             if this_round.search_unexplained:
@@ -184,15 +189,15 @@ class Rounds(Work):
                     samples, solved, result, share, neighbours, start, progress
                 )
             return with_change(result, before)
-        moving = np.flatnonzero(unsettled(neighbours.rows, neighbours.camera)[start:stop])
-        if not len(moving):
+        some = np.flatnonzero(moving[start:stop])
+        if not len(some):
             return unchanged(before)
-        part = before.rows(moving)
+        part = before.rows(some)
         solved, _ = self.solver.near(
-            samples.rows(moving), rows[moving], this_round, neighbours, progress
+            samples.rows(some), rows[some], this_round, neighbours, progress
         )
         new = with_change(_for_next_round(solved, part), part)
-        return unchanged(before).replaced(moving, new)
+        return unchanged(before).replaced(some, new)
 
     def _search_unexplained(
         self, samples: Samples, solved: Result, rows: SparseRows, share: float,
@@ -272,7 +277,8 @@ class Rounds(Work):
         solver, rows = self.solver, np.arange(start, stop)
         samples = self.capture.samples(start, stop)
         solved, background = solver.near(samples, rows, self.rounds[-1], neighbours, progress)
-        spread = solver.backgrounds.spread(neighbours.centres[start:stop])
+        centres = solver.atoms.centres(neighbours.rows.coefficients[start:stop])
+        spread = solver.backgrounds.spread(centres)
         whole = solved.background[:, None] * spread
         if solved.cells.shape[1]:
             whole += solved.cells
@@ -307,6 +313,9 @@ class Rounds(Work):
             self._latest.clear()
             rows = read(round_name(number - 1))
             grid, before = self._grid(number), self._grid(number - 1)
+            if grid is not before:
+                # The samples of the coarser grid have served.
+                self._grids[before.spacing] = replace(before)
             atoms = self.solver.atoms
             projectors = max(1, len(self.capture.projectors))
             near = Neighbourhood(rows, before.camera, atoms, before.spacing, (), projectors)

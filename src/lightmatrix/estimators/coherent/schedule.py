@@ -2,7 +2,7 @@
 
 In a small frame every camera pixel first searches all projector pixels, which costs the product of
 both. In others only seeds search: every second camera pixel along both axes, in large frames every
-fourth to 32nd. Their estimates spread to all others, as matches do in PatchMatch stereo (Barnes et
+fourth to 64th. Their estimates spread to all others, as matches do in PatchMatch stereo (Barnes et
 al. 2009); camera pixels whose samples this does not explain then search for themselves.
 """
 
@@ -32,7 +32,13 @@ class Growth:
     # Spacings of the solved camera pixels, level by level. The first sequence applies for which the
     # camera has enough seeds. A spacing is at most four times the next one, since rows reach only
     # `reach` pixels to both sides and would leave gaps.
-    spacings: tuple[tuple[int, ...], ...] = ((32, 8, 4, 1), (16, 4, 1), (8, 4, 1), (4, 1))
+    spacings: tuple[tuple[int, ...], ...] = (
+        (64, 16, 4, 1),
+        (32, 8, 4, 1),
+        (16, 4, 1),
+        (8, 4, 1),
+        (4, 1),
+    )
     # The half width in camera pixels that the first window must have.
     reach: int = 2
     # Seeds along the shorter side of the camera that a sequence needs; the last one needs half as
