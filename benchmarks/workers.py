@@ -6,7 +6,12 @@ the repeats counts. The time includes reading, solving, writing and joining, but
 start. The processor time of the workers and of this process stands beside the clock's: on a busy
 machine it bounds what two workers would gain on two idle cores.
 
+With `--weak`, four workers estimate a camera of twice the sides, and one worker its quarter. Each
+process counts as if it had a core of its own, by its processor seconds: first this one, then the
+worker that takes longest. So the ratio bounds that of clocks on five idle cores.
+
     python -m benchmarks.workers [--camera 256] [--projector 256] [--count 64] [--repeats 3]
+                                [--weak]
 """
 
 from __future__ import annotations
@@ -33,14 +38,26 @@ def main(arguments: list[str] | None = None) -> None:
     parser = options_of("benchmarks.workers", __doc__)
     for name, value in (("camera", 256), ("projector", 256), ("count", 64), ("repeats", 3)):
         parser.add_argument(f"--{name}", type=int, default=value)
+    parser.add_argument("--weak", action="store_true")
     options = parser.parse_args(arguments)
     # Read by the workers, which divide it: one thread each.
     os.environ["RAYON_NUM_THREADS"] = "1"
+    projector = (options.projector, options.projector)
+    patterns = lm.BernoulliPatterns(projector, options.count)
+
+    def capture(folder: str, side: int) -> Path:
+        place = Path(folder) / f"{side}.zarr"
+        photograph(place, lm.ProceduralScene((side, side), projector), patterns)
+        return place
+
     with tempfile.TemporaryDirectory() as folder:
-        place = Path(folder) / "capture.zarr"
-        projector = (options.projector, options.projector)
-        scene = lm.ProceduralScene((options.camera, options.camera), projector)
-        photograph(place, scene, lm.BernoulliPatterns(projector, options.count))
+        if options.weak:
+            places = [capture(folder, times * options.camera) for times in (1, 2)]
+            times = {n: alone(place, n) for n, place in zip((1, 4), places, strict=True)}
+            ratio = sum(times[4]) / sum(times[1])
+            print(json.dumps({**vars(options), "seconds": times, "ratio": ratio}), flush=True)
+            return
+        place = capture(folder, options.camera)
         for coherent in (False, True):
             figures = measured(place, coherent, options.repeats)
             print(json.dumps({"coherent": coherent, **vars(options), **figures}), flush=True)
@@ -71,6 +88,15 @@ def measured(place: Path, coherent: bool, repeats: int) -> dict[str, Any]:
     }
 
 
+def alone(place: Path, number: int) -> tuple[float, float]:
+    """Processor seconds of this process and of the busiest of some workers."""
+    with dask_pool(number) as pool:
+        before = processes(pool)
+        estimated(lm.Capture.open(place), True, pool)
+        own, *workers = np.subtract(processes(pool), before)
+    return float(own), float(max(workers))
+
+
 def estimated(capture: lm.Capture, coherent: bool, pool: DaskPool) -> lm.LightTransport:
     """An estimate by workers."""
     settings = lm.EstimateSettings(coherent=coherent)
@@ -79,9 +105,14 @@ def estimated(capture: lm.Capture, coherent: bool, pool: DaskPool) -> lm.LightTr
 
 def spent(pool: DaskPool) -> float:
     """Processor seconds of the workers and of this process so far."""
-    pids = [*pool.client.run(os.getpid).values(), os.getpid()]
+    return sum(processes(pool))
+
+
+def processes(pool: DaskPool) -> list[float]:
+    """Processor seconds of this process and of each worker so far."""
+    pids = [os.getpid(), *pool.client.run(os.getpid).values()]
     times = [psutil.Process(pid).cpu_times() for pid in pids]
-    return sum(one.user + one.system for one in times)
+    return [one.user + one.system for one in times]
 
 
 def same(one: lm.LightTransport, other: lm.LightTransport) -> bool:

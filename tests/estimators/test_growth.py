@@ -90,6 +90,7 @@ def test_all_rows_of_small_frames_search_and_large_ones_grow() -> None:
     short = schedule.schedule((1024, 1024), 768 * 1024, ((2, 1),))
     assert [stage.spacing for stage in short] == [32, 8, 4, 1, 1]
     assert schedule.spacings((128, 1000), 768 * 1024, WINDOWS) == (4, 1)
+    assert schedule.spacings((3000, 4000), 2160 * 3840, WINDOWS) == (64, 16, 4, 1)
 
 
 @pytest.fixture(scope="module")

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import itertools
+import tracemalloc
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -68,6 +71,31 @@ def test_joining_undoes_splitting_in_any_order() -> None:
     parts = [whole.rows(order[:4]), whole.rows(order[4:])]
     same(SparseRows.joined(parts).rows(np.argsort(order)), whole)
     assert SparseRows.joined(parts).count == 7
+
+
+@given(st.lists(st.integers(0, 7), max_size=5), st.tuples(st.integers(0, 9), st.integers(0, 99)))
+def test_parts_that_are_made_one_after_the_other_are_joined(
+    cuts: list[int], spare: tuple[int, int]
+) -> None:
+    whole = rows()
+    edges = [0, *sorted(cuts), 7]
+    parts = (whole.rows(slice(*edge)) for edge in itertools.pairwise(edges))
+    bound = 7 + spare[0], whole.coefficients.nnz + spare[1]
+    same(SparseRows.joined(parts, bound), whole)
+
+
+def test_joined_rows_are_in_memory_once() -> None:
+    whole = rows(4000, 60, 64)
+
+    def parts() -> Iterator[SparseRows]:
+        for start in range(0, 4000, 100):
+            yield whole.rows(slice(start, start + 100))
+
+    tracemalloc.start()
+    joined = SparseRows.joined(parts(), (4000, whole.coefficients.nnz))
+    _, peak = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert peak < 1.3 * sum(array.nbytes for array in joined.arrays().values())
 
 
 def test_arrays_hold_everything() -> None:

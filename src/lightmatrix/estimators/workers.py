@@ -391,6 +391,8 @@ def solve_tile(
             vars(_open_job).update(vars(_OpenJob(digest, pickle.loads(packed))))
             assert _open_job.work is not None
         if _open_job.step != step or _open_job.solve_tile is None:
+            # What the step before was prepared with goes first.
+            _open_job.solve_tile = None
             _open_job.solve_tile = _open_job.work.prepare(
                 step, lambda name: pickle.loads(before[name])
             )
