@@ -27,17 +27,9 @@ from lightmatrix.judgement.judgement import (
 )
 from lightmatrix.judgement.metrics import check_same_rig
 from lightmatrix.progress import Progress
+from lightmatrix.report import sections
 from lightmatrix.report.elements import Section
 from lightmatrix.report.facts import AnyEstimator, Facts, Validation, validate
-from lightmatrix.report.sections import (
-    error_estimates,
-    first_pictures,
-    parameters,
-    photographs,
-    relighting,
-    transport_matrix,
-    uses,
-)
 from lightmatrix.reprs import percent
 from lightmatrix.rig_model.model import RigModel
 from lightmatrix.shape.triangulation import geometry_of
@@ -234,16 +226,16 @@ def write_page(
         numbers=first_numbers,
         viewer="viewer.html" if viewer else None,
         findings=[_sentences(finding) for finding in findings],
-        first=first_pictures(facts),
+        first=sections.first_pictures(facts),
         advice=advice,
         sections=(
-            relighting(facts),
-            transport_matrix(facts),
-            uses(facts),
-            error_estimates(facts),
+            sections.relighting(facts),
+            sections.transport_matrix(facts),
+            sections.uses(facts),
+            sections.error_estimates(facts),
             *more,
-            photographs(facts),
-            parameters(facts),
+            sections.photographs(facts),
+            sections.parameters(facts),
         ),
         version=__version__,
     )
