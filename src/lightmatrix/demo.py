@@ -19,13 +19,7 @@ from lightmatrix.estimators.plain import PlainEstimator
 from lightmatrix.estimators.settings import EstimateSettings
 from lightmatrix.files.kinds import DEMO
 from lightmatrix.files.writing import atomic_folder
-from lightmatrix.judgement.metrics import (
-    relative_error,
-    relighting_error,
-    response_rmse,
-    row_maximum,
-    unseen_patterns,
-)
+from lightmatrix.judgement import metrics
 from lightmatrix.patterns.bits import BernoulliPatterns
 from lightmatrix.pictures.maps import WHITE_TO_RED
 from lightmatrix.pictures.style import display, figure, mark_clipped, panel, save
@@ -89,7 +83,7 @@ def demo(
     with atomic_folder(folder, DEMO, overwrite=overwrite) as out:
         truth = binned(library.truth(SCENE), 2)
         known = truth.transport()
-        exposure = 1 / float(np.quantile(row_maximum(known), UNCLIPPED_QUANTILE))
+        exposure = 1 / float(np.quantile(metrics.row_maximum(known), UNCLIPPED_QUANTILE))
         patterns = BernoulliPatterns(truth.projector_shape, PATTERNS)
         capture = simulate(truth, patterns, exposure=exposure)
         capture.save(out / "capture")
@@ -100,7 +94,7 @@ def demo(
                 estimator = choose_estimator(capture, estimator)
             estimates[name] = estimator.estimate(capture)
             step(done, steps)
-        tests = unseen_patterns(known.projector_shape)
+        tests = metrics.unseen_patterns(known.projector_shape)
         shown = np.stack(list(tests.values()))
         result: dict[str, Any] = {
             "scene": SCENE,
@@ -109,13 +103,15 @@ def demo(
             "exposure": exposure,
             "noise": USUAL_NOISE,
             "clipped_samples": capture.raw_clipped_share,
-            "clipping_responses": float((row_maximum(known) * exposure > 1).mean()),
+            "clipping_responses": float((metrics.row_maximum(known) * exposure > 1).mean()),
             "methods": [
                 {
                     "method": name,
-                    "rmse": response_rmse(one, known, clip_level=1 / exposure, step=2, offset=1),
-                    "relative_error": relative_error(one, known),
-                    "relighting_error": relighting_error([one], [known], shown),
+                    "rmse": metrics.response_rmse(
+                        one, known, clip_level=1 / exposure, step=2, offset=1
+                    ),
+                    "relative_error": metrics.relative_error(one, known),
+                    "relighting_error": metrics.relighting_error([one], [known], shown),
                 }
                 for name, one in estimates.items()
             ],
@@ -183,7 +179,7 @@ def _draw(
 
     # An inner camera pixel that clips in about 40 % of the frames by sums of responses alone.
     rows, cols = often.shape
-    quiet = row_maximum(known).reshape(rows, cols) * exposure < 0.9
+    quiet = metrics.row_maximum(known).reshape(rows, cols) * exposure < 0.9
     quiet[[*range(rows // 4), *range(rows - rows // 4, rows)]] = False
     quiet[:, [*range(cols // 4), *range(cols - cols // 4, cols)]] = False
     distance = np.where(quiet, np.abs(often - 0.4), np.inf)

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from lightmatrix.capture.correction import Correction
 from lightmatrix.capture.decoder import Decoder
 from lightmatrix.capture.folder import read_capture, read_folders
-from lightmatrix.capture.frames import ArrayStack, CutFrames, Frames, Reader, Surroundings, cut
+from lightmatrix.capture.frames import ArrayStack, CutFrames, Frames, Reader, cut
 from lightmatrix.capture.samples import Samples
 from lightmatrix.capture.sensor import Sensor
 from lightmatrix.capture.settings import ReadSettings
@@ -50,8 +50,8 @@ class Capture(Reader):
         Rows and columns of the blocks that are averaged.
     provenance : mapping
         What made the capture, JSON-ready.
-    surroundings : Surroundings, optional
-        What `crop` left out of the black frame and the mask; see `whole`.
+    surroundings : (array or None, array or None), optional
+        The black frame and the mask of which `crop` took a rectangle; see `whole`.
     projector_unknown : bool
         Whether the patterns are grey values whose light `estimate` finds in the frames. They are
         taken as light until then.
@@ -85,7 +85,7 @@ class Capture(Reader):
     bin_projector: tuple[int, int] = (1, 1)
     bin_camera: tuple[int, int] = (1, 1)
     provenance: Mapping[str, Any] = field(default_factory=dict)
-    surroundings: Surroundings | None = None
+    surroundings: tuple[NDArray[Any] | None, NDArray[np.bool_] | None] | None = None
     projector_unknown: bool = False
     projectors: tuple[tuple[int, int], ...] = ()
     correction: Correction | None = None
@@ -289,7 +289,7 @@ class Capture(Reader):
             black = decoder.black_frame.reshape(self.frames.shape)[inside]
             decoder = replace(decoder, black_frame=black.ravel())
         mask = None if self.mask is None else self.mask[inside]
-        around = self.surroundings or Surroundings(self.decoder.black_frame, self.mask)
+        around = self.surroundings or (self.decoder.black_frame, self.mask)
         return replace(
             self, frames=frames, decoder=decoder, mask=mask, surroundings=around,
             correction=self.correction and self.correction.window(*inside, self.camera_shape),
@@ -300,9 +300,9 @@ class Capture(Reader):
         """The capture of whole photographs, of which `crop` took a rectangle; else itself."""
         if self.surroundings is None or not isinstance(self.frames, CutFrames):
             return self
-        around, frames = self.surroundings, self.frames.frames
-        decoder = replace(self.decoder, black_frame=around.black_frame)
-        whole = replace(self, frames=frames, decoder=decoder, mask=around.mask)
+        black, mask = self.surroundings
+        decoder = replace(self.decoder, black_frame=black)
+        whole = replace(self, frames=self.frames.frames, decoder=decoder, mask=mask)
         return replace(whole, bin_camera=(1, 1), surroundings=None, correction=None)
 
     def window(self, rows: slice, cols: slice) -> Self:

@@ -16,14 +16,8 @@ from lightmatrix.capture.capture import Capture, Crop
 from lightmatrix.capture.folder import check_depth, read_capture, read_folders
 from lightmatrix.capture.frames import CaptureParts
 from lightmatrix.capture.settings import ReadSettings
-from lightmatrix.check import levels
+from lightmatrix.check import code_order, levels
 from lightmatrix.check.code_frames import check_brightness, check_grey_values, check_uniform
-from lightmatrix.check.code_order import (
-    CodeLattice,
-    check_code_order,
-    check_mirrored,
-    missing_of_code,
-)
 from lightmatrix.check.finding import Finding, join_names
 from lightmatrix.check.inverse_pairs import check_pairs, find_pairs
 from lightmatrix.check.motion import check_motion
@@ -138,9 +132,9 @@ def check_counts(survey: Survey | None, patterns: int, images: Sequence[Path]) -
 def missing_places(survey: Survey) -> tuple[int, ...]:
     """Which of K patterns may have no frame among K - 1 frames; empty if unknown."""
     patterns, count = survey.patterns, survey.count
-    lattice = CodeLattice.of(survey)
+    lattice = code_order.CodeLattice.of(survey)
     if lattice is not None:
-        return missing_of_code(lattice)
+        return code_order.missing_of_code(lattice)
     # Frames after the missing one show the pattern after that of their number.
     first = replace(survey, patterns=patterns.subset(np.arange(count)))
     place = size = 0
@@ -210,16 +204,18 @@ def _check_surveyed(survey: Survey, capture: Capture, copies: list[Finding]) -> 
         found = check_distinguishable(survey.patterns)
         found += levels.check_light_level(seen, lattice.codes.codes if lattice else ())
         if lattice is not None and not displaced:
-            found += check_mirrored(lattice)
+            found += code_order.check_mirrored(lattice)
         return found + levels.check_jpeg(survey, names)
 
-    lattice, pairs = CodeLattice.of(survey), find_pairs(survey.patterns)
+    lattice, pairs = code_order.CodeLattice.of(survey), find_pairs(survey.patterns)
     # A white photograph, or a black one, would seem to be in the wrong place. Where patterns come
     # with inverses, the sums of pairs tell which one it is.
     uniform = list[Finding]()
     if lattice and not len(pairs) and lattice.possible(np.arange(survey.count)).all():
         uniform = check_uniform(lattice, names.__getitem__)
-    displaced = check_code_order(lattice, names.__getitem__) if lattice and not uniform else []
+    displaced = (
+        code_order.check_code_order(lattice, names.__getitem__) if lattice and not uniform else []
+    )
     # Stripes tell that two photographs are alike, and not which one is in the other's place.
     copied = {k for each in copies for k in each.frames}
     if any(each.frames and copied.issuperset(each.frames) for each in displaced):

@@ -7,11 +7,17 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from PIL import Image
 
 from lightmatrix.errors import InputError
 from lightmatrix.files.colours import colour_paths, holds_colour
-from lightmatrix.files.images import DISPLAY_GAMMA, given_image, read_grey, read_light, write_image
+from lightmatrix.files.images import (
+    DISPLAY_GAMMA,
+    fitted,
+    given_image,
+    read_grey,
+    read_light,
+    write_image,
+)
 from lightmatrix.files.kinds import IMAGE
 from lightmatrix.files.reading import errors_naming
 from lightmatrix.files.writing import check_output
@@ -161,8 +167,4 @@ def _fitted(pattern: NDArray[Any], transport: Relit, resize: bool, source: Any) 
         name = f"{source}: " if isinstance(source, str | Path) else ""
         what = f"{name}a pattern of shape {pattern.shape} for a projector of"
         raise InputError(f"{what} {wanted[0]} x {wanted[1]}", hint="resize it (resize=True)")
-    # Shrinking averages over pixels, which keeps the light; enlarging is bilinear.
-    shrinks = pattern.shape[0] >= wanted[0] and pattern.shape[1] >= wanted[1]
-    filter_ = Image.Resampling.BOX if shrinks else Image.Resampling.BILINEAR
-    image = Image.fromarray(pattern.astype(np.float32))
-    return np.asarray(image.resize((wanted[1], wanted[0]), filter_)).clip(0, 1)
+    return fitted(pattern.astype(np.float32), wanted, "stretch")

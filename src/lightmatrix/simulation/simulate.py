@@ -238,7 +238,7 @@ def simulate(
     if wrong.black_exposure != 1 and not (leak or ambient):
         hint = "add room light too, such as ambient=0.05"
         raise InputError("a fault black without a black frame", hint=hint)
-    shape = patterns.primary_shape if isinstance(patterns, ColourPatterns) else patterns.shape
+    shape = patterns.red.shape if isinstance(patterns, ColourPatterns) else patterns.shape
     several = 1 if isinstance(scene, Truth) else library.devices_of(scene)[0]
     # Projectors twice as wide as they are high do not exist: these are the patterns of one.
     if shape[0] % several or (several > 1 and shape[1] >= 2 * (shape[0] // several)):

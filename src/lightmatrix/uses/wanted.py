@@ -1,16 +1,21 @@
 """Pictures that are wanted, masks and ambient light, as one value for each camera sample."""
 
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from PIL import Image, ImageOps
 
 from lightmatrix.errors import InputError, warn
 from lightmatrix.files.extras import upright
-from lightmatrix.files.images import DISPLAY_GAMMA, given_image, is_grey, read_image, read_light
+from lightmatrix.files.images import (
+    DISPLAY_GAMMA,
+    fitted,
+    given_image,
+    is_grey,
+    read_image,
+    read_light,
+)
 from lightmatrix.ranges import check_number
 
 WantedPicture = NDArray[Any] | str | Path
@@ -67,23 +72,6 @@ def wanted_samples(
 
 
 _FIT = 'fit it with fit="cover", "contain" or "stretch"'
-
-
-def fitted(image: NDArray[np.float32], shape: tuple[int, int], fit: str) -> NDArray[np.float32]:
-    """An image (rows, cols[, channels]) in [0, 1] of another shape; see `compensate`.
-
-    Pixels are averaged where it shrinks, which keeps its light.
-    """
-    shrinks = image.shape[0] >= shape[0] and image.shape[1] >= shape[1]
-    how = Image.Resampling.BOX if shrinks else Image.Resampling.BILINEAR
-    ways: dict[str, Callable[..., Image.Image]] = {
-        "cover": ImageOps.fit,
-        "contain": ImageOps.pad,
-        "stretch": Image.Image.resize,
-    }
-    channels = np.moveaxis(np.atleast_3d(image), 2, 0)
-    done = [np.asarray(ways[fit](Image.fromarray(c), shape[::-1], how)) for c in channels]
-    return np.stack(done, axis=-1).reshape(*shape, *image.shape[2:]).clip(0, 1)
 
 
 def _samples(
