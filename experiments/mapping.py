@@ -21,7 +21,8 @@ from lightmatrix.estimators.estimate import estimate
 from lightmatrix.files.images import write_image
 from lightmatrix.judgement.metrics import relative_error
 from lightmatrix.patterns.making import make_patterns
-from lightmatrix.pictures.style import display, figure, save
+from lightmatrix.pictures.maps import display
+from lightmatrix.pictures.style import figure, save
 from lightmatrix.planning.plan import plan
 from lightmatrix.rig.capturing import CaptureSettings, take_capture
 from lightmatrix.rig.rig import open_rig

@@ -11,16 +11,8 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 from numpy.typing import NDArray
 
-from lightmatrix.pictures.maps import Map, correspondence_maps, light_map
-from lightmatrix.pictures.style import (
-    COLOURS,
-    Picture,
-    display,
-    figure,
-    fix_ticks,
-    panel,
-    white_level,
-)
+from lightmatrix.pictures.maps import Map, correspondence_maps, display, light_map, white_level
+from lightmatrix.pictures.style import COLOURS, Picture, figure, fix_ticks, panel
 from lightmatrix.transport.correspondence import correspondence
 from lightmatrix.transport.matrix import LightTransport
 
