@@ -4,8 +4,6 @@ A noisy 8-bit camera photographs a pile of white blocks at 32 x 32 under 256 Ber
 many projector pixels are lit together that samples clip although hardly any single response does.
 """
 
-from __future__ import annotations
-
 import json
 from collections.abc import Mapping
 from pathlib import Path

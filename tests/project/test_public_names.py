@@ -140,7 +140,7 @@ def test_objects_with_arrays_are_shown_in_a_few_lines() -> None:
     with_arrays = [
         kind
         for kind in (getattr(lm, name) for name in NAMES)
-        if is_dataclass(kind) and any("NDArray" in str(field.type) for field in fields(kind))
+        if is_dataclass(kind) and any("array" in str(field.type).lower() for field in fields(kind))
     ]
     assert lm.Correspondence in with_arrays
     # The `__repr__` that dataclasses make themselves is wrapped, and prints whole arrays.

@@ -4,8 +4,6 @@ Frames stay as they were stored. They are decoded into linear samples tile by ti
 (row, col, channel).
 """
 
-from __future__ import annotations
-
 import hashlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -128,7 +126,7 @@ class Capture(Reader):
         bin_projector: int | tuple[int, int] = 1,
         bin_camera: int | tuple[int, int] = 1,
         allow_outside: bool = False,
-    ) -> Capture:
+    ) -> "Capture":
         """Read a capture folder or a packed capture, without judging it (see `check`).
 
         Parameters
@@ -167,7 +165,7 @@ class Capture(Reader):
         crop: Crop | None = None,
         bin_projector: int | tuple[int, int] = 1,
         bin_camera: int | tuple[int, int] = 1,
-    ) -> Capture:
+    ) -> "Capture":
         """A capture from two plain folders of images in natural order, or two stacks.
 
         Parameters
@@ -200,7 +198,7 @@ class Capture(Reader):
         *,
         mask: NDArray[np.bool_] | None = None,
         provenance: Mapping[str, Any] | None = None,
-    ) -> Capture:
+    ) -> "Capture":
         """A capture from frames in memory, such as simulated ones.
 
         Parameters
@@ -234,7 +232,7 @@ class Capture(Reader):
         capture.decoder.check_count(capture.count, array[0].size)
         return capture
 
-    def _cut_and_binned(self, crop: Crop | None, *blocks: int | tuple[int, int]) -> Capture:
+    def _cut_and_binned(self, crop: Crop | None, *blocks: int | tuple[int, int]) -> "Capture":
         self.decoder.check_count(self.count)
         whole = self if crop is None else self.crop(*crop)
         return whole.bin(*blocks)
@@ -254,7 +252,7 @@ class Capture(Reader):
         """Clip level of the longest exposure, as a sample at exposure 1: the unit of a row of T."""
         return float(1 / self.exposures.max())
 
-    def crop(self, corner: tuple[int, int], shape: tuple[int, int]) -> Capture:
+    def crop(self, corner: tuple[int, int], shape: tuple[int, int]) -> "Capture":
         """A rectangle of the photographs, cut out of each as it is read.
 
         Pixels outside of it take no memory, and no time beyond that of reading a photograph. The
@@ -296,7 +294,7 @@ class Capture(Reader):
         )  # fmt: skip
 
     @property
-    def whole(self) -> Capture:
+    def whole(self) -> "Capture":
         """The capture of whole photographs, of which `crop` took a rectangle; else itself."""
         if self.surroundings is None or not isinstance(self.frames, CutFrames):
             return self
@@ -305,7 +303,7 @@ class Capture(Reader):
         whole = replace(self, frames=frames, decoder=decoder, mask=around.mask)
         return replace(whole, bin_camera=(1, 1), surroundings=None, correction=None)
 
-    def window(self, rows: slice, cols: slice) -> Capture:
+    def window(self, rows: slice, cols: slice) -> "Capture":
         """The capture of a rectangle of its binned camera pixels; slices with start and stop."""
         height, width = self.frames.shape[:2]
         down, across = self.bin_camera
@@ -318,7 +316,7 @@ class Capture(Reader):
 
     def bin(
         self, projector: int | tuple[int, int] = 1, camera: int | tuple[int, int] = 1
-    ) -> Capture:
+    ) -> "Capture":
         """Average blocks of projector and of camera pixels.
 
         A camera sample is then clipped if any of its pixels is; patterns become grey.
@@ -344,7 +342,7 @@ class Capture(Reader):
             result = replace(self, patterns=coarse, bin_projector=blocks[0])
         return result if blocks[1] == (1, 1) else replace(result, bin_camera=blocks[1])
 
-    def select(self, frames: Sequence[int] | NDArray[np.integer]) -> Capture:
+    def select(self, frames: Sequence[int] | NDArray[np.integer]) -> "Capture":
         """The capture of some frames, given by their indices."""
         index = np.asarray(frames, np.int64)
         return replace(

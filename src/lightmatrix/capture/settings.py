@@ -1,7 +1,5 @@
 """`ReadSettings`: how the photographs of a capture are read; and capture.json, which says it."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path

@@ -6,8 +6,6 @@ wrong order, they see distant ones, and phases that do not belong together fit n
 order is judged by how much nearer neighbours then see to each other.
 """
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -47,7 +45,7 @@ class CodeLattice:
     neighbours: int
 
     @classmethod
-    def of(cls, survey: Survey, most: int = 1500) -> CodeLattice | None:
+    def of(cls, survey: Survey, most: int = 1500) -> "CodeLattice | None":
         """The lattice of a survey; None if its patterns are no code, or too few pixels vary."""
         try:
             codes = find_codes(survey.patterns)

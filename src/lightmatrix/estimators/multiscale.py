@@ -1,7 +1,5 @@
 """Coarse to fine: finds on projector blocks where the light comes from, then refines them."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property

@@ -1,7 +1,5 @@
 """Row by row: every camera sample is estimated by itself, in tiles of bounded memory."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import ClassVar

@@ -7,8 +7,6 @@ pixels apart, not all of them. But T knows how far, and along which line, depth 
 there rows search. They are unknown until they predict photographs that they have not used.
 """
 
-from __future__ import annotations
-
 import re
 import time
 from collections.abc import Iterator

@@ -6,8 +6,6 @@ does wrong: by least squares from what the strongest pixels of each row of T, an
 a whole, leave of its samples (see `rig_model/`).
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -65,7 +63,7 @@ class Curves:
     curved: bool = False
     missed: float = 0.0
 
-    def difference(self, other: Curves) -> float:
+    def difference(self, other: "Curves") -> float:
         """The largest difference of the curves, as a share of full light."""
         greys = (gamma_response(each.gamma or 1.0) for each in (self, other))
         return max(largest_difference(self.response, other.response), largest_difference(*greys))

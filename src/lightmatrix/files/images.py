@@ -5,8 +5,6 @@ mean. `stacks.py` reads many images. libpng (by imagecodecs) reads PNG and verif
 since Pillow verifies none of the pixels and reads 16-bit colour as 8 bits without a word.
 """
 
-from __future__ import annotations
-
 import io
 import math
 import re

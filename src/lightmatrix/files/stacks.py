@@ -5,8 +5,6 @@ A page is opened when it is read, so that a stack may be larger than memory. Onl
 may be compressed, are read at once.
 """
 
-from __future__ import annotations
-
 import re
 import warnings
 from collections.abc import Callable, Iterator, Sequence
@@ -231,7 +229,7 @@ class ImageStack(ShortRepr):
     @classmethod
     def open(
         cls, source: str | Path | Sequence[Path | Page], *, mosaic: bool = False
-    ) -> ImageStack:
+    ) -> "ImageStack":
         """Open the images of a folder (natural order), of one file, or of a list (its order).
 
         Only the first image is checked now, the others when they are read.
@@ -282,7 +280,7 @@ class ImageStack(ShortRepr):
         """The file's name."""
         return self.paths[index].name
 
-    def select(self, index: Sequence[int]) -> ImageStack:
+    def select(self, index: Sequence[int]) -> "ImageStack":
         """The stack of the images with these indices."""
         return replace(self, paths=tuple(self.paths[i] for i in index))
 

@@ -1,7 +1,5 @@
 """Black and white patterns, kept as bits: any such patterns, and random ones (Bernoulli)."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property

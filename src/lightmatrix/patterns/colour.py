@@ -1,7 +1,5 @@
 """Patterns of a colour projector: three grids of pixels side by side, red, green and blue."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
@@ -111,11 +109,11 @@ class ColourPatterns(PatternSet):
             found[:, mine] = one.columns((row * cols + col)[mine])
         return found
 
-    def subset(self, index: NDArray[np.integer]) -> ColourPatterns:
+    def subset(self, index: NDArray[np.integer]) -> "ColourPatterns":
         red, green, blue = (one.subset(index) for one in self.primaries)
         return ColourPatterns(red, green, blue)
 
-    def coarse(self, block: tuple[int, int]) -> ColourPatterns:  # type: ignore[override]
+    def coarse(self, block: tuple[int, int]) -> "ColourPatterns":  # type: ignore[override]
         """The patterns averaged over blocks of each primary's (rows, cols) pixels."""
         red, green, blue = (one.coarse(block) for one in self.primaries)
         return ColourPatterns(red, green, blue)

@@ -4,8 +4,6 @@ A Bernoulli or Hadamard set is read back as the fast operator that it was writte
 show the same patterns. If they differ, the images are used: they are what was projected.
 """
 
-from __future__ import annotations
-
 import csv
 import json
 import os

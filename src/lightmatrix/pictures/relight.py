@@ -1,7 +1,5 @@
 """`lm.relight`: camera images under new patterns, from and to files."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from contextlib import nullcontext
 from pathlib import Path

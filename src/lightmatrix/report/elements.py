@@ -1,7 +1,5 @@
 """The elements of a section, such as galleries and tables; the templates lay out each kind."""
 
-from __future__ import annotations
-
 import base64
 from dataclasses import dataclass
 from decimal import Decimal
@@ -86,8 +84,8 @@ class Text:
 class Columns:
     """Elements in two columns on wide screens, below each other on narrow ones."""
 
-    left: tuple[Element, ...]
-    right: tuple[Element, ...]
+    left: "tuple[Element, ...]"
+    right: "tuple[Element, ...]"
     kind: ClassVar[str] = "columns"
 
 

@@ -1,7 +1,5 @@
 """`lm.report`: writes the report of an estimate."""
 
-from __future__ import annotations
-
 import json
 import re
 from collections.abc import Sequence

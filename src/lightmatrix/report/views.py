@@ -3,8 +3,6 @@
 Views of the shape need the geometry of the rig.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path

@@ -6,8 +6,6 @@ error hardly falls any more, further patterns are not what is missing, and the d
 rows say what is.
 """
 
-from __future__ import annotations
-
 import shutil
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, field

@@ -1,7 +1,5 @@
 """A rig: a projector and a camera that look at one scene, real or virtual."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field

@@ -9,8 +9,6 @@ While a capture is taken, `<output>.partial` holds the frames as image files, an
 which describes them. A session that was stopped, however that happened, goes on there.
 """
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, field
@@ -62,7 +60,7 @@ class CaptureRecord:
     @classmethod
     def open(
         cls, target: Path, wanted: Mapping[str, Any], *, overwrite: bool = False
-    ) -> CaptureRecord:
+    ) -> "CaptureRecord":
         """Begin, or go on with, the capture of an output that `claimed` yielded.
 
         `wanted` is everything that frames depend on, JSON-ready. Frames under other settings are an

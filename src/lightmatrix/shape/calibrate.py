@@ -11,8 +11,6 @@ projector's focal length, its rotation and the direction in which it stands; how
 and so the size of the scene, cannot be known.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace

@@ -1,7 +1,5 @@
 """`lm.layers`: several surfaces that one camera pixel sees, one through the other or mirrored."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -84,7 +82,7 @@ class Layers(ShortRepr):
         """Light of mirrors and other surfaces under a white pattern, (rows, cols)."""
         return np.where(self.mirrored, self.light, np.float32(0)).sum(axis=-1)
 
-    def show(self) -> pictures.style.Picture:
+    def show(self) -> "pictures.style.Picture":
         """A Matplotlib figure: the nearest surface, the one behind it, and what mirrors show."""
         style, maps = pictures.style, pictures.maps
         with style.figure(11, 3.4) as drawing:

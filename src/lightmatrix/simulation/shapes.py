@@ -1,7 +1,5 @@
 """The parts that scenes are built from."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -20,7 +18,7 @@ class Mesh:
 
     def placed(
         self, position: ArrayLike = (0, 0, 0), rotation: NDArray[np.float64] | None = None
-    ) -> Mesh:
+    ) -> "Mesh":
         """The mesh rotated about its origin, then moved."""
         turned = self.vertices if rotation is None else self.vertices @ rotation.T
         return Mesh(turned + np.asarray(position, float), self.faces)

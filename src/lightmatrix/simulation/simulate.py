@@ -1,7 +1,5 @@
 """`lm.simulate`: photographs of a scene whose light transport matrix is known."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -106,14 +104,14 @@ class SimulatedCapture(Capture):
             projectors=self.projectors, write_extras=save_truth, overwrite=overwrite,
         )  # fmt: skip
 
-    def crop(self, corner: tuple[int, int], shape: tuple[int, int]) -> SimulatedCapture:
+    def crop(self, corner: tuple[int, int], shape: tuple[int, int]) -> "SimulatedCapture":
         """A rectangle of the photographs, and the rows of the truth that belong to it."""
         cropped = super().crop(corner, shape)
         assert isinstance(cropped, SimulatedCapture)
         rows, cols = self.frames.shape[:2]
         return replace(cropped, truth=self.truth.crop(Region(corner, shape, (rows, cols))))
 
-    def select(self, frames: Sequence[int] | np.ndarray) -> SimulatedCapture:
+    def select(self, frames: Sequence[int] | np.ndarray) -> "SimulatedCapture":
         """The capture that holds the frames of the stated indices only."""
         selected = super().select(frames)
         assert isinstance(selected, SimulatedCapture)

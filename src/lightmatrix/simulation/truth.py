@@ -1,7 +1,5 @@
 """`Truth`: a known light transport matrix with its direct part, and its file T.npz."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
@@ -208,12 +206,12 @@ class Truth(ShortRepr):
         """A matrix with the same places of entries but other values, (nnz,)."""
         return csr_array((data, self.matrix.indices, self.matrix.indptr), shape=self.matrix.shape)
 
-    def scaled(self, gain: np.float32 | NDArray[np.floating]) -> Truth:
+    def scaled(self, gain: np.float32 | NDArray[np.floating]) -> "Truth":
         """The truth with its entries multiplied by a gain, or each by its own, (nnz,)."""
         direct = np.asarray(self.direct_data * gain, np.float32)
         return replace(self, matrix=self.with_data(self.matrix.data * gain), direct_data=direct)
 
-    def crop(self, region: Region) -> Truth:
+    def crop(self, region: Region) -> "Truth":
         """The truth of a rectangle of the camera's pixels."""
         rows = region.samples(self.camera_shape)
         shape = (*region.shape, *self.camera_shape[2:])
@@ -258,7 +256,7 @@ class Truth(ShortRepr):
             fill_image(folder / settings.DEPTH, self.depth, missing=True)
 
     @classmethod
-    def load(cls, path: Path) -> Truth:
+    def load(cls, path: Path) -> "Truth":
         """Read a truth file.
 
         Raises

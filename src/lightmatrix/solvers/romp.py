@@ -1,7 +1,5 @@
 """Regularized orthogonal matching pursuit (Needell & Vershynin 2010), for many rows at once."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
@@ -147,7 +145,7 @@ class _Support:
     index: NDArray[np.int64]
 
     @classmethod
-    def empty(cls, rows: int) -> _Support:
+    def empty(cls, rows: int) -> "_Support":
         return cls(np.full((rows, 0), -1, np.int64))
 
     @property
@@ -158,14 +156,14 @@ class _Support:
     def count(self) -> NDArray[np.int64]:
         return self.used.sum(axis=1)
 
-    def joined(self, chosen: NDArray[np.int64], rows: NDArray[np.bool_]) -> _Support:
+    def joined(self, chosen: NDArray[np.int64], rows: NDArray[np.bool_]) -> "_Support":
         """The support with the chosen pixels (-1 for none) added to some rows, each pixel once."""
         both = np.concatenate([self.index, np.where(rows[:, None], chosen, -1)], axis=1)
         both = -np.sort(-both, axis=1)
         both[:, 1:][both[:, 1:] == both[:, :-1]] = -1
         return _Support(_trimmed(both))
 
-    def without(self, dropped: NDArray[np.bool_]) -> _Support:
+    def without(self, dropped: NDArray[np.bool_]) -> "_Support":
         return _Support(_trimmed(np.where(dropped, -1, self.index)))
 
     def matrix(self, x: NDArray[np.float64], pixels: int) -> csr_array:

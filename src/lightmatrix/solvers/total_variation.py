@@ -11,8 +11,6 @@ Osher 2009 (split Bregman) do. The update of x then is a filter, of which the co
 diagonal. Diffuse light is a constant picture, which has no variation, so a background adds nothing.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 

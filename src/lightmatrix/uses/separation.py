@@ -4,8 +4,6 @@ The light of a row of T concentrates in spots on the projector. Epipolar geometr
 neighbouring camera pixels tell which of them are direct light.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass, replace
@@ -533,7 +531,7 @@ class Separation(ShortRepr):
     geometry: EpipolarGeometry
     spot: float
 
-    def show(self) -> pictures.style.Picture:
+    def show(self) -> "pictures.style.Picture":
         """A Matplotlib figure of direct and global light under white; notebooks show it."""
         white = np.ones(self.direct.projector_shape, np.float32)
         return pictures.transport.draw_parts(
