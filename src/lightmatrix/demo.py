@@ -158,7 +158,7 @@ def _comparison(methods: list[dict[str, Any]], picture: Path) -> Section:
 
 
 def _draw(
-    drawing: pictures.style.Picture,
+    drawing: "pictures.style.Picture",
     stack: NDArray[Any],
     known: LightTransport,
     estimates: Mapping[str, LightTransport],

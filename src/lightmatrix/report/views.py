@@ -34,7 +34,7 @@ Numbers = Mapping[str, NDArray[Any]]
 class _View:
     """A view: how to draw it, and its numbers."""
 
-    picture: Callable[..., pictures.style.Picture]
+    picture: Callable[..., "pictures.style.Picture"]
     numbers: Callable[..., Numbers]
     # What it shows in place of T, found by the geometry of the rig.
     find: Callable[..., Any] | None = None
@@ -90,7 +90,7 @@ def show(
     geometry: RigGeometry | str | Path | None = None,
     output: str | Path | None = None,
     overwrite: bool = False,
-) -> pictures.style.Picture:
+) -> "pictures.style.Picture":
     """Draw a view of a light transport matrix, and write it or its numbers to a file.
 
     Parameters

@@ -71,7 +71,7 @@ class Layers(ShortRepr):
             write_exr(part, values.reshape(*values.shape[:2], -1), names)
 
     @property
-    def depth_maps(self) -> list[pictures.maps.Map]:
+    def depth_maps(self) -> "list[pictures.maps.Map]":
         """Depth of the first surface and of the one behind it, in the colours of one scale."""
         scale = depth_map(self.depth, self.geometry.units)
         titles = "Depth of the first surface", "Depth of the surface behind it"
