@@ -10,9 +10,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
+from lightmatrix import pictures
 from lightmatrix.defaults import USUAL_NOISE
 from lightmatrix.estimators.choice import choose_estimator
 from lightmatrix.estimators.plain import PlainEstimator
@@ -21,8 +21,7 @@ from lightmatrix.files.kinds import DEMO
 from lightmatrix.files.writing import atomic_folder
 from lightmatrix.judgement import metrics
 from lightmatrix.patterns.bits import BernoulliPatterns
-from lightmatrix.pictures.maps import WHITE_TO_RED
-from lightmatrix.pictures.style import display, figure, mark_clipped, panel, save
+from lightmatrix.pictures.maps import display, white_to_red
 from lightmatrix.progress import Progress
 from lightmatrix.report.elements import Gallery, Section, Table, image_of_file
 from lightmatrix.report.facts import AnyEstimator, Facts, validate
@@ -116,10 +115,10 @@ def demo(
                 for name, one in estimates.items()
             ],
         }
-        with figure(8.6, 6.8) as drawing:
+        with pictures.style.figure(8.6, 6.8) as drawing:
             stack = np.stack([capture.frames.read(k) for k in range(PATTERNS)])
             _draw(drawing, stack, known, estimates, tests["disc"], exposure)
-            save(drawing, out, "methods")
+            pictures.style.save(drawing, out, "methods")
         validation = validate(capture, EstimateSettings())
         facts = Facts(estimates[DEFAULT], capture, known, validation, truth.geometry)
         result["report"] = write_page(
@@ -159,7 +158,7 @@ def _comparison(methods: list[dict[str, Any]], picture: Path) -> Section:
 
 
 def _draw(
-    drawing: Figure,
+    drawing: "pictures.style.Picture",
     stack: NDArray[Any],
     known: LightTransport,
     estimates: Mapping[str, LightTransport],
@@ -167,6 +166,7 @@ def _draw(
     exposure: float,
 ) -> None:
     """Draw scene and capture, then a row of T and a relit image of the truth and each method."""
+    panel, mark_clipped = pictures.style.panel, pictures.style.mark_clipped
     panels = drawing.subplots(4, 1 + len(estimates))
     white = known.relight(np.ones(known.projector_shape, np.float32))
     frame = stack[0] / 255
@@ -174,7 +174,7 @@ def _draw(
     panel(panels[0, 1], display(frame, 1.0), "a frame, 8 bits")
     panel(panels[0, 2], mark_clipped(display(frame, 1.0), stack[0] == 255), "clipped in red")
     often = (stack == 255).mean(axis=0)
-    panel(panels[0, 3], often, "share of frames clipped", cmap=WHITE_TO_RED)
+    panel(panels[0, 3], often, "share of frames clipped", cmap=white_to_red())
     panel(panels[0, 4], pattern, "unseen pattern")
 
     # An inner camera pixel that clips in about 40 % of the frames by sums of responses alone.

@@ -12,7 +12,7 @@ from matplotlib.patches import Rectangle
 from numpy.typing import NDArray
 
 from lightmatrix.pictures import style
-from lightmatrix.pictures.maps import Map, correspondence_maps, light_map
+from lightmatrix.pictures.maps import Map, correspondence_maps, display, light_map, white_level
 from lightmatrix.transport.correspondence import correspondence
 from lightmatrix.transport.matrix import LightTransport
 
@@ -52,7 +52,7 @@ def _spot(
     top, left, bottom, right = first[0] - 0.5, first[1] - 0.5, last[0] + 0.5, last[1] + 0.5
     with style.figure(10.2, 3.4) as drawing:
         around, whole, near = drawing.subplots(1, 3)
-        style.panel(around, style.display(_grey(scene), style.white_level(scene)), titles[0])
+        style.panel(around, display(_grey(scene), white_level(scene)), titles[0])
         around.plot(index[1], index[0], "o", mfc="none", mec=style.COLOURS[1], ms=10, mew=2)
         draw_into(drawing, whole, shown, bar=False)
         corner, size = (left, top), (right - left, bottom - top)
@@ -68,23 +68,23 @@ def draw_dual(transport: LightTransport) -> style.Picture:
     image = transport.dual_image()
     with style.figure(3.6, 3.6) as drawing:
         title = "Dual image: seen from the projector"
-        style.panel(drawing.subplots(), style.display(image, style.white_level(image)), title)
+        style.panel(drawing.subplots(), display(image, white_level(image)), title)
     return drawing
 
 
 def draw_parts(images: Mapping[str, NDArray[Any]]) -> style.Picture:
     """Parts of one photograph by name, faint ones brightened by a power of two."""
     # The level is that of all parts together, since a black part has none of its own.
-    whole = style.white_level(np.stack(list(images.values())))
+    whole = white_level(np.stack(list(images.values())))
     with style.figure(3.4 * len(images), 3.6) as drawing:
         for axes, (name, image) in zip(
             drawing.subplots(1, len(images)), images.items(), strict=True
         ):
             # Not more than 64 times, and not darker, as a part may be black.
-            factor = 2.0 ** np.clip(np.floor(np.log2(whole / style.white_level(image))), 0, 6)
+            factor = 2.0 ** np.clip(np.floor(np.log2(whole / white_level(image))), 0, 6)
             title = f"{name.capitalize()} light"
             title += f", {factor:g} times as bright" if factor > 1 else ""
-            style.panel(axes, style.display(image, whole / factor), title)
+            style.panel(axes, display(image, whole / factor), title)
     return drawing
 
 

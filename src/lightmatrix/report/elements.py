@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 
 from lightmatrix.files.images import encode_image, read_image
 from lightmatrix.patterns.pattern_set import block_mean
-from lightmatrix.pictures.maps import Map, light_map
-from lightmatrix.pictures.style import display, white_level
+from lightmatrix.pictures.maps import Map, display, light_map, white_level
 
 
 @dataclass(frozen=True)

@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 
+from lightmatrix import estimators
 from lightmatrix.capture.camera_curve import Response, curve_file
 from lightmatrix.capture.capture import Capture
 from lightmatrix.capture.exposures import exposure_sequence
@@ -22,7 +23,6 @@ from lightmatrix.capture.folder import write_capture
 from lightmatrix.capture.sensor import Sensor
 from lightmatrix.defaults import RIG_FILE, USUAL_FRAMES
 from lightmatrix.errors import DeviceError, InputError, warn
-from lightmatrix.estimators.estimate import estimate
 from lightmatrix.files.images import is_grey
 from lightmatrix.files.kinds import LIVE_CAPTURE
 from lightmatrix.files.writing import claimed
@@ -327,7 +327,7 @@ def take_capture(
                     so_far = Path(folder) / "capture"
                     _write(so_far, session, known, settings)
                     # The session has judged each frame.
-                    return estimate(Capture.open(so_far), check=False)
+                    return estimators.estimate.estimate(Capture.open(so_far), check=False)
 
             outcome = None
             if settings.until is None:

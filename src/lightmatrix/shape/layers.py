@@ -84,13 +84,13 @@ class Layers(ShortRepr):
 
     def show(self) -> "pictures.style.Picture":
         """A Matplotlib figure: the nearest surface, the one behind it, and what mirrors show."""
-        style = pictures.style
+        style, maps = pictures.style, pictures.maps
         with style.figure(11, 3.4) as drawing:
             *surfaces, mirrors = drawing.subplots(1, 3)
             for axes, shown in zip(surfaces, self.depth_maps, strict=True):
                 pictures.transport.draw_into(drawing, axes, shown)
             light = self.mirrored_light
-            style.panel(mirrors, style.display(light, style.white_level(light)), "Light by mirrors")
+            style.panel(mirrors, maps.display(light, maps.white_level(light)), "Light by mirrors")
         return drawing
 
 

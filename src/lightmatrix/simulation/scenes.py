@@ -9,14 +9,13 @@ import json
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from difflib import get_close_matches
-from functools import partial
+from functools import cache, partial
 from importlib.resources import files
 from math import sqrt
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
 from lightmatrix.errors import InputError
 from lightmatrix.simulation.shapes import (
@@ -33,6 +32,7 @@ from lightmatrix.simulation.shapes import (
     revolve,
     ring,
     rod,
+    rotation,
     sheet,
     turn,
 )
@@ -177,9 +177,10 @@ def _at_rest(name: str) -> list[tuple[str, Callable[[Mesh], Mesh]]]:
     text = (files("lightmatrix.simulation") / "data" / "poses.json").read_text()
     placed = list[tuple[str, Callable[[Mesh], Mesh]]]()
     for part, *place, w, x, y, z in json.loads(text)[name]:
-        # SciPy has w last.
-        rotation = Rotation.from_quat((x, y, z, w)).as_matrix()
-        placed.append((part, partial(Mesh.placed, position=place, rotation=rotation)))
+        unit = np.array((w, x, y, z)) / np.linalg.norm((w, x, y, z))
+        placed.append(
+            (part, partial(Mesh.placed, position=place, rotation=rotation(unit[0], unit[1:])))
+        )
     return placed
 
 
@@ -566,6 +567,7 @@ BUILDERS: dict[str, Callable[[], Scene]] = {
 }  # fmt: skip
 
 
+@cache
 def scene(name: str) -> Scene:
     """Build a scene; the error for an unknown name suggests similar ones."""
     if name not in BUILDERS:

@@ -4,7 +4,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import scipy
 from numpy.typing import ArrayLike, NDArray
 
 # Meshes of the scenes, lofted through rings of points so that edges can be bevelled.
@@ -118,8 +117,14 @@ def revolve(profile: ArrayLike, points: int = 64) -> Mesh:
 
 def turn(axis: str, degrees: float) -> NDArray[np.float64]:
     """Rotation matrix about a coordinate axis."""
-    rotation = scipy.spatial.transform.Rotation.from_euler(axis, degrees, degrees=True)
-    return np.asarray(rotation.as_matrix())
+    half = np.radians(degrees) / 2
+    return rotation(np.cos(half), np.sin(half) * np.eye(3)["xyz".index(axis)])
+
+
+def rotation(w: float, xyz: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Rotation matrix of a quaternion of length 1."""
+    crossed = np.cross(xyz, np.eye(3)).T
+    return np.asarray(np.eye(3) + 2 * (w * crossed + crossed @ crossed))
 
 
 def sheet(size: float = 4.0) -> Mesh:

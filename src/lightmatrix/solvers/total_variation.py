@@ -17,7 +17,6 @@ from typing import Any
 import numpy as np
 import scipy
 from numpy.typing import NDArray
-from scipy.sparse import csr_array
 
 from lightmatrix.defaults import ADMM_ITERATIONS
 from lightmatrix.solvers import admm
@@ -108,7 +107,7 @@ class TotalVariation(admm.Splitting):
         return _flat(state.v), np.zeros(len(state.v), state.v.dtype)
 
     def objective(
-        self, problem: Problem, x: csr_array, background: NDArray[Any]
+        self, problem: Problem, x: scipy.sparse.csr_array, background: NDArray[Any]
     ) -> NDArray[np.float64]:
         """The regularized variation and the misfit, (M,)."""
         pictures = x.toarray().astype(np.float64).reshape(-1, *problem.patterns.shape)
