@@ -19,7 +19,8 @@ from numpy.typing import NDArray
 import lightmatrix as lm
 from experiments.harness import Row, options, show, write_json
 from lightmatrix.judgement.metrics import squared_errors
-from lightmatrix.pictures.style import COLOURS, display, figure, fix_ticks, panel, save, white_level
+from lightmatrix.pictures.maps import display, white_level
+from lightmatrix.pictures.style import COLOURS, figure, fix_ticks, panel, save
 from lightmatrix.simulation import scenes
 from lightmatrix.simulation.renderer import render
 from lightmatrix.simulation.shapes import turn

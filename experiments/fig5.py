@@ -16,7 +16,8 @@ from lightmatrix.capture.sensor import Sensor
 from lightmatrix.errors import MissingExtraError
 from lightmatrix.judgement.metrics import diffuse_rows
 from lightmatrix.patterns.bits import BernoulliPatterns
-from lightmatrix.pictures.style import display, figure, mark_clipped, panel, save
+from lightmatrix.pictures.maps import display
+from lightmatrix.pictures.style import figure, mark_clipped, panel, save
 from lightmatrix.simulation import library
 from lightmatrix.simulation.renderer import load_mitsuba, mitsuba_scene
 from lightmatrix.simulation.scenes import scene

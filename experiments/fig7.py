@@ -29,7 +29,8 @@ from experiments.measured_scene import (
 from experiments.methods import BY_NAME, REGULARIZATION
 from lightmatrix.capture.capture import Capture
 from lightmatrix.patterns.mix import MixedPatterns, default_mix
-from lightmatrix.pictures.style import display, figure, panel, save
+from lightmatrix.pictures.maps import display
+from lightmatrix.pictures.style import figure, panel, save
 
 OBSERVATIONS = 256
 METHODS = (

@@ -45,7 +45,10 @@ def _section(solver: Any) -> str:
     lines += ["| setting | type | default | meaning |", "|---|---|---|---|"]
     for field in dataclasses.fields(solver):
         default = "required" if field.default is dataclasses.MISSING else f"`{field.default}`"
-        kind = str(field.type).replace("|", "or")
+        # A module may hold its annotations as texts.
+        stated: Any = field.type
+        kind = stated if isinstance(stated, str) else inspect.formatannotation(stated)
+        kind = re.sub(r"\w+\.", "", kind).replace("|", "or")
         lines.append(f"| `{field.name}` | {kind} | {default} | {meaning[field.name]} |")
     return "\n".join([*lines, ""])
 

@@ -4,33 +4,24 @@ A noisy 8-bit camera photographs a pile of white blocks at 32 x 32 under 256 Ber
 many projector pixels are lit together that samples clip although hardly any single response does.
 """
 
-from __future__ import annotations
-
 import json
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
+from lightmatrix import pictures
 from lightmatrix.defaults import USUAL_NOISE
 from lightmatrix.estimators.choice import choose_estimator
 from lightmatrix.estimators.plain import PlainEstimator
 from lightmatrix.estimators.settings import EstimateSettings
 from lightmatrix.files.kinds import DEMO
 from lightmatrix.files.writing import atomic_folder
-from lightmatrix.judgement.metrics import (
-    relative_error,
-    relighting_error,
-    response_rmse,
-    row_maximum,
-    unseen_patterns,
-)
+from lightmatrix.judgement import metrics
 from lightmatrix.patterns.bits import BernoulliPatterns
-from lightmatrix.pictures.maps import WHITE_TO_RED
-from lightmatrix.pictures.style import display, figure, mark_clipped, panel, save
+from lightmatrix.pictures.maps import display, white_to_red
 from lightmatrix.progress import Progress
 from lightmatrix.report.elements import Gallery, Section, Table, image_of_file
 from lightmatrix.report.facts import AnyEstimator, Facts, validate
@@ -91,7 +82,7 @@ def demo(
     with atomic_folder(folder, DEMO, overwrite=overwrite) as out:
         truth = binned(library.truth(SCENE), 2)
         known = truth.transport()
-        exposure = 1 / float(np.quantile(row_maximum(known), UNCLIPPED_QUANTILE))
+        exposure = 1 / float(np.quantile(metrics.row_maximum(known), UNCLIPPED_QUANTILE))
         patterns = BernoulliPatterns(truth.projector_shape, PATTERNS)
         capture = simulate(truth, patterns, exposure=exposure)
         capture.save(out / "capture")
@@ -102,7 +93,7 @@ def demo(
                 estimator = choose_estimator(capture, estimator)
             estimates[name] = estimator.estimate(capture)
             step(done, steps)
-        tests = unseen_patterns(known.projector_shape)
+        tests = metrics.unseen_patterns(known.projector_shape)
         shown = np.stack(list(tests.values()))
         result: dict[str, Any] = {
             "scene": SCENE,
@@ -111,21 +102,23 @@ def demo(
             "exposure": exposure,
             "noise": USUAL_NOISE,
             "clipped_samples": capture.raw_clipped_share,
-            "clipping_responses": float((row_maximum(known) * exposure > 1).mean()),
+            "clipping_responses": float((metrics.row_maximum(known) * exposure > 1).mean()),
             "methods": [
                 {
                     "method": name,
-                    "rmse": response_rmse(one, known, clip_level=1 / exposure, step=2, offset=1),
-                    "relative_error": relative_error(one, known),
-                    "relighting_error": relighting_error([one], [known], shown),
+                    "rmse": metrics.response_rmse(
+                        one, known, clip_level=1 / exposure, step=2, offset=1
+                    ),
+                    "relative_error": metrics.relative_error(one, known),
+                    "relighting_error": metrics.relighting_error([one], [known], shown),
                 }
                 for name, one in estimates.items()
             ],
         }
-        with figure(8.6, 6.8) as drawing:
+        with pictures.style.figure(8.6, 6.8) as drawing:
             stack = np.stack([capture.frames.read(k) for k in range(PATTERNS)])
             _draw(drawing, stack, known, estimates, tests["disc"], exposure)
-            save(drawing, out, "methods")
+            pictures.style.save(drawing, out, "methods")
         validation = validate(capture, EstimateSettings())
         facts = Facts(estimates[DEFAULT], capture, known, validation, truth.geometry)
         result["report"] = write_page(
@@ -165,7 +158,7 @@ def _comparison(methods: list[dict[str, Any]], picture: Path) -> Section:
 
 
 def _draw(
-    drawing: Figure,
+    drawing: "pictures.style.Picture",
     stack: NDArray[Any],
     known: LightTransport,
     estimates: Mapping[str, LightTransport],
@@ -173,6 +166,7 @@ def _draw(
     exposure: float,
 ) -> None:
     """Draw scene and capture, then a row of T and a relit image of the truth and each method."""
+    panel, mark_clipped = pictures.style.panel, pictures.style.mark_clipped
     panels = drawing.subplots(4, 1 + len(estimates))
     white = known.relight(np.ones(known.projector_shape, np.float32))
     frame = stack[0] / 255
@@ -180,12 +174,12 @@ def _draw(
     panel(panels[0, 1], display(frame, 1.0), "a frame, 8 bits")
     panel(panels[0, 2], mark_clipped(display(frame, 1.0), stack[0] == 255), "clipped in red")
     often = (stack == 255).mean(axis=0)
-    panel(panels[0, 3], often, "share of frames clipped", cmap=WHITE_TO_RED)
+    panel(panels[0, 3], often, "share of frames clipped", cmap=white_to_red())
     panel(panels[0, 4], pattern, "unseen pattern")
 
     # An inner camera pixel that clips in about 40 % of the frames by sums of responses alone.
     rows, cols = often.shape
-    quiet = row_maximum(known).reshape(rows, cols) * exposure < 0.9
+    quiet = metrics.row_maximum(known).reshape(rows, cols) * exposure < 0.9
     quiet[[*range(rows // 4), *range(rows - rows // 4, rows)]] = False
     quiet[:, [*range(cols // 4), *range(cols - cols // 4, cols)]] = False
     distance = np.where(quiet, np.abs(often - 0.4), np.inf)

@@ -1,7 +1,5 @@
 """The errors and warnings that lightmatrix raises, each with a hint at what would work."""
 
-from __future__ import annotations
-
 import sys
 import warnings
 from typing import Any

@@ -1,7 +1,5 @@
 """`Region`: the rectangle of photographs that `--crop` cuts out, kept in stores."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
@@ -44,7 +42,7 @@ class Region:
         every = np.arange(np.prod(camera_shape)).reshape(camera_shape)
         return every[self.slices].ravel()
 
-    def within(self, outer: Region) -> Region:
+    def within(self, outer: "Region") -> "Region":
         """The same rectangle of the photographs from which `outer` was cut."""
         row, col = outer.corner[0] + self.corner[0], outer.corner[1] + self.corner[1]
         return Region((row, col), self.shape, outer.whole)

@@ -3,8 +3,6 @@
 `patterns/projector_curve.py` models the projector's; `calibration/responses/` measures both.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -113,7 +111,7 @@ class Response(ShortRepr):
     full_scale: float | None = None
 
     @classmethod
-    def parse(cls, text: str, folder: Path = Path()) -> Response:
+    def parse(cls, text: str, folder: Path = Path()) -> "Response":
         """Read a response: ``linear``, ``gamma:2.2``, ``srgb``, ``auto`` or ``curve:FILE``.
 
         ``auto`` is linear until `estimate` finds the curve in the photographs.
@@ -182,7 +180,7 @@ class Response(ShortRepr):
             return share
         return np.interp(share, self.levels, self.light)
 
-    def of_full_scale(self, full_scale: float) -> Response:
+    def of_full_scale(self, full_scale: float) -> "Response":
         """The same response with level 1 at `full_scale`, if it was measured from raw levels."""
         if self.full_scale in (None, full_scale) or self.levels is None or self.light is None:
             return self

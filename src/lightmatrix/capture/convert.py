@@ -1,7 +1,5 @@
 """`lm.convert`: captures of other programs as capture folders."""
 
-from __future__ import annotations
-
 import csv
 from collections.abc import Iterator, Sequence
 from pathlib import Path

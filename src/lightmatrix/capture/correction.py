@@ -1,7 +1,5 @@
 """What a rig did to the samples of a capture, and how it is taken out as they are read."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -40,7 +38,7 @@ class Correction(ShortRepr):
     added: NDArray[np.floating] | None = None
     lag: NDArray[np.int64] | None = None
 
-    def select(self, frames: NDArray[np.integer]) -> Correction:
+    def select(self, frames: NDArray[np.integer]) -> "Correction":
         """The correction of some frames, in this order."""
         return replace(
             self,
@@ -50,7 +48,7 @@ class Correction(ShortRepr):
             added=None if self.added is None else self.added[:, frames],
         )
 
-    def window(self, rows: slice, cols: slice, camera_shape: Sequence[int]) -> Correction:
+    def window(self, rows: slice, cols: slice, camera_shape: Sequence[int]) -> "Correction":
         """The correction of a rectangle of the binned camera pixels."""
         added = self.added
         if added is not None:

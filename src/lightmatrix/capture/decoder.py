@@ -1,7 +1,5 @@
 """The decoder: from raw levels of a camera to linear samples."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
@@ -112,7 +110,7 @@ class Decoder(ShortRepr):
                 hint = "give one number, or one for each frame"
                 raise InputError(f"{name} has {value.size} values for {count} frames", hint=hint)
 
-    def select(self, frames: NDArray[np.integer]) -> Decoder:
+    def select(self, frames: NDArray[np.integer]) -> "Decoder":
         """The decoder of the frames of the given indices."""
         values = {name: getattr(self, name) for name in ("clip", "black_level", "exposure")}
         return replace(

@@ -1,7 +1,5 @@
 """Stacks of frames, on disk or in memory, and the reader that decodes them into samples."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -47,7 +45,7 @@ class Frames(Protocol):
     def name(self, index: int) -> str:
         """The name of a frame in messages."""
 
-    def select(self, index: Sequence[int]) -> Frames:
+    def select(self, index: Sequence[int]) -> "Frames":
         """The frames of the given indices."""
 
 
@@ -58,10 +56,10 @@ class PixelFrames(Frames, Protocol):
     def levels(self, start: int, stop: int) -> NDArray[Any]:
         """Raw levels of the camera samples start..stop in all frames, (stop - start, K)."""
 
-    def part(self, rows: slice, cols: slice) -> PixelFrames:
+    def part(self, rows: slice, cols: slice) -> "PixelFrames":
         """A rectangle of the camera's pixels, with start and stop and without step."""
 
-    def select(self, index: Sequence[int]) -> PixelFrames:
+    def select(self, index: Sequence[int]) -> "PixelFrames":
         """The frames of the given indices."""
 
 
@@ -122,7 +120,7 @@ class ArrayStack(ShortRepr):
     def name(self, index: int) -> str:
         return f"frame {index}"
 
-    def select(self, index: Sequence[int]) -> ArrayStack:
+    def select(self, index: Sequence[int]) -> "ArrayStack":
         return ArrayStack(self.array[list(index)])
 
 
@@ -152,7 +150,7 @@ class CutFrames:
     def name(self, index: int) -> str:
         return self.frames.name(index)
 
-    def select(self, index: Sequence[int]) -> CutFrames:
+    def select(self, index: Sequence[int]) -> "CutFrames":
         return replace(self, frames=self.frames.select(index))
 
 
@@ -176,16 +174,8 @@ class CutPixels(CutFrames):
     def part(self, rows: slice, cols: slice) -> PixelFrames:
         return self._part.part(rows, cols)
 
-    def select(self, index: Sequence[int]) -> CutPixels:
+    def select(self, index: Sequence[int]) -> "CutPixels":
         return replace(self, frames=self.frames.select(index))
-
-
-@dataclass(frozen=True, eq=False)
-class Surroundings:
-    """The black frame and the mask of whole photographs of which a rectangle was taken."""
-
-    black_frame: NDArray[Any] | None
-    mask: NDArray[np.bool_] | None
 
 
 def cut(frames: Frames, corner: tuple[int, int], shape: tuple[int, int]) -> CutFrames:

@@ -4,8 +4,6 @@ A tile of camera pixels is read without the rest of the frames. docs/store-forma
 format; `packing.py` writes it.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -64,10 +62,10 @@ class PackedFrames(ShortRepr):
         """The name of the frame before it was packed."""
         return self.names[self.index[index]]
 
-    def select(self, index: Sequence[int]) -> PackedFrames:
+    def select(self, index: Sequence[int]) -> "PackedFrames":
         return replace(self, index=self.index[list(index)], _last={})
 
-    def part(self, rows: slice, cols: slice) -> PackedFrames:
+    def part(self, rows: slice, cols: slice) -> "PackedFrames":
         top, left = self.rows.start, self.cols.start
         rows = slice(top + rows.start, top + rows.stop)
         return replace(self, rows=rows, cols=slice(left + cols.start, left + cols.stop), _last={})

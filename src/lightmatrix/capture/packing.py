@@ -1,7 +1,5 @@
 """Packing: writes the frames of a capture into one array, chunked by tiles of camera pixels."""
 
-from __future__ import annotations
-
 import math
 import shutil
 from collections.abc import Callable

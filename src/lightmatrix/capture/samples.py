@@ -1,7 +1,5 @@
 """Linear samples, each with its own clip state, and their means over blocks of camera pixels."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -86,13 +84,13 @@ class Samples(ShortRepr):
         ):
             raise InputError("a weight is negative or not finite", hint="use 0 to mask a sample")
 
-    def rows(self, index: slice | NDArray[np.integer] | NDArray[np.bool_]) -> Samples:
+    def rows(self, index: slice | NDArray[np.integer] | NDArray[np.bool_]) -> "Samples":
         """The samples of some rows; arrays with one value for each pattern are shared."""
         parts: tuple[Any, ...] = self.values, self.clipped, self.clip_level, self.weights
         own = (part is not None and part.ndim == 2 for part in parts)
         return Samples(*(part[index] if o else part for part, o in zip(parts, own, strict=True)))
 
-    def frames(self, index: NDArray[np.integer]) -> Samples:
+    def frames(self, index: NDArray[np.integer]) -> "Samples":
         """The samples under some patterns, in contiguous arrays."""
         chosen: list[Any] = [
             part if part is None else np.ascontiguousarray(part[..., index])
@@ -101,7 +99,7 @@ class Samples(ShortRepr):
         return Samples(*chosen)
 
     @classmethod
-    def joined(cls, parts: Sequence[Samples]) -> Samples:
+    def joined(cls, parts: "Sequence[Samples]") -> "Samples":
         """The rows of one or more parts below each other, each sample with its clip level."""
         weighted = any(part.weights is not None for part in parts)
         return cls(

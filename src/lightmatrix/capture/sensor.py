@@ -12,8 +12,6 @@ and back, where f undoes the response (the identity for a linear camera):
 so 1.0 is always the clip level. The decoder then divides samples by their exposure.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 

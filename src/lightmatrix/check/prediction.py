@@ -13,8 +13,6 @@ pattern makes its own look a little likelier. Doubted frames are therefore predi
 windows that were chosen without them.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from typing import Any
@@ -55,7 +53,7 @@ class FramePrediction:
         """Which rows can be predicted, (m,)."""
         return (self.miss < 0.4) & (self.trusted.sum(axis=1) >= 8)
 
-    def rows(self, index: NDArray[np.bool_] | NDArray[np.integer]) -> FramePrediction:
+    def rows(self, index: NDArray[np.bool_] | NDArray[np.integer]) -> "FramePrediction":
         """The prediction of some rows."""
         return replace(
             self, observed=self.observed[index], expected=self.expected[index],

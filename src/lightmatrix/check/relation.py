@@ -11,8 +11,6 @@ The cosines of negatives are those of the photographs. Their signs show in the c
 single camera pixels with pixels of the patterns.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -195,7 +193,7 @@ class Relation:
     first: int = 0
 
     @classmethod
-    def of(cls, survey: Survey, first: int = 0) -> Relation | None:
+    def of(cls, survey: Survey, first: int = 0) -> "Relation | None":
         """The relation of a survey; None if too little of it can be compared."""
         step = 1
         while np.prod([max(1, n // step) for n in survey.patterns.shape]) > _LIMITS.most_pixels:

@@ -1,7 +1,5 @@
 """The samples of a capture that the checks look at: all of small frames, tiles of large ones."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -69,7 +67,7 @@ class Survey:
         decoder: Decoder,
         mask: NDArray[np.bool_] | None = None,
         share: float = 1,
-    ) -> Survey:
+    ) -> "Survey":
         """Read every frame once; an InputError names one that cannot be read or does not fit.
 
         `share` is that of the most levels which are kept.
@@ -101,7 +99,7 @@ class Survey:
         longest = float(np.max(decoder.exposure))
         return 1 / (span * longest) if self.raw.dtype.kind == "u" else 1e-6 / longest
 
-    def select_frames(self, frames: NDArray[np.integer]) -> Survey:
+    def select_frames(self, frames: NDArray[np.integer]) -> "Survey":
         """The survey of some frames, in this order; the patterns stay."""
         return replace(self, decoder=self.decoder.select(frames), raw=self.raw[:, frames])
 
@@ -138,11 +136,6 @@ class Survey:
         inside = np.zeros(self.grid, bool)
         inside[:, MARGIN:-MARGIN, MARGIN:-MARGIN] = True
         return inside.ravel()
-
-    def neighbour(self, rows: NDArray[np.integer], shift: tuple[int, int]) -> NDArray[np.integer]:
-        """The rows of the survey that lie (down, right) of the given inner ones."""
-        _, _, cols, channels = self.grid
-        return np.asarray(rows + (shift[0] * cols + shift[1]) * channels)
 
 
 def high_variance_rows(survey: Survey) -> NDArray[np.int64]:

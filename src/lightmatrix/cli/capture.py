@@ -78,7 +78,8 @@ def capture(
     if count is None:
         count = USUAL_FRAMES if until is None else MOST_FRAMES
     scene = "" if rig is None else rig.partition(":")[2].partition(",")[0]
-    devices = {one.name: (one.projectors, one.cameras) for one in lm.scenes()}.get(scene, (1, 1))
+    known = lm.scenes() if scene else ()
+    devices = {one.name: (one.projectors, one.cameras) for one in known}.get(scene, (1, 1))
     addresses: list[str | None] = [*camera] if camera else [None]
     rigs = [(rig, one) for one in addresses]
     if devices[1] > 1 and not camera and "camera=" not in str(rig):

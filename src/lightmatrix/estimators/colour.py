@@ -7,8 +7,6 @@ inverse makes 3 K grey photographs of K in colour, which give a better G, and so
 `docs/colour.md` explains it and has measurements.
 """
 
-from __future__ import annotations
-
 from contextlib import nullcontext
 from dataclasses import dataclass
 from pathlib import Path
@@ -59,7 +57,7 @@ class ColourSamples:
     weights: NDArray[np.float32]
 
     @classmethod
-    def of(cls, samples: Samples, patterns: ColourPatterns) -> ColourSamples:
+    def of(cls, samples: Samples, patterns: ColourPatterns) -> "ColourSamples":
         """The samples of all rows of a capture."""
         shape = (-1, PRIMARIES, patterns.count)
         weights = samples.weights_of_all().astype(np.float32).reshape(shape)
@@ -162,7 +160,7 @@ def unmixed_capture(
         sets.insert(0, samples.patterns.red.subset(grey))
     bits = [each for each in (one.as_bits() for one in sets) if each is not None]
     patterns: PatternSet = (
-        BitPatterns(samples.patterns.primary_shape, np.concatenate(bits))
+        BitPatterns(samples.patterns.red.shape, np.concatenate(bits))
         if len(bits) == len(sets)
         else ImagePatterns(np.concatenate([one.images() for one in sets]))
     )

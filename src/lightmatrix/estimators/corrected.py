@@ -1,7 +1,5 @@
 """Estimates without what the rig did wrong: `lm.fit_rig`, and the corrections of `lm.estimate`."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path

@@ -14,8 +14,6 @@ lasso, Sun and Zhang 2012). What the samples of a row have in common belongs to 
 C is a Gaussian or the image of an aperture, whichever predicts photographs held out best.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
@@ -205,7 +203,7 @@ class _Strip:
     blurs: tuple[csr_array, csr_array]
 
     @classmethod
-    def of(cls, capture: Capture, first: LightTransport, kernel: Array, lines: slice) -> _Strip:
+    def of(cls, capture: Capture, first: LightTransport, kernel: Array, lines: slice) -> "_Strip":
         """The strip with light where the first T has its own."""
         cols, channels = capture.camera_shape[1], int(np.prod(capture.camera_shape[2:]))
         rows = slice(lines.start * cols * channels, lines.stop * cols * channels)
@@ -224,7 +222,7 @@ class _Strip:
             pixels, columns - means, means, kernel, (blur, csr_array(blur.T)),
         )  # fmt: skip
 
-    def without(self, frames: NDArray[np.int64]) -> _Strip:
+    def without(self, frames: NDArray[np.int64]) -> "_Strip":
         """The strip without what some frames say."""
         known = self.known.copy()
         known[:, frames] = 0
@@ -258,13 +256,13 @@ class _Strip:
         shown = self.low + self.shown(self.light, self.columns)
         return shown + self.mean(self.samples.values - shown)
 
-    def solved(self, tolerance: float = 0.01) -> _Strip:
+    def solved(self, tolerance: float = 0.01) -> "_Strip":
         """The strip with its light, which `_PART` steps more change by less than the tolerance."""
         strip = self._descended(1.0, _STEPS, tolerance)
         # The penalty makes all light a little too weak. Less of it does where the places are known.
         return strip._at(strip.light > 0)._descended(0.2, _PART, tolerance)
 
-    def _descended(self, share: float, steps: int, tolerance: float) -> _Strip:
+    def _descended(self, share: float, steps: int, tolerance: float) -> "_Strip":
         """The strip after so many steps with a share of the penalty, or when they change little."""
         strip, light, ahead, pace, before = self, self.light, self.light, 1.0, self.light
         if not (len(self.places) and self.known.any()):
@@ -296,7 +294,7 @@ class _Strip:
                 ahead = ahead[stay]
         return replace(strip, light=light)
 
-    def _at(self, stay: NDArray[np.bool_]) -> _Strip:
+    def _at(self, stay: NDArray[np.bool_]) -> "_Strip":
         """The strip at some of its places."""
         starts = np.concatenate([[0], np.cumsum(stay)])[self.starts]
         return replace(self, starts=starts, places=self.places[stay], light=self.light[stay])

@@ -17,7 +17,6 @@ from typing import ClassVar
 import numpy as np
 import scipy
 from numpy.typing import NDArray
-from scipy.sparse import csr_array
 
 from lightmatrix.capture.capture import Capture
 from lightmatrix.defaults import USUAL_NOISE
@@ -155,7 +154,7 @@ class _Inverted(PlainRows):
             "only_bounded": np.float32(samples.clipped.any(axis=1) & self.inverse.lone),
             "estimated_error": error.astype(np.float32),
         }
-        coefficients = csr_array(entries.astype(np.float32))
+        coefficients = scipy.sparse.csr_array(entries.astype(np.float32))
         rows = SparseRows(coefficients, background[:, None], diagnostics)
         progress(len(entries), len(entries))
         return with_certainty(rows, samples, patterns, start, total)

@@ -13,8 +13,6 @@ Row by row, `PlainRows._solve` (`plain.py`) replaces 4 and 5, and `solvers.solve
 With workers, 3 hands the tiles to `DaskPool.solve` (`workers.py`), and each worker does the rest.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """Coarse to fine: finds on projector blocks where the light comes from, then refines them."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -10,7 +8,6 @@ from typing import ClassVar
 import numpy as np
 import scipy
 from numpy.typing import NDArray
-from scipy.sparse import csr_array
 
 from lightmatrix.capture.capture import Capture
 from lightmatrix.capture.samples import Samples
@@ -37,7 +34,7 @@ class Scale:
 
 
 def active_blocks(
-    coefficients: csr_array, candidates: NDArray[np.int64], grid: tuple[int, int]
+    coefficients: scipy.sparse.csr_array, candidates: NDArray[np.int64], grid: tuple[int, int]
 ) -> NDArray[np.bool_]:
     """The projector blocks from which a camera block gets its light, and their neighbours.
 
@@ -143,7 +140,7 @@ class _Strips(Work):
             if scale.block > 1:
                 active = active_blocks(result.coefficients, candidates, grid)
         entries = result.coefficients.tocoo()
-        coefficients = csr_array(
+        coefficients = scipy.sparse.csr_array(
             (entries.data.astype(np.float32), (entries.row, candidates[entries.col])),
             shape=(problem.rows, patterns.pixels),
         )

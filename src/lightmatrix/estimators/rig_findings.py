@@ -1,7 +1,5 @@
 """`lm.check`: what is wrong with the photographs of a capture, and what the rig did meanwhile."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from pathlib import Path
 

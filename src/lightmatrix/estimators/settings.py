@@ -1,7 +1,5 @@
 """The settings of an estimate, which check themselves."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property

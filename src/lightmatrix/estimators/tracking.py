@@ -7,8 +7,6 @@ pixels apart, not all of them. But T knows how far, and along which line, depth 
 there rows search. They are unknown until they predict photographs that they have not used.
 """
 
-from __future__ import annotations
-
 import re
 import time
 from collections.abc import Iterator
@@ -20,7 +18,6 @@ from typing import Any, NamedTuple
 import numpy as np
 import scipy
 from numpy.typing import NDArray
-from scipy.sparse import csr_array
 
 from lightmatrix.capture.capture import Capture, capture_of_samples, open_capture
 from lightmatrix.capture.exposures import frame_weights
@@ -391,7 +388,7 @@ class Tracker:
         usable = np.repeat(~self._learning[part], np.diff(matrix.indptr))
         data = (matrix.data * usable / atoms.gains[0]).astype(np.float32)
         shape = (len(part), atoms.pixels)
-        matrix = csr_array((data, matrix.indices, matrix.indptr), shape=shape)
+        matrix = scipy.sparse.csr_array((data, matrix.indices, matrix.indptr), shape=shape)
         matrix.eliminate_zeros()
         beside = SparseRows(matrix, light.background.sum(axis=1, keepdims=True))
         # Rows that are not known are searched; of others the last estimate is the start.
@@ -410,7 +407,7 @@ class Tracker:
                 known = [neighbours.jacobian]
                 solved, _ = solver.near(samples.rows(due), places[due], this_round, neighbours)
                 now = now.replaced(due, _lit(solved))
-        shares = solver.backgrounds.spread(csr_array(neighbours.centres[places]))
+        shares = solver.backgrounds.spread(scipy.sparse.csr_array(neighbours.centres[places]))
         background = solved.background[:, None] * shares
         if solved.cells.shape[1]:
             background += solved.cells

@@ -4,8 +4,6 @@ The pool waits for tiles with `distributed.wait`. `distributed.as_completed` has
 all tiles, so it could not notice that every worker is gone.
 """
 
-from __future__ import annotations
-
 import gc
 import hashlib
 import io
@@ -82,7 +80,7 @@ PATIENCE = Patience()
 class DaskPool:
     """Checked Dask workers."""
 
-    client: Client
+    client: "Client"
     # The estimate that was handed out last, its digest, and Dask's future of it.
     _packed: tuple[Work, str, Any] | None = None
 
@@ -218,7 +216,7 @@ def dask_pool(workers: int | None = None, cluster: str | None = None) -> Iterato
 
 
 @contextmanager
-def _started(workers: int) -> Iterator[Client]:
+def _started(workers: int) -> "Iterator[Client]":
     """New workers on this machine, which share its cores."""
     import dask
     from distributed import Client, LocalCluster
@@ -281,7 +279,7 @@ def _without_script() -> Iterator[None]:
 
 
 @contextmanager
-def _connected(address: str) -> Iterator[Client]:
+def _connected(address: str) -> "Iterator[Client]":
     from distributed import Client
 
     # A client that could not connect is closed when it is collected. Within the constructor of

@@ -1,7 +1,5 @@
 """Files of measured response curves: JSON of levels and the light that belongs to each."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -46,7 +44,7 @@ class CurveFile:
             part.write_text(json.dumps(content, indent=1) + "\n")
 
     @classmethod
-    def load(cls, path: str | Path, device: str) -> CurveFile:
+    def load(cls, path: str | Path, device: str) -> "CurveFile":
         """Read what `save` wrote for a camera or for a projector."""
         file = as_path(path)
         content = read_json(file, RESPONSE_FORMAT, _VERSION)

@@ -4,8 +4,6 @@ A codec may be anything, even a program, so only what `create_array` writes is r
 Blosc, a checksum. Zarr would read a missing chunk as zeros, so chunks are decoded here.
 """
 
-from __future__ import annotations
-
 import itertools
 import math
 import os
@@ -46,13 +44,13 @@ _NO_THREAD = "can't start new thread"
 
 
 def create_array(
-    group: zarr.Group,
+    group: "zarr.Group",
     name: str,
     shape: tuple[int, ...],
     dtype: Any,
     chunks: tuple[int, ...],
     blosc: Mapping[str, Any] = SMALL,
-) -> zarr.Array[Any]:
+) -> "zarr.Array[Any]":
     """Begin an array of a group; `blosc` is `QUICK` for arrays whose reading someone waits for."""
     return group.create_array(
         name,
@@ -67,7 +65,7 @@ def create_array(
 
 
 def write_parts(
-    group: zarr.Group,
+    group: "zarr.Group",
     parts: Iterable[Mapping[str, NDArray[Any]]],
     rows: int,
     chunk: int | None = None,
@@ -159,7 +157,7 @@ class StoredArray:
     @classmethod
     def open(
         cls, place: Path, most_chunk: int = CHUNK, *, checksums: str | None = None
-    ) -> StoredArray:
+    ) -> "StoredArray":
         """Read the header of an array; a ValueError says if we would not store it this way.
 
         A chunk may hold `most_chunk` values, even if the array has fewer. A chunk with another

@@ -1,7 +1,5 @@
 """`RigGeometry`: where camera and projector stand, and what each pixel sees or lights."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -376,14 +374,9 @@ class RigGeometry(ShortRepr):
         return centre_of(self.camera_matrix)
 
     @property
-    def projector_centre(self) -> Array:
-        """The projector's centre (3,) in the world."""
-        return centre_of(self.projector_matrix)
-
-    @property
     def baseline(self) -> float:
         """Distance from the camera to the projector, in `units`."""
-        return float(np.linalg.norm(self.projector_centre - self.camera_centre))
+        return float(np.linalg.norm(centre_of(self.projector_matrix) - self.camera_centre))
 
     def fundamental_matrix(self) -> Array:
         """F (3, 3), of Frobenius norm 1, for undistorted pixels.
@@ -471,7 +464,7 @@ class RigGeometry(ShortRepr):
         axis = self.camera_matrix[2]
         return np.asarray(points_of(points, 3) @ axis[:3] + axis[3])
 
-    def scaled(self, camera: int | Size = 1, projector: int | Size = 1) -> RigGeometry:
+    def scaled(self, camera: int | Size = 1, projector: int | Size = 1) -> "RigGeometry":
         """The geometry for images that are binned by blocks of (rows, cols) pixels.
 
         `camera` and `projector` are rows and columns of a block, as in `Capture.bin`; pixels that
@@ -501,7 +494,7 @@ class RigGeometry(ShortRepr):
             changed[f"{device}_matrix"] = matrix
         return replace(self, **changed)
 
-    def cropped(self, corner: Size, shape: Size) -> RigGeometry:
+    def cropped(self, corner: Size, shape: Size) -> "RigGeometry":
         """The geometry for photographs of which a rectangle from corner (row, col) is cut out."""
         Region(corner, shape, self.camera_shape)  # Refuses a crop beyond the photographs.
         cut = binned_matrix(self.camera_matrix, (1, 1), corner)
@@ -523,7 +516,7 @@ class RigGeometry(ShortRepr):
     @staticmethod
     def load(
         path: str | Path, *, camera_shape: Size | None = None, projector_shape: Size | None = None
-    ) -> RigGeometry:
+    ) -> "RigGeometry":
         """Read a geometry that `save`, or the calibration of another program, wrote.
 
         Parameters

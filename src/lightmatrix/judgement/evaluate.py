@@ -1,7 +1,5 @@
 """`lm.evaluate`: the errors of an estimate against the truth, over all and some kinds of rows."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass

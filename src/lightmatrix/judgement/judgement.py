@@ -9,8 +9,6 @@ Whether a map of correspondences is right, whether T relights scenes, and whethe
 different questions: stripes settle the first where they say nothing of the others.
 """
 
-from __future__ import annotations
-
 from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -110,7 +108,9 @@ class Verdict:
     def __str__(self) -> str:
         return f"{self.level.capitalize()}. {self.sentence}"
 
-    def with_findings(self, kinds: Iterable[str], spoiling: Collection[str] = _SPOILING) -> Verdict:
+    def with_findings(
+        self, kinds: Iterable[str], spoiling: Collection[str] = _SPOILING
+    ) -> "Verdict":
         """The verdict, doubtful and without error if some `kinds` of findings are `spoiling`.
 
         These are the kinds that no error estimate shows. The verdict is fair at best where nothing

@@ -5,8 +5,6 @@ dozens of pixels, each too faint to be estimated by itself. As one spot it is st
 of a spot under a pattern is the blurred pattern at its place.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
@@ -125,7 +123,7 @@ class AtomPatterns(PatternSet):
     def columns(self, index: NDArray[np.integer]) -> NDArray[np.float32]:
         return np.concatenate([chunk[:, index] for _, chunk in self.chunks()])
 
-    def part(self, pixels: NDArray[np.int64], every: int = 1) -> AtomPatterns:
+    def part(self, pixels: NDArray[np.int64], every: int = 1) -> "AtomPatterns":
         """The atoms, of every so-manieth size, over the pixels at some places, (h, w); see `Sheet`.
 
         Columns are those of the whole where all pixels under a spot are there.
@@ -262,7 +260,7 @@ class Sheet:
     shifts: NDArray[np.int64]
 
     @classmethod
-    def of(cls, boxes: Sequence[Box], shape: tuple[int, int], margin: int) -> Sheet:
+    def of(cls, boxes: Sequence[Box], shape: tuple[int, int], margin: int) -> "Sheet":
         """The sheet of some boxes."""
         boxes = sorted(boxes, key=lambda box: box[0].start - box[0].stop)
         sizes = [[side.stop - side.start + 2 * margin for side in box] for box in boxes]

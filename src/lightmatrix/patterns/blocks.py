@@ -1,7 +1,5 @@
 """Patterns that light one block of projector pixels at a time, or one pixel."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, ClassVar

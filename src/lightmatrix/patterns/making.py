@@ -1,7 +1,5 @@
 """Pattern sets made by the name of their kind, or remade from their description."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from typing import Any
 

@@ -10,8 +10,6 @@ Every set has a `description`, from which `patterns/making.py` remakes it, and a
 content, which ties captures and estimates to their patterns.
 """
 
-from __future__ import annotations
-
 import hashlib
 import json
 from abc import ABC, abstractmethod
@@ -316,14 +314,11 @@ class PatternSet(ShortRepr, ABC):
             dense[start:stop] = self.forward(chunk.astype(np.float64))
         return dense
 
-    def coarse(self, block: tuple[int, int]) -> ImagePatterns:
+    def coarse(self, block: tuple[int, int]) -> "ImagePatterns":
         """The patterns averaged over blocks of (rows, cols) projector pixels.
 
         Blocks at the border may be smaller.
         """
-        if min(block) < 1:
-            hint = "use at least 1 x 1"
-            raise InputError(f"a block of {block[0]} x {block[1]} pixels", hint=hint)
         parts = [
             block_mean(part.reshape(-1, *self.shape), block).astype(np.float32)
             for _, part in self.chunks()
@@ -384,7 +379,7 @@ class PatternSet(ShortRepr, ABC):
             bits, self.pixels, means, self.transform, instructions
         )
 
-    def subset(self, index: NDArray[np.integer]) -> PatternSet:
+    def subset(self, index: NDArray[np.integer]) -> "PatternSet":
         """The patterns of the given indices, as a set of their own."""
         index = np.asarray(index)
         return ImagePatterns(np.stack([self.images(int(k), int(k) + 1)[0] for k in index]))

@@ -3,8 +3,6 @@
 `capture/camera_curve.py` models the camera's; `calibration/responses/` measures both.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -62,7 +60,7 @@ class ProjectorResponse(ShortRepr):
         cls,
         levels: Sequence[int] | NDArray[np.integer],
         light: Sequence[float] | NDArray[np.float64],
-    ) -> ProjectorResponse:
+    ) -> "ProjectorResponse":
         """The response from the light that was measured at each grey value.
 
         Parameters
@@ -86,13 +84,13 @@ class ProjectorResponse(ShortRepr):
         return cls(tuple(map(int, grey)), tuple(map(float, share)), gamma)
 
     @classmethod
-    def of_gamma(cls, gamma: float) -> ProjectorResponse:
+    def of_gamma(cls, gamma: float) -> "ProjectorResponse":
         """The response of a projector whose light is the grey value to the power `gamma`."""
         levels = np.arange(_WHITE + 1)
         return cls(tuple(map(int, levels)), tuple(map(float, (levels / _WHITE) ** gamma)), gamma)
 
     @classmethod
-    def parse(cls, text: str | Path) -> ProjectorResponse:
+    def parse(cls, text: str | Path) -> "ProjectorResponse":
         """Read a response: ``linear``, ``gamma:2.2``, or the file that `save` wrote.
 
         Raises
@@ -111,7 +109,7 @@ class ProjectorResponse(ShortRepr):
         raise InputError(f"{text}: no such file, and no projector's response", hint=hint)
 
     @classmethod
-    def of_provenance(cls, provenance: Mapping[str, Any]) -> ProjectorResponse | None:
+    def of_provenance(cls, provenance: Mapping[str, Any]) -> "ProjectorResponse | None":
         """The response by which the patterns of an estimate became light; None if by none."""
         description, found = (provenance.get(k) for k in ("capture_description", "found_response"))
         if isinstance(found, Mapping) and "projector_gamma" in found:
@@ -170,7 +168,7 @@ class ProjectorResponse(ShortRepr):
         curve.save(path, overwrite=overwrite)
 
     @classmethod
-    def load(cls, path: str | Path) -> ProjectorResponse:
+    def load(cls, path: str | Path) -> "ProjectorResponse":
         """Read what `save` wrote.
 
         Raises

@@ -3,8 +3,6 @@
 The codes of structured light are of this kind: Gray code, phase shifts, micro phase shifts.
 """
 
-from __future__ import annotations
-
 from abc import abstractmethod
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -41,7 +39,7 @@ class Stripes:
     profiles: tuple[NDArray[np.float32], ...]
 
     @classmethod
-    def of(cls, parts: Iterable[tuple[int, NDArray[np.float32]]]) -> Stripes:
+    def of(cls, parts: Iterable[tuple[int, NDArray[np.float32]]]) -> "Stripes":
         """The stripes of several profiles (k, length) along each of some axes."""
         pairs = [(axis, profile) for axis, profiles in parts for profile in profiles]
         return cls(np.array([axis for axis, _ in pairs]), tuple(profile for _, profile in pairs))

@@ -1,22 +1,30 @@
-"""Maps over the camera: one value per camera pixel, with its colours.
+"""Maps over the camera: one value per camera pixel, with its colours; images for display.
 
 `lightmatrix show`, `lightmatrix info` and the report draw the same maps.
 """
 
-from dataclasses import dataclass
+from __future__ import annotations
 
-import matplotlib as mpl
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import lazy_loader
 import numpy as np
-from matplotlib.colors import Colormap, LinearSegmentedColormap, LogNorm, Normalize
 from numpy.typing import NDArray
 
 from lightmatrix.errors import InputError
-from lightmatrix.pictures.style import CLIPPED_COLOUR
+from lightmatrix.files.images import DISPLAY_GAMMA
 from lightmatrix.reprs import percent
 from lightmatrix.transport.correspondence import Correspondence
 from lightmatrix.transport.matrix import LightTransport
 
-WHITE_TO_RED = LinearSegmentedColormap.from_list("clipped", [(1.0, 1.0, 1.0), CLIPPED_COLOUR])
+if TYPE_CHECKING:
+    import matplotlib as mpl
+    from matplotlib.colors import Colormap, Normalize
+else:
+    mpl = lazy_loader.load("matplotlib")
+
+CLIPPED_COLOUR = (0.90, 0.10, 0.12)
 # The grey of camera pixels without a value.
 UNKNOWN = (0.7, 0.7, 0.7)
 
@@ -41,7 +49,8 @@ class Map:
     @property
     def norm(self) -> Normalize:
         """The map from values to [0, 1]; values beyond the ends are clipped."""
-        return (LogNorm if self.logarithmic else Normalize)(self.low, self.high, clip=True)
+        kind = mpl.colors.LogNorm if self.logarithmic else mpl.colors.Normalize
+        return kind(self.low, self.high, clip=True)
 
     @property
     def colour_map(self) -> Colormap:
@@ -58,6 +67,31 @@ class Map:
         return np.asarray(self.colour_map(self.norm(self.shown), bytes=True))[..., :3]
 
 
+def display(image: NDArray[Any], white: float) -> NDArray[np.float64]:
+    """A linear image for display: divided by `white`, clipped to [0, 1], gamma 2.2."""
+    return np.clip(np.asarray(image, float) / max(white, 1e-12), 0, 1) ** (1 / DISPLAY_GAMMA)
+
+
+def white_level(image: NDArray[Any]) -> float:
+    """The light that a picture shows as white: that of all but the brightest 0.5 % of its pixels.
+
+    Chosen by eye: highlights must not make everything else dark.
+    """
+    level = float(np.quantile(image, 0.995))
+    return level if level > 0 else 1.0
+
+
+def colour_bytes(colours: str | Colormap) -> NDArray[np.uint8]:
+    """The colours of a scale as (256, 3) bytes. A map with fewer would show bands."""
+    return np.asarray(mpl.colormaps.get_cmap(colours)(np.linspace(0, 1, 256), bytes=True))[:, :3]
+
+
+def white_to_red() -> Colormap:
+    """The colours of shares of clipped samples."""
+    ends = [(1.0, 1.0, 1.0), CLIPPED_COLOUR]
+    return mpl.colors.LinearSegmentedColormap.from_list("clipped", ends)
+
+
 def light_map(light: NDArray[np.floating], title: str) -> Map:
     """A row or column of T as an image, whose light fades over four decades around its peak."""
     peak = max(float(light.max()), 1e-12)
@@ -70,7 +104,7 @@ def clipping_map(transport: LightTransport) -> Map:
     shares = 100 * _diagnostic(transport, "clipped_share")
     title = f"Clipped samples: {np.mean(shares):.1f} %"
     label = "clipped share of a camera pixel's samples, %"
-    return Map(title, label, shares, 0, 100, WHITE_TO_RED)
+    return Map(title, label, shares, 0, 100, white_to_red())
 
 
 def gap_map(transport: LightTransport) -> Map:

@@ -13,11 +13,10 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FixedLocator, NullLocator
 from numpy.typing import NDArray
 
-from lightmatrix.files.images import DISPLAY_GAMMA
 from lightmatrix.files.kinds import PICTURE
 from lightmatrix.files.writing import atomic_file
+from lightmatrix.pictures.maps import CLIPPED_COLOUR
 
-CLIPPED_COLOUR = (0.90, 0.10, 0.12)
 # Colour-blind readers can tell the colours of this palette apart (Okabe and Ito).
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
 STYLE: dict[Any, Any] = {
@@ -71,20 +70,6 @@ def fix_ticks(axis: Any, places: Sequence[float]) -> None:
     axis.set_major_locator(FixedLocator(places))
     axis.set_major_formatter("{x:g}")
     axis.set_minor_locator(NullLocator())
-
-
-def display(image: NDArray[Any], white: float) -> NDArray[np.float64]:
-    """A linear image for display: divided by `white`, clipped to [0, 1], gamma 2.2."""
-    return np.clip(np.asarray(image, float) / max(white, 1e-12), 0, 1) ** (1 / DISPLAY_GAMMA)
-
-
-def white_level(image: NDArray[Any]) -> float:
-    """The light that a picture shows as white: that of all but the brightest 0.5 % of its pixels.
-
-    Chosen by eye: highlights must not make everything else dark.
-    """
-    level = float(np.quantile(image, 0.995))
-    return level if level > 0 else 1.0
 
 
 def mark_clipped(image: NDArray[Any], clipped: NDArray[np.bool_]) -> NDArray[np.float64]:

@@ -4,8 +4,6 @@ The errors to expect were measured on rendered scenes. The entry `made_by` of ta
 command that measures them.
 """
 
-from __future__ import annotations
-
 import json
 import shlex
 import shutil

@@ -1,7 +1,5 @@
 """The elements of a section, such as galleries and tables; the templates lay out each kind."""
 
-from __future__ import annotations
-
 import base64
 from dataclasses import dataclass
 from decimal import Decimal
@@ -13,8 +11,7 @@ from numpy.typing import NDArray
 
 from lightmatrix.files.images import encode_image, read_image
 from lightmatrix.patterns.pattern_set import block_mean
-from lightmatrix.pictures.maps import Map, light_map
-from lightmatrix.pictures.style import display, white_level
+from lightmatrix.pictures.maps import Map, display, light_map, white_level
 
 
 @dataclass(frozen=True)
@@ -87,8 +84,8 @@ class Text:
 class Columns:
     """Elements in two columns on wide screens, below each other on narrow ones."""
 
-    left: tuple[Element, ...]
-    right: tuple[Element, ...]
+    left: "tuple[Element, ...]"
+    right: "tuple[Element, ...]"
     kind: ClassVar[str] = "columns"
 
 

@@ -9,16 +9,7 @@ from numpy.typing import NDArray
 from lightmatrix.errors import InputError
 from lightmatrix.geometry.rig_geometry import RigGeometry
 from lightmatrix.judgement.metrics import relighting_error, unseen_patterns
-from lightmatrix.pictures.maps import (
-    clipping_map,
-    correspondence_maps,
-    error_map,
-    estimated_error_map,
-    footprint_map,
-    gap_map,
-    has_diagnostic,
-)
-from lightmatrix.pictures.style import white_level
+from lightmatrix.pictures import maps
 from lightmatrix.report.elements import (
     Bars,
     Columns,
@@ -148,7 +139,7 @@ def relighting(facts: Facts) -> Section:
         lead += f" Mean error of the images: {percent(error)}."
         assert facts.row_errors is not None
         caption = "Error of each camera pixel's rows of T, relative to their size."
-        errors = Gallery((image_of_map(error_map(facts.row_errors), caption),))
+        errors = Gallery((image_of_map(maps.error_map(facts.row_errors), caption),))
         values = {"relative_error": facts.relative_error or 0.0}
         if facts.errors is not None:
             values = facts.errors.as_dict()
@@ -187,18 +178,18 @@ def error_estimates(facts: Facts) -> Section:
     summary = labelled(facts.transport.summary(), main_only=True)
     rows = tuple((name, shown_value(value)) for name, value in summary.items())
     table = Table("The estimate", ("property", "value"), rows)
-    maps = []
-    if has_diagnostic(facts.transport, "estimated_error"):
+    shown = []
+    if maps.has_diagnostic(facts.transport, "estimated_error"):
         caption = "Each camera pixel's own estimate, from its samples and its neighbours."
-        maps.append(image_of_map(estimated_error_map(facts.transport), caption))
+        shown.append(image_of_map(maps.estimated_error_map(facts.transport), caption))
     # The numbers in the table say all if all rows have converged.
     if np.nanmax(facts.transport.diagnostics.get("gap", 0), initial=0) > 1e-3:
         caption = (
             "How far the objective of each row can be from its optimum. A small gap means solved. "
             "Whether it is right, only unseen photographs can show."
         )
-        maps.append(image_of_map(gap_map(facts.transport), caption))
-    columns = Columns((table,), (Gallery(tuple(maps)),) if maps else ())
+        shown.append(image_of_map(maps.gap_map(facts.transport), caption))
+    columns = Columns((table,), (Gallery(tuple(shown)),) if shown else ())
     elements = [columns, *_unseen_photographs(facts)]
     return Section("accuracy", "Accuracy of the estimate", "", tuple(elements))
 
@@ -256,7 +247,7 @@ def photographs(facts: Facts) -> Section:
             "A clipped sample is a lower bound. A camera pixel that clips in nearly every frame "
             "tells little."
         )
-        images.append(image_of_map(clipping_map(facts.transport), caption))
+        images.append(image_of_map(maps.clipping_map(facts.transport), caption))
     clipped = percent(float(frames.clipped.mean()))
     decoder, masked = capture.decoder, int((~capture.valid).sum())
     settings: dict[str, object] = {
@@ -347,18 +338,18 @@ def transport_matrix(facts: Facts) -> Section:
         "How much of a camera pixel's light comes from that pixel. Dark: the light comes from many "
         "places, by way of other surfaces.",
     )
-    maps = correspondence_maps(facts.correspondence)
-    images = [image_of_map(*pair) for pair in zip(maps, captions, strict=True)]
-    if has_diagnostic(transport, "footprint"):
+    matches = maps.correspondence_maps(facts.correspondence)
+    images = [image_of_map(*pair) for pair in zip(matches, captions, strict=True)]
+    if maps.has_diagnostic(transport, "footprint"):
         caption = "How many projector pixels a camera pixel sees: many where it is out of focus."
-        images.append(image_of_map(footprint_map(transport), caption))
+        images.append(image_of_map(maps.footprint_map(transport), caption))
     share = percent(transport.background_share)
     background = photograph(
         transport.background.sum(axis=1).reshape(transport.camera_shape),
         f"Light of the background: {share} of all light",
         "Background",
         f"{share} of the light comes faintly from everywhere; on the scale of the white image.",
-        white=white_level(facts.white),
+        white=maps.white_level(facts.white),
     )
     elements: list[Element] = [
         Text(

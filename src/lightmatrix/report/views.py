@@ -3,8 +3,6 @@
 Views of the shape need the geometry of the rig.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from lightmatrix import pictures
 from lightmatrix.errors import InputError
 from lightmatrix.files.colours import holds_colour
 from lightmatrix.files.images import fill_image
@@ -20,16 +19,6 @@ from lightmatrix.files.kinds import IMAGE, NUMBERS, NUMBERS_MARK
 from lightmatrix.files.writing import atomic_file, check_output
 from lightmatrix.geometry.rig_geometry import RigGeometry
 from lightmatrix.pictures import maps
-from lightmatrix.pictures.style import Picture
-from lightmatrix.pictures.transport import (
-    draw_column,
-    draw_correspondence,
-    draw_dual,
-    draw_map,
-    draw_row,
-    draw_spectrum,
-    spectrum,
-)
 from lightmatrix.shape.layers import layers
 from lightmatrix.shape.shape import normals_picture
 from lightmatrix.shape.triangulation import triangulate
@@ -45,16 +34,23 @@ Numbers = Mapping[str, NDArray[Any]]
 class _View:
     """A view: how to draw it, and its numbers."""
 
-    picture: Callable[..., Picture]
+    picture: Callable[..., "pictures.style.Picture"]
     numbers: Callable[..., Numbers]
     # What it shows in place of T, found by the geometry of the rig.
     find: Callable[..., Any] | None = None
 
 
+def _late(name: str) -> Callable[..., Any]:
+    """A function of `pictures.transport`, which loads Matplotlib when it is called."""
+    return lambda *shown: getattr(pictures.transport, name)(*shown)
+
+
 def _of_map(make: Callable[[Any], maps.Map], find: Callable[..., Any] | None = None) -> _View:
     """The view of a map over the camera."""
     return _View(
-        lambda shown: draw_map(make(shown)), lambda shown: {"values": make(shown).values}, find
+        lambda shown: pictures.transport.draw_map(make(shown)),
+        lambda shown: {"values": make(shown).values},
+        find,
     )
 
 
@@ -64,11 +60,11 @@ def _correspondence(transport: LightTransport) -> Numbers:
 
 
 VIEWS: dict[str, _View] = {
-    "row": _View(draw_row, lambda transport, *index: {"values": transport.row(*index)}),
-    "column": _View(draw_column, lambda transport, *index: {"values": transport.column(*index)}),
-    "dual": _View(draw_dual, lambda transport: {"values": transport.dual_image()}),
-    "correspondence": _View(draw_correspondence, _correspondence),
-    "spectrum": _View(draw_spectrum, spectrum),
+    "row": _View(_late("draw_row"), lambda transport, *at: {"values": transport.row(*at)}),
+    "column": _View(_late("draw_column"), lambda transport, *at: {"values": transport.column(*at)}),
+    "dual": _View(_late("draw_dual"), lambda transport: {"values": transport.dual_image()}),
+    "correspondence": _View(_late("draw_correspondence"), _correspondence),
+    "spectrum": _View(_late("draw_spectrum"), _late("spectrum")),
     "clipping": _of_map(maps.clipping_map),
     "gap": _of_map(maps.gap_map),
     "footprint": _of_map(maps.footprint_map),
@@ -94,7 +90,7 @@ def show(
     geometry: RigGeometry | str | Path | None = None,
     output: str | Path | None = None,
     overwrite: bool = False,
-) -> Picture:
+) -> "pictures.style.Picture":
     """Draw a view of a light transport matrix, and write it or its numbers to a file.
 
     Parameters

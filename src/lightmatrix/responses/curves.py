@@ -5,8 +5,6 @@ the exposure, which gives the light of each level up to a common factor (Debevec
 projector's comes from photographs of a ramp, each of one grey value all over.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
@@ -478,7 +476,7 @@ def _draw(
     gamma: float,
     device: str,
     residuals: NDArray[np.float64] | None = None,
-) -> pictures.style.Picture:
+) -> "pictures.style.Picture":
     """The measured curve of a device beside known ones, and the residuals of a camera's."""
     count, colours = 1 if residuals is None else 2, pictures.style.COLOURS
     with pictures.style.figure(3.7 * count, 3.2) as drawing:

@@ -6,8 +6,6 @@ error hardly falls any more, further patterns are not what is missing, and the d
 rows say what is.
 """
 
-from __future__ import annotations
-
 import shutil
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, field
@@ -17,6 +15,7 @@ from typing import Any
 
 import numpy as np
 
+from lightmatrix import estimators
 from lightmatrix.capture.camera_curve import Response, curve_file
 from lightmatrix.capture.capture import Capture
 from lightmatrix.capture.exposures import exposure_sequence
@@ -24,7 +23,6 @@ from lightmatrix.capture.folder import write_capture
 from lightmatrix.capture.sensor import Sensor
 from lightmatrix.defaults import RIG_FILE, USUAL_FRAMES
 from lightmatrix.errors import DeviceError, InputError, warn
-from lightmatrix.estimators.estimate import estimate
 from lightmatrix.files.images import is_grey
 from lightmatrix.files.kinds import LIVE_CAPTURE
 from lightmatrix.files.writing import claimed
@@ -33,7 +31,7 @@ from lightmatrix.judgement.metrics import row_energies
 from lightmatrix.patterns.folder import read_patterns
 from lightmatrix.patterns.making import make_patterns
 from lightmatrix.patterns.pattern_set import PatternSet
-from lightmatrix.ranges import as_float, whole
+from lightmatrix.ranges import check_number, whole
 from lightmatrix.reprs import percent
 from lightmatrix.rig.devices.base import exposure_limits
 from lightmatrix.rig.devices.several import pattern_sizes
@@ -167,8 +165,8 @@ class CaptureSettings:
     def __post_init__(self) -> None:
         for name, value in (("exposure", self.exposure), ("settle time", self.settle)):
             # More than a minute is a mistake.
-            if value is not None and not 0 <= as_float(value) <= 60:
-                raise InputError(f"a {name} of {value} s", hint="give seconds, such as 0.02")
+            if value is not None:
+                check_number(f"a {name}", value, most=60, hint="give seconds, such as 0.02")
         if (whole(self.cell) or 0) < 1:
             raise InputError(f"a cell of {self.cell} pixels", hint="use a whole number, 1 or more")
         if self.until is not None:
@@ -329,7 +327,7 @@ def take_capture(
                     so_far = Path(folder) / "capture"
                     _write(so_far, session, known, settings)
                     # The session has judged each frame.
-                    return estimate(Capture.open(so_far), check=False)
+                    return estimators.estimate.estimate(Capture.open(so_far), check=False)
 
             outcome = None
             if settings.until is None:

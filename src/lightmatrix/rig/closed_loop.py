@@ -1,7 +1,5 @@
 """`lm.refine_compensation`: compensation on a rig, corrected by what the camera really sees."""
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace

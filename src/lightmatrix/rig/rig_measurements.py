@@ -6,8 +6,6 @@ before the change was over. Flicker of the lamp or of the room is found in serie
 Exposures and the projector's response follow from levels of averaged frames.
 """
 
-from __future__ import annotations
-
 import json
 import math
 from collections.abc import Callable, Mapping, Sequence
@@ -354,7 +352,7 @@ class RigMeasurements:
             part.write_text(json.dumps(self.as_dict(), indent=2) + "\n")
 
     @classmethod
-    def load(cls, path: str | Path) -> RigMeasurements:
+    def load(cls, path: str | Path) -> "RigMeasurements":
         """Read what `save` wrote.
 
         Raises

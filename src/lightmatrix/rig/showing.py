@@ -1,7 +1,5 @@
 """`lm.project`: shows a picture, a folder of pictures or a video on a projector."""
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Callable, Iterator
 from pathlib import Path

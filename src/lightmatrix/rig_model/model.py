@@ -1,7 +1,5 @@
 """`RigModel`: what a rig did in the course of a capture, and the capture without it."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any
@@ -82,7 +80,7 @@ class RigModel:
         }
 
     @classmethod
-    def of(cls, transport: LightTransport) -> RigModel:
+    def of(cls, transport: LightTransport) -> "RigModel":
         """What was corrected in an estimate, by its provenance, which may hold anything."""
         kept = transport.provenance.get(RIG)
         values = {}
@@ -97,7 +95,7 @@ class RigModel:
         sent: Capture,
         transport: LightTransport,
         allowed: Iterable[str] = tuple(TERMS),
-    ) -> RigModel | None:
+    ) -> "RigModel | None":
         """The model with what else it finds in `capture`, which is `sent` without what is known.
 
         `transport` is T estimated from `capture`. None if nothing else is found.

@@ -1,7 +1,5 @@
 """What T predicts for camera samples, and what the strongest entries of T may have swallowed."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -69,7 +67,7 @@ class Prediction:
         object.__setattr__(self, "left", left)
 
     @classmethod
-    def of(cls, capture: Capture, sent: Capture, transport: LightTransport) -> Prediction:
+    def of(cls, capture: Capture, sent: Capture, transport: LightTransport) -> "Prediction":
         """The prediction of rows of patches that are spread over the whole camera."""
         places = _patches(capture.camera_shape, _SAMPLES // capture.count)
         inner = places[INNER].reshape(-1)

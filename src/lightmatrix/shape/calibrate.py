@@ -11,8 +11,6 @@ projector's focal length, its rotation and the direction in which it stands; how
 and so the size of the scene, cannot be known.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
@@ -25,9 +23,9 @@ import numpy as np
 import scipy
 from numpy.typing import ArrayLike, NDArray
 
+from lightmatrix import estimators
 from lightmatrix.capture.capture import Capture, open_capture
 from lightmatrix.errors import InputError, OutputError, warn
-from lightmatrix.estimators.estimate import estimate
 from lightmatrix.files.extras import load_opencv
 from lightmatrix.files.kinds import geometry_kind
 from lightmatrix.files.writing import check_output
@@ -174,7 +172,7 @@ def pose_images(capture: Capture, stagger: float = 0.0) -> tuple[Array, list[Cor
     places are those of projectors whose odd rows are moved by `stagger`.
     """
     if capture.projectors or stripes_of(capture.patterns) is None:
-        found = estimate(capture).split()
+        found = estimators.estimate.estimate(capture).split()
         whites = [one.relight(np.ones(one.projector_shape, np.float32)) for one in found]
         image = np.asarray(np.sum(whites, axis=0), np.float64)
         matches = [correspondence(one) for one in found]
@@ -346,7 +344,6 @@ def calibrate_rig(
     >>> import lightmatrix as lm
     >>> measured = lm.calibrate_rig(["pose_0", "pose_1", "pose_2"])  # doctest: +SKIP
     """
-    load_opencv("calibrating a rig", "shape")
     check_number("a square", square, above=True, hint="give its side, such as 24")
     if min(board) < 3:
         hint = "use at least 3 x 3"
@@ -364,6 +361,7 @@ def calibrate_rig(
     files = [] if output is None else _files(output, len(cameras), len(projectors))
     for file in files:
         _check_file(file, stagger, overwrite)
+    load_opencv("calibrating a rig", "shape")
     corners, left_out = _all_corners(opened, board, kind, progress, stagger)
     mirrored = np.mean([flipped for *_, flipped in corners.values()], axis=(0, 1)) > 0.5
     if mirrored.any():

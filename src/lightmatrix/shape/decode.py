@@ -1,7 +1,5 @@
 """`lm.decode`: the correspondence of a capture under stripes, without an estimate of T."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

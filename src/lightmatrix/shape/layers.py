@@ -1,7 +1,5 @@
 """`lm.layers`: several surfaces that one camera pixel sees, one through the other or mirrored."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -73,7 +71,7 @@ class Layers(ShortRepr):
             write_exr(part, values.reshape(*values.shape[:2], -1), names)
 
     @property
-    def depth_maps(self) -> list[pictures.maps.Map]:
+    def depth_maps(self) -> "list[pictures.maps.Map]":
         """Depth of the first surface and of the one behind it, in the colours of one scale."""
         scale = depth_map(self.depth, self.geometry.units)
         titles = "Depth of the first surface", "Depth of the surface behind it"
@@ -84,15 +82,15 @@ class Layers(ShortRepr):
         """Light of mirrors and other surfaces under a white pattern, (rows, cols)."""
         return np.where(self.mirrored, self.light, np.float32(0)).sum(axis=-1)
 
-    def show(self) -> pictures.style.Picture:
+    def show(self) -> "pictures.style.Picture":
         """A Matplotlib figure: the nearest surface, the one behind it, and what mirrors show."""
-        style = pictures.style
+        style, maps = pictures.style, pictures.maps
         with style.figure(11, 3.4) as drawing:
             *surfaces, mirrors = drawing.subplots(1, 3)
             for axes, shown in zip(surfaces, self.depth_maps, strict=True):
                 pictures.transport.draw_into(drawing, axes, shown)
             light = self.mirrored_light
-            style.panel(mirrors, style.display(light, style.white_level(light)), "Light by mirrors")
+            style.panel(mirrors, maps.display(light, maps.white_level(light)), "Light by mirrors")
         return drawing
 
 

@@ -1,7 +1,5 @@
 """`Shape`: the surface that a camera sees, pixel by pixel."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import dataclass
 from enum import IntEnum
@@ -171,7 +169,7 @@ def write_cloud(
 _NORMALS = "Normals: right, up, near as red, green, blue"
 
 
-def depth_map(depth: NDArray[np.floating], units: str | None) -> pictures.maps.Map:
+def depth_map(depth: NDArray[np.floating], units: str | None) -> "pictures.maps.Map":
     """Depth (rows, cols) as a map over the camera, near surfaces bright."""
     known = depth[np.isfinite(depth)]
     # A few wrong points must not make all others alike.
@@ -192,7 +190,7 @@ def normal_colours(normals: NDArray[np.floating]) -> Array:
     return np.asarray(np.where(known, colours, np.array(pictures.maps.UNKNOWN)))
 
 
-def normals_picture(normals: NDArray[np.float32]) -> pictures.style.Picture:
+def normals_picture(normals: NDArray[np.float32]) -> "pictures.style.Picture":
     """Normals (rows, cols, 3) in the camera's frame."""
     with pictures.style.figure(4.4, 3.6) as drawing:
         pictures.style.panel(drawing.subplots(), normal_colours(normals), _NORMALS)
@@ -269,12 +267,12 @@ class Shape(ShortRepr):
         return np.asarray(self.normals @ turn.T, np.float32)
 
     @property
-    def depth_map(self) -> pictures.maps.Map:
+    def depth_map(self) -> "pictures.maps.Map":
         """The depth as a picture."""
         return depth_map(self.depth, self.geometry.units)
 
     @property
-    def probability_map(self) -> pictures.maps.Map:
+    def probability_map(self) -> "pictures.maps.Map":
         """The probability as a picture."""
         values = self.probability.astype(float)
         return pictures.maps.Map("How probably the depth is right", "", values, 0, 1)
@@ -323,7 +321,7 @@ class Shape(ShortRepr):
             faces = surface_faces(self.depth, self.geometry) if mesh else None
             write_cloud(part, self.points, self.albedo, columns, faces)
 
-    def show(self) -> pictures.style.Picture:
+    def show(self) -> "pictures.style.Picture":
         """A Matplotlib figure: maps of depth, normals, probability and failed tests."""
         style = pictures.style
         with style.figure(14.5, 3.4) as drawing:

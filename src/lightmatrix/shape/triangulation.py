@@ -1,7 +1,5 @@
 """`triangulate`: depth, points and normals from what each camera pixel sees of the projector."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """`lm.truth`, `lm.scenes`: truths bundled, cached, or rendered on demand."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 from importlib.resources import as_file, files

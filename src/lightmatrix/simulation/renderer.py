@@ -1,7 +1,5 @@
 """`lm.render`: the whole light transport matrix of a scene by one pass of path tracing."""
 
-from __future__ import annotations
-
 import glob
 import importlib.util
 import os

@@ -9,14 +9,13 @@ import json
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from difflib import get_close_matches
-from functools import partial
+from functools import cache, partial
 from importlib.resources import files
 from math import sqrt
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
 from lightmatrix.errors import InputError
 from lightmatrix.simulation.shapes import (
@@ -33,6 +32,7 @@ from lightmatrix.simulation.shapes import (
     revolve,
     ring,
     rod,
+    rotation,
     sheet,
     turn,
 )
@@ -126,14 +126,6 @@ def metal(kind: str, roughness: float) -> Material:
     return {"type": "twosided", "bsdf": base}
 
 
-def translucent(reflectance: float, through: float) -> Material:
-    """A thin sheet that scatters light to both sides; `through` in [0, 2], 1 sends half through."""
-    return {
-        "type": "principledthin", "base_color": _rgb(reflectance), "diff_trans": through,
-        "roughness": 0.6, "spec_trans": 0.0, "eta": 1.3,
-    }  # fmt: skip
-
-
 def _rgb(value: float | tuple[float, float, float]) -> dict[str, Any]:
     return {"type": "rgb", "value": [value] * 3 if isinstance(value, float) else list(value)}
 
@@ -185,9 +177,10 @@ def _at_rest(name: str) -> list[tuple[str, Callable[[Mesh], Mesh]]]:
     text = (files("lightmatrix.simulation") / "data" / "poses.json").read_text()
     placed = list[tuple[str, Callable[[Mesh], Mesh]]]()
     for part, *place, w, x, y, z in json.loads(text)[name]:
-        # SciPy has w last.
-        rotation = Rotation.from_quat((x, y, z, w)).as_matrix()
-        placed.append((part, partial(Mesh.placed, position=place, rotation=rotation)))
+        unit = np.array((w, x, y, z)) / np.linalg.norm((w, x, y, z))
+        placed.append(
+            (part, partial(Mesh.placed, position=place, rotation=rotation(unit[0], unit[1:])))
+        )
     return placed
 
 
@@ -315,7 +308,11 @@ def _valley(rim: float = 1.5, half: float = 3.0) -> Mesh:
     return Mesh(np.array(points), np.array(faces))
 
 
-_PAPER = translucent(0.88, 1.1)
+# A thin sheet that scatters light to both sides; with diff_trans=1 it would send half through.
+_PAPER: Material = {
+    "type": "principledthin", "base_color": _rgb(0.88), "diff_trans": 1.1, "roughness": 0.6,
+    "spec_trans": 0.0, "eta": 1.3,
+}  # fmt: skip
 _GLAZE = plastic((0.72, 0.70, 0.66), 0.14)
 
 
@@ -570,6 +567,7 @@ BUILDERS: dict[str, Callable[[], Scene]] = {
 }  # fmt: skip
 
 
+@cache
 def scene(name: str) -> Scene:
     """Build a scene; the error for an unknown name suggests similar ones."""
     if name not in BUILDERS:

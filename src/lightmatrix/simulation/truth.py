@@ -1,7 +1,5 @@
 """`Truth`: a known light transport matrix with its direct part, and its file T.npz."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
@@ -99,11 +97,8 @@ def _nearest(mesh: Mesh, geometry: RigGeometry) -> tuple[NDArray[np.float64], ND
         hit, distance = _hits(points[triangle], np.column_stack([col, row]))
         pixel, distance, triangle = (row * cols + col)[hit], distance[hit], triangle[hit]
         # The nearest of each pixel comes last, and is the one that an assignment keeps.
-        order = np.lexsort((-distance, pixel))
-        pixel, distance, triangle = pixel[order], distance[order], triangle[order]
-        final = np.append(pixel[1:] != pixel[:-1], True)[: len(pixel)]
-        pixel, distance, triangle = pixel[final], distance[final], triangle[final]
-        closer = distance < depth[pixel]
+        order = np.argsort(-distance)
+        closer = order[distance[order] < depth[pixel[order]]]
         depth[pixel[closer]] = distance[closer]
         nearest[pixel[closer]] = triangle[closer]
     return np.where(nearest >= 0, depth, np.nan), nearest
@@ -208,12 +203,12 @@ class Truth(ShortRepr):
         """A matrix with the same places of entries but other values, (nnz,)."""
         return csr_array((data, self.matrix.indices, self.matrix.indptr), shape=self.matrix.shape)
 
-    def scaled(self, gain: np.float32 | NDArray[np.floating]) -> Truth:
+    def scaled(self, gain: np.float32 | NDArray[np.floating]) -> "Truth":
         """The truth with its entries multiplied by a gain, or each by its own, (nnz,)."""
         direct = np.asarray(self.direct_data * gain, np.float32)
         return replace(self, matrix=self.with_data(self.matrix.data * gain), direct_data=direct)
 
-    def crop(self, region: Region) -> Truth:
+    def crop(self, region: Region) -> "Truth":
         """The truth of a rectangle of the camera's pixels."""
         rows = region.samples(self.camera_shape)
         shape = (*region.shape, *self.camera_shape[2:])
@@ -258,7 +253,7 @@ class Truth(ShortRepr):
             fill_image(folder / settings.DEPTH, self.depth, missing=True)
 
     @classmethod
-    def load(cls, path: Path) -> Truth:
+    def load(cls, path: Path) -> "Truth":
         """Read a truth file.
 
         Raises

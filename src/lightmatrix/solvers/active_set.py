@@ -4,8 +4,6 @@
 its own.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
@@ -152,7 +150,7 @@ class Cells:
     penalties: NDArray[np.float32]
 
     @classmethod
-    def none(cls, patterns: PatternSet, unseen: PatternSet | None = None) -> Cells:
+    def none(cls, patterns: PatternSet, unseen: PatternSet | None = None) -> "Cells":
         """A grid without cells."""
         count = patterns.count + (0 if unseen is None else unseen.count)
         return cls(np.zeros((0, count), np.float32), np.zeros(0, np.float32))

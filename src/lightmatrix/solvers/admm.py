@@ -11,8 +11,6 @@ so pixels act through the centred patterns only. That removes the direction in w
 soft threshold (Eq. 12 and 13). `SaturationADMM` shares both.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any

@@ -1,7 +1,5 @@
 """Fidelities: how samples are compared with predictions. Each is a `DataTerm` with a name."""
 
-from __future__ import annotations
-
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, fields
 from enum import StrEnum
@@ -25,13 +23,13 @@ class Observed:
     # w >= 0; 0 masks a sample.
     weights: NDArray[Any]
 
-    def astype(self, dtype: DTypeLike) -> Observed:
+    def astype(self, dtype: DTypeLike) -> "Observed":
         """The same samples with numbers of another type."""
         numbers = (self.values, self.clip_level, self.weights)
         values, clip_level, weights = (part.astype(dtype) for part in numbers)
         return Observed(values, self.clipped, clip_level, weights)
 
-    def at(self, index: Any) -> Observed:
+    def at(self, index: Any) -> "Observed":
         """Some of the samples."""
         return Observed(*(getattr(self, field.name)[index] for field in fields(self)))
 

@@ -1,7 +1,5 @@
 """The loop of all iterative solvers: iteration limits, stopping row by row, finiteness."""
 
-from __future__ import annotations
-
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, field, fields, replace
 from typing import Any, Protocol, TypeVar

@@ -3,8 +3,6 @@
 Objectives are computed in float64 from their definitions.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from enum import StrEnum
 from functools import cached_property
@@ -102,7 +100,7 @@ class Problem(ShortRepr):
             return self.patterns.means
         return np.asarray(self.background_column, np.float64)
 
-    def take(self, rows: NDArray[np.integer]) -> Problem:
+    def take(self, rows: NDArray[np.integer]) -> "Problem":
         """The problem of some of the rows."""
         return replace(self, samples=self.samples.rows(rows))
 

@@ -5,8 +5,6 @@ second time: it is a store of the transposed matrix within the store. Its rows a
 the projector pixels, those of 16 x 16 pixels together, and then those of the background's cells.
 """
 
-from __future__ import annotations
-
 import itertools
 import math
 import os
@@ -172,7 +170,7 @@ class ColumnIndex(ShortRepr):
     _kept: dict[int, csr_array] = field(default_factory=dict, repr=False)
 
     @classmethod
-    def open(cls, path: str | Path) -> ColumnIndex:
+    def open(cls, path: str | Path) -> "ColumnIndex":
         """Open the index of a store.
 
         Raises

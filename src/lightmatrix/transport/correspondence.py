@@ -1,7 +1,5 @@
 """The correspondence: the projector pixel that each camera pixel sees most."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, fields

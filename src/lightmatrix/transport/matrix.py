@@ -1,7 +1,5 @@
 """`LightTransport`, the matrix in memory, and `ColourTransport`, one for each primary."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field, fields, replace
@@ -165,7 +163,7 @@ class LightTransport(TransportOperator):
         camera_shape: tuple[int, ...],
         projector_shape: tuple[int, int],
         **more: Any,
-    ) -> LightTransport:
+    ) -> "LightTransport":
         """A light transport without background, such as a rendered truth."""
         # Stated here, because SciPy drops the mask of a masked array.
         dense = matrix if issparse(matrix) else real_array("a matrix", matrix)
@@ -183,7 +181,7 @@ class LightTransport(TransportOperator):
         """Some rows without their diagnostics."""
         return SparseRows(csr_array(self.sparse[start:stop]), self.background[start:stop])
 
-    def crop(self, region: Region) -> LightTransport:
+    def crop(self, region: Region) -> "LightTransport":
         """The light transport of a rectangle of camera pixels."""
         rows = region.samples(self.camera_shape)
         return replace(
@@ -192,7 +190,7 @@ class LightTransport(TransportOperator):
             diagnostics={name: values[rows] for name, values in self.diagnostics.items()},
         )  # fmt: skip
 
-    def cropped_like(self, estimate: LightTransport) -> LightTransport:
+    def cropped_like(self, estimate: "LightTransport") -> "LightTransport":
         """The part that `estimate` covers: of cropped photographs, of one of several projectors."""
         region, number = estimate.region, estimate.provenance.get("projector")
         part = self.split()[number - 1] if number and PROJECTORS in self.provenance else self
@@ -200,7 +198,7 @@ class LightTransport(TransportOperator):
             return part
         return part.crop(region) if self.camera_shape[:2] == region.whole else part
 
-    def split(self) -> tuple[LightTransport, ...]:
+    def split(self) -> "tuple[LightTransport, ...]":
         """T of each of several projectors that were measured at once; itself if there is one."""
         sizes = self.provenance.get(PROJECTORS)
         if not sizes:

@@ -3,8 +3,6 @@
 `import_npz` reads exports and rendered truths.
 """
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from typing import Any

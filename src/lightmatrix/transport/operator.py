@@ -1,7 +1,5 @@
 """T and its transpose as linear operators: ``transport @ p``, ``transport.T @ c``, their SVD."""
 
-from __future__ import annotations
-
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Iterator
@@ -47,7 +45,7 @@ class Operator(ABC):
 
     @property
     @abstractmethod
-    def T(self) -> Operator:  # noqa: N802 - the name of a transpose in NumPy and SciPy
+    def T(self) -> "Operator":  # noqa: N802 - the name of a transpose in NumPy and SciPy
         """The transposed operator."""
 
     @abstractmethod
@@ -87,7 +85,7 @@ class Operator(ABC):
 class Transposed(Operator):
     """The transpose of T: from lights at the camera to the image that the projector would see."""
 
-    matrix: TransportOperator
+    matrix: "TransportOperator"
 
     def __repr__(self) -> str:
         return f"{self.matrix!r}.T"
@@ -103,7 +101,7 @@ class Transposed(Operator):
         return self.matrix.image_shapes[::-1]
 
     @property
-    def T(self) -> TransportOperator:  # noqa: N802 - the name of a transpose in NumPy and SciPy
+    def T(self) -> "TransportOperator":  # noqa: N802 - the name of a transpose in NumPy and SciPy
         """T itself."""
         return self.matrix
 

@@ -3,8 +3,6 @@
 `compensate`, `compensate_video` and `cancel_global` share one bounded least squares problem.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -161,7 +159,7 @@ def joint_light(transport: Transport | Sequence[Transport]) -> JointLight:
 # The images of the patterns.
 
 
-def write_shown(output: str | Path, found: Compensation, *, overwrite: bool = False) -> None:
+def write_shown(output: str | Path, found: "Compensation", *, overwrite: bool = False) -> None:
     """Write its patterns as images: one, which may be in colour, or several with numbers."""
     images = [np.stack(found.encoded, axis=-1)] if found.in_colour else found.encoded
     files = shown_files(output, len(images))

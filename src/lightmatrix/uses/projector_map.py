@@ -1,7 +1,5 @@
 """Where the light of each projector pixel goes, for programs that map pictures onto a scene."""
 
-from __future__ import annotations
-
 import zipfile
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -62,7 +60,7 @@ class ProjectorMap(ShortRepr):
     weight: NDArray[np.float32]
     confidence: NDArray[np.float32]
     source_shape: tuple[int, int]
-    reverse: ProjectorMap | None = None
+    reverse: "ProjectorMap | None" = None
     blend: NDArray[np.float32] | None = None
 
     @property

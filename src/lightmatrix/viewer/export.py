@@ -1,7 +1,5 @@
 """`lm.export_viewer`: the viewer with one matrix as one file, which needs no server."""
 
-from __future__ import annotations
-
 import base64
 import re
 from collections.abc import Mapping

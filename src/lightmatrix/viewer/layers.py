@@ -8,15 +8,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from matplotlib import colormaps
-from matplotlib.colors import Colormap
 from numpy.typing import NDArray
 from scipy.sparse import csc_array
 
 from lightmatrix.errors import InputError
 from lightmatrix.geometry.rig_geometry import RigGeometry
 from lightmatrix.pictures import maps
-from lightmatrix.pictures.style import white_level
 from lightmatrix.shape.layers import Layers, layers
 from lightmatrix.shape.shape import Shape
 from lightmatrix.shape.triangulation import triangulate
@@ -56,7 +53,7 @@ def matrix_data(transport: LightTransport) -> bytes:
     header = {
         "value_scale": value_scale,
         "background_scale": background_scale,
-        "white": white_level(transport.relight(np.ones(transport.projector_shape))),
+        "white": maps.white_level(transport.relight(np.ones(transport.projector_shape))),
     }
     arrays = {
         "ends": by_columns.indptr.astype(np.uint32),
@@ -84,8 +81,8 @@ class LayerSource:
         self.facts = matrix if isinstance(matrix, LightTransport) else matrix.facts
         # The colour scales that the page itself uses.
         self.colours = {
-            "false": _colours(colormaps["viridis"]),
-            "faint": _colours(colormaps["inferno"]),
+            "false": maps.colour_bytes("viridis"),
+            "faint": maps.colour_bytes("inferno"),
         }
         self._lock = threading.Lock()
         self._made: dict[str, bytes] = {}
@@ -158,11 +155,6 @@ class Layer:
     side: str = "camera"
 
 
-def _colours(colour_map: Colormap) -> NDArray[np.uint8]:
-    """The colours of a scale as (256, 3) bytes. A map with fewer would show bands."""
-    return np.asarray(colour_map(np.linspace(0, 1, 256), bytes=True))[:, :3]
-
-
 def packed_map(shown: maps.Map) -> bytes:
     """A map with its colours."""
     header: dict[str, Any] = {
@@ -173,12 +165,12 @@ def packed_map(shown: maps.Map) -> bytes:
         "logarithmic": shown.logarithmic,
     }
     values = shown.values.astype(np.float32)
-    return packed(header, {"values": values, "colours": _colours(shown.colour_map)})
+    return packed(header, {"values": values, "colours": maps.colour_bytes(shown.colour_map)})
 
 
 def _image(image: NDArray[np.floating], **more: Any) -> bytes:
     """An image over the camera or the projector, with the light that is shown as white."""
-    return packed({**more, "white": white_level(image)}, {"values": image})
+    return packed({**more, "white": maps.white_level(image)}, {"values": image})
 
 
 def _light(light: LightTransport) -> bytes:

@@ -1,7 +1,5 @@
 """T where Python keeps it, for matrices that the page does not hold: on disk, or in memory."""
 
-from __future__ import annotations
-
 import itertools
 import math
 import threading
@@ -85,7 +83,7 @@ class StoredLight(Light):
         self._lock = threading.Lock()
 
     @classmethod
-    def open(cls, path: str | Path, progress: StageProgress | None = None) -> StoredLight:
+    def open(cls, path: str | Path, progress: StageProgress | None = None) -> "StoredLight":
         """Open a store; without an index, make it."""
         matrix = StoredTransport.open(path, memory=_KEPT_BYTES)
         if not (matrix.place / COLUMNS).is_dir():

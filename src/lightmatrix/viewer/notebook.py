@@ -1,7 +1,5 @@
 """`lm.view`: the viewer as a widget in notebooks."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from functools import cache
 from pathlib import Path

@@ -14,7 +14,7 @@ from lightmatrix.files.kinds import printable
 from lightmatrix.geometry.rig_geometry import RigGeometry
 from lightmatrix.paths import as_path
 from lightmatrix.patterns.pattern_set import PatternSet
-from lightmatrix.pictures.style import white_level
+from lightmatrix.pictures.maps import white_level
 from lightmatrix.transport import store
 from lightmatrix.transport.matrix import LightTransport
 from lightmatrix.transport.store import StoredTransport

@@ -1,7 +1,5 @@
 """`lm.serve_viewer`: the viewer in the browser, served by this process until Ctrl-C."""
 
-from __future__ import annotations
-
 import asyncio
 import html
 import os

@@ -1,7 +1,5 @@
 """What all devices share: addresses, what projectors and cameras can do, exposures and times."""
 
-from __future__ import annotations
-
 import re
 import time
 from abc import ABC, abstractmethod
@@ -30,7 +28,7 @@ class Address:
     options: dict[str, str] = field(default_factory=dict)
 
     @classmethod
-    def parse(cls, text: str) -> Address:
+    def parse(cls, text: str) -> "Address":
         """Split an address into its parts; an InputError if an option is given twice.
 
         >>> Address.parse("aravis:Basler-21,trigger=free,Gain=0")

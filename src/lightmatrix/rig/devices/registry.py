@@ -1,7 +1,5 @@
 """The back ends that lightmatrix has, and opening devices by their addresses."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack, closing
 from dataclasses import dataclass, replace

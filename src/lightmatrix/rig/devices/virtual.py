@@ -1,7 +1,5 @@
 """A virtual projector and camera before a scene whose T is known, in real or simulated time."""
 
-from __future__ import annotations
-
 import math
 from collections import deque
 from collections.abc import Iterator
@@ -75,11 +73,10 @@ def parse_settings(text: str) -> VirtualSettings:
     values: dict[str, Any] = {}
     address.check_options(list(kinds))
     for name, value in address.options.items():
-        whole = kinds[name] == "int"
         try:
-            values[name] = int(value) if whole else float(value)
+            values[name] = kinds[name](value)
         except ValueError:
-            hint = f"give {name} a {'whole ' * whole}number, {name}=1"
+            hint = f"give {name} a {'whole ' * (kinds[name] is int)}number, {name}=1"
             raise InputError(f"a virtual rig with {name}={value}", hint=hint) from None
     return VirtualSettings(address.argument, **values)
 
@@ -263,7 +260,7 @@ class VirtualCamera(Camera):
         if not self._settings.fps:
             self._take(self._clock.now() + HARDWARE.trigger_delay)
 
-    def reopen(self) -> VirtualCamera:
+    def reopen(self) -> "VirtualCamera":
         """The camera after it was closed or lost, without its frames."""
         self._closed = False
         self._waiting.clear()
