@@ -28,8 +28,8 @@ from skimage import data
 import lightmatrix as lm
 from experiments.harness import best_seconds
 from experiments.harness import options as options_of
+from lightmatrix.files.images import fitted
 from lightmatrix.uses.compensation import compensator
-from lightmatrix.uses.wanted import fitted
 
 ROWS, COLS = 768, 1024
 # Frames of the shorter film, with which the longer one is compared.

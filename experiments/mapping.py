@@ -18,7 +18,7 @@ from skimage import data
 
 from experiments.harness import Experiment, Measured, Row, means
 from lightmatrix.estimators.estimate import estimate
-from lightmatrix.files.images import write_image
+from lightmatrix.files.images import fitted, write_image
 from lightmatrix.judgement.metrics import relative_error
 from lightmatrix.patterns.making import make_patterns
 from lightmatrix.pictures.maps import display
@@ -34,7 +34,7 @@ from lightmatrix.transport.correspondence import Correspondence
 from lightmatrix.transport.matrix import LightTransport
 from lightmatrix.uses.compensation import Compensation, Compensator, compensate, compensator
 from lightmatrix.uses.projector_map import map_projector
-from lightmatrix.uses.wanted import fitted, wanted_samples
+from lightmatrix.uses.wanted import wanted_samples
 
 NOISE = 0.003
 # The columns of the simulated projector that each of two projectors has.

@@ -160,7 +160,7 @@ PHOTOGRAPHED: dict[str, dict[str, Any]] = {
     "leak 0.005": {"leak": 0.005},
     "noise 0.01": {"noise": 0.01},
     "noise 0.03": {"noise": 0.03},
-    "12 bits, shot noise": {"bits": 12, "noise": 0.001, "shot_noise": 0.005},
+    "12 bits, shot noise": {"bits": 12, "noise": 0.001, "full_well": 40_000},
     "full well of 10,500": {"full_well": 10_500},
     "full well of 2,000": {"full_well": 2_000},
     "response off by 5 %": {},

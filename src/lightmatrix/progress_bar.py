@@ -5,16 +5,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
 
+from rich import progress as bars
 from rich.console import Console
-from rich.progress import (
-    BarColumn,
-    MofNCompleteColumn,
-    Progress,
-    ProgressColumn,
-    Task,
-    TextColumn,
-    TimeRemainingColumn,
-)
 from rich.text import Text
 
 # Progress bars compute rate and time left from this many last seconds. Chosen by hand: the stages
@@ -32,14 +24,14 @@ def progress_bar(what: str, unit: str, console: Console | None = None) -> Iterat
         return
     console = console or Console(stderr=True)
     columns = (
-        TextColumn("{task.description}", markup=False),
-        BarColumn(),
-        MofNCompleteColumn(),
+        bars.TextColumn("{task.description}", markup=False),
+        bars.BarColumn(),
+        bars.MofNCompleteColumn(),
         _Rate(),
-        TimeRemainingColumn(),
-        TextColumn("{task.fields[note]}", markup=False),
+        bars.TimeRemainingColumn(),
+        bars.TextColumn("{task.fields[note]}", markup=False),
     )
-    bar_of = Progress(
+    bar_of = bars.Progress(
         *columns, console=console, transient=True, speed_estimate_period=_STEADY_SECONDS
     )
     with bar_of as bar:
@@ -49,8 +41,8 @@ def progress_bar(what: str, unit: str, console: Console | None = None) -> Iterat
         )
 
 
-class _Rate(ProgressColumn):
-    def render(self, task: Task) -> Text:
+class _Rate(bars.ProgressColumn):
+    def render(self, task: bars.Task) -> Text:
         speed = task.finished_speed or task.speed
         return Text("" if speed is None else f"{_short(speed)} {task.fields['unit']}/s")
 

@@ -137,10 +137,10 @@ def test_render(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
         ("--exposure 1:0.75,0.25:0.25 --bits 12", {"exposure": "1:0.75,0.25:0.25", "bits": 12}),
         (
             "--leak 0.02 --ambient 0.1 --black-level 4 --blur 0.7 --vignetting 0.3 "
-            "--shot-noise 0.01 --noise 0.01 --seed 5",
+            "--full-well 10000 --noise 0.01 --seed 5",
             {
                 "leak": 0.02, "ambient": 0.1, "black_level": 4, "blur": 0.7, "vignetting": 0.3,
-                "shot_noise": 0.01, "noise": 0.01, "seed": 5,
+                "full_well": 10_000, "noise": 0.01, "seed": 5,
             },
         ),
     ],

@@ -21,7 +21,7 @@ def _photograph(light: Any, seed: int) -> Any:
 
 def _average(light: Any, count: int = 4) -> AveragedFrame:
     shots = [Shot(Frame(_photograph(light, k), 0.0, TOP), 0.01) for k in range(count)]
-    mean = np.mean([shot.data for shot in shots], axis=0, dtype=np.float32)
+    mean = np.mean([shot.frame.data for shot in shots], axis=0, dtype=np.float32)
     return AveragedFrame(np.asarray(mean), shots, NOISE, 0.001)
 
 

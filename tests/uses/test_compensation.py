@@ -20,9 +20,9 @@ from scipy.sparse import csr_array, kron
 
 import lightmatrix as lm
 from lightmatrix.cli import main
+from lightmatrix.files.images import fitted
 from lightmatrix.simulation.truth import Truth, binned
 from lightmatrix.uses.compensation import BoundedFit, JointLight, Reach, compensator, joint_light
-from lightmatrix.uses.wanted import fitted
 
 
 def _scene(

@@ -8,19 +8,20 @@ import hashlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lightmatrix.capture.correction import Correction
 from lightmatrix.capture.decoder import Decoder
-from lightmatrix.capture.folder import holds_capture, read_capture, read_folders
-from lightmatrix.capture.frames import ArrayStack, CutFrames, Frames, Reader, Surroundings, cut
+from lightmatrix.capture.folder import read_capture, read_folders
+from lightmatrix.capture.frames import ArrayStack, CutFrames, Frames, Reader, cut
 from lightmatrix.capture.samples import Samples
 from lightmatrix.capture.sensor import Sensor
 from lightmatrix.capture.settings import ReadSettings
 from lightmatrix.errors import InputError
+from lightmatrix.files.stacks import is_stack
 from lightmatrix.patterns.pattern_set import PatternSet, block_size
 from lightmatrix.ranges import check_finite, real_array
 from lightmatrix.regions import Region
@@ -49,8 +50,8 @@ class Capture(Reader):
         Rows and columns of the blocks that are averaged.
     provenance : mapping
         What made the capture, JSON-ready.
-    surroundings : Surroundings, optional
-        What `crop` left out of the black frame and the mask; see `whole`.
+    surroundings : (array or None, array or None), optional
+        The black frame and the mask of which `crop` took a rectangle; see `whole`.
     projector_unknown : bool
         Whether the patterns are grey values whose light `estimate` finds in the frames. They are
         taken as light until then.
@@ -84,7 +85,7 @@ class Capture(Reader):
     bin_projector: tuple[int, int] = (1, 1)
     bin_camera: tuple[int, int] = (1, 1)
     provenance: Mapping[str, Any] = field(default_factory=dict)
-    surroundings: Surroundings | None = None
+    surroundings: tuple[NDArray[Any] | None, NDArray[np.bool_] | None] | None = None
     projector_unknown: bool = False
     projectors: tuple[tuple[int, int], ...] = ()
     correction: Correction | None = None
@@ -126,7 +127,7 @@ class Capture(Reader):
         bin_projector: int | tuple[int, int] = 1,
         bin_camera: int | tuple[int, int] = 1,
         allow_outside: bool = False,
-    ) -> "Capture":
+    ) -> Self:
         """Read a capture folder or a packed capture, without judging it (see `check`).
 
         Parameters
@@ -153,7 +154,8 @@ class Capture(Reader):
     @staticmethod
     def lies_at(path: str | Path) -> bool:
         """Whether a path leads to a capture, packed or not, which may still be damaged."""
-        return holds_capture(Path(path))
+        entries = Path(path).iterdir() if Path(path).is_dir() else ()
+        return {"patterns", "images"} <= {e.stem for e in entries if e.is_dir() or is_stack(e)}
 
     @classmethod
     def from_folders(
@@ -165,7 +167,7 @@ class Capture(Reader):
         crop: Crop | None = None,
         bin_projector: int | tuple[int, int] = 1,
         bin_camera: int | tuple[int, int] = 1,
-    ) -> "Capture":
+    ) -> Self:
         """A capture from two plain folders of images in natural order, or two stacks.
 
         Parameters
@@ -198,7 +200,7 @@ class Capture(Reader):
         *,
         mask: NDArray[np.bool_] | None = None,
         provenance: Mapping[str, Any] | None = None,
-    ) -> "Capture":
+    ) -> Self:
         """A capture from frames in memory, such as simulated ones.
 
         Parameters
@@ -232,7 +234,7 @@ class Capture(Reader):
         capture.decoder.check_count(capture.count, array[0].size)
         return capture
 
-    def _cut_and_binned(self, crop: Crop | None, *blocks: int | tuple[int, int]) -> "Capture":
+    def _cut_and_binned(self, crop: Crop | None, *blocks: int | tuple[int, int]) -> Self:
         self.decoder.check_count(self.count)
         whole = self if crop is None else self.crop(*crop)
         return whole.bin(*blocks)
@@ -252,7 +254,7 @@ class Capture(Reader):
         """Clip level of the longest exposure, as a sample at exposure 1: the unit of a row of T."""
         return float(1 / self.exposures.max())
 
-    def crop(self, corner: tuple[int, int], shape: tuple[int, int]) -> "Capture":
+    def crop(self, corner: tuple[int, int], shape: tuple[int, int]) -> Self:
         """A rectangle of the photographs, cut out of each as it is read.
 
         Pixels outside of it take no memory, and no time beyond that of reading a photograph. The
@@ -287,23 +289,23 @@ class Capture(Reader):
             black = decoder.black_frame.reshape(self.frames.shape)[inside]
             decoder = replace(decoder, black_frame=black.ravel())
         mask = None if self.mask is None else self.mask[inside]
-        around = self.surroundings or Surroundings(self.decoder.black_frame, self.mask)
+        around = self.surroundings or (self.decoder.black_frame, self.mask)
         return replace(
             self, frames=frames, decoder=decoder, mask=mask, surroundings=around,
             correction=self.correction and self.correction.window(*inside, self.camera_shape),
         )  # fmt: skip
 
     @property
-    def whole(self) -> "Capture":
+    def whole(self) -> Self:
         """The capture of whole photographs, of which `crop` took a rectangle; else itself."""
         if self.surroundings is None or not isinstance(self.frames, CutFrames):
             return self
-        around, frames = self.surroundings, self.frames.frames
-        decoder = replace(self.decoder, black_frame=around.black_frame)
-        whole = replace(self, frames=frames, decoder=decoder, mask=around.mask)
+        black, mask = self.surroundings
+        decoder = replace(self.decoder, black_frame=black)
+        whole = replace(self, frames=self.frames.frames, decoder=decoder, mask=mask)
         return replace(whole, bin_camera=(1, 1), surroundings=None, correction=None)
 
-    def window(self, rows: slice, cols: slice) -> "Capture":
+    def window(self, rows: slice, cols: slice) -> Self:
         """The capture of a rectangle of its binned camera pixels; slices with start and stop."""
         height, width = self.frames.shape[:2]
         down, across = self.bin_camera
@@ -314,9 +316,7 @@ class Capture(Reader):
         part = whole.crop(corner, (end[0] - corner[0], end[1] - corner[1]))
         return replace(part, bin_camera=self.bin_camera, surroundings=None, correction=correction)
 
-    def bin(
-        self, projector: int | tuple[int, int] = 1, camera: int | tuple[int, int] = 1
-    ) -> "Capture":
+    def bin(self, projector: int | tuple[int, int] = 1, camera: int | tuple[int, int] = 1) -> Self:
         """Average blocks of projector and of camera pixels.
 
         A camera sample is then clipped if any of its pixels is; patterns become grey.
@@ -342,7 +342,7 @@ class Capture(Reader):
             result = replace(self, patterns=coarse, bin_projector=blocks[0])
         return result if blocks[1] == (1, 1) else replace(result, bin_camera=blocks[1])
 
-    def select(self, frames: Sequence[int] | NDArray[np.integer]) -> "Capture":
+    def select(self, frames: Sequence[int] | NDArray[np.integer]) -> Self:
         """The capture of some frames, given by their indices."""
         index = np.asarray(frames, np.int64)
         return replace(

@@ -55,14 +55,6 @@ from lightmatrix.patterns.projector_curve import ProjectorResponse
 from lightmatrix.reprs import jsonable
 
 
-def holds_capture(place: Path) -> bool:
-    """Whether a folder is a capture, packed or not; it may be damaged."""
-    if not place.is_dir():
-        return False
-    stems = {entry.stem for entry in place.iterdir() if entry.is_dir() or is_stack(entry)}
-    return {"patterns", "images"} <= stems
-
-
 def read_capture(
     folder: str | Path, *, allow_outside: bool = False, counted: bool = True
 ) -> CaptureParts:

@@ -178,14 +178,6 @@ class CutPixels(CutFrames):
         return replace(self, frames=self.frames.select(index))
 
 
-@dataclass(frozen=True, eq=False)
-class Surroundings:
-    """The black frame and the mask of whole photographs of which a rectangle was taken."""
-
-    black_frame: NDArray[Any] | None
-    mask: NDArray[np.bool_] | None
-
-
 def cut(frames: Frames, corner: tuple[int, int], shape: tuple[int, int]) -> CutFrames:
     """A rectangle of frames, which may themselves be cut, from a corner of (row, col)."""
     rows, cols = frames.shape[:2]

@@ -8,15 +8,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from lightmatrix.capture.camera_curve import (
-    AUTOMATIC,
-    MOST_LEVEL,
-    RESPONSES,
-    Response,
-    check_exposures,
-    check_levels,
-    curve_file,
-)
+from lightmatrix.capture import camera_curve as curves
 from lightmatrix.errors import InputError
 from lightmatrix.files.reading import errors_naming, read_json, within
 from lightmatrix.patterns.projector_curve import ProjectorResponse
@@ -84,7 +76,7 @@ class ReadSettings(ShortRepr):
     clip: float | NDArray[Any] | Literal["auto"] | None = None
     full_scale: float | None = None
     exposure: float | NDArray[Any] = 1.0
-    response: Response | str | None = None
+    response: curves.Response | str | None = None
     projector_response: str | Path | ProjectorResponse | None = None
     mask: str | Path | None = None
     mosaic: bool = False
@@ -100,13 +92,13 @@ class ReadSettings(ShortRepr):
             object.__setattr__(self, "black", None)
         for name in ("black_level", "clip", "exposure"):
             value = getattr(self, name)
-            automatic = name == "clip" and isinstance(value, str) and value == AUTOMATIC
+            automatic = name == "clip" and isinstance(value, str) and value == curves.AUTOMATIC
             if value is not None and not automatic:
                 levels = real_numbers(name.replace("_", " "), value)
                 object.__setattr__(self, name, levels if levels.ndim else float(levels))
         clip = None if isinstance(self.clip, str) else self.clip
-        check_levels(clip, self.black_level, self.full_scale)
-        check_exposures(self.exposure)
+        curves.check_levels(clip, self.black_level, self.full_scale)
+        curves.check_exposures(self.exposure)
         if self.black_exposure is not None:
             check_number(
                 "a black exposure", self.black_exposure, above=True,
@@ -157,14 +149,14 @@ def read_description(file: Path, *, allow_outside: bool = False) -> Description:
 
     response, projector = values["response"], values["projector_response"]
     if response is not None:
-        path(curve_file(response))
+        path(curves.curve_file(response))
     with errors_naming(file):
         settings = ReadSettings(
             black=path(frame["file"]), black_exposure=frame["exposure"],
             black_level=values["black_level"], clip=values["clip"], full_scale=values["full_scale"],
             exposure=1.0 if values["exposure"] is None else values["exposure"],
-            response=None if response is None else Response.parse(response, file.parent),
-            projector_response=projector if projector == AUTOMATIC else path(projector),
+            response=None if response is None else curves.Response.parse(response, file.parent),
+            projector_response=projector if projector == curves.AUTOMATIC else path(projector),
             mask=path(values["mask"]), mosaic=bool(values["mosaic"]),
         )  # fmt: skip
     absent = frozenset(KEYS.keys() - content.keys())
@@ -202,7 +194,7 @@ def _read(
 
 def _number(value: Any) -> float | None:
     # In Python True is a number, and whole numbers may exceed every float.
-    if type(value) not in (int, float) or abs(value) > MOST_LEVEL:
+    if type(value) not in (int, float) or abs(value) > curves.MOST_LEVEL:
         return None
     return float(value)
 
@@ -220,7 +212,7 @@ def _several(value: Any) -> Levels | None:
 
 
 def _clip(value: Any) -> Levels | str | None:
-    return AUTOMATIC if value == AUTOMATIC else _several(value)
+    return curves.AUTOMATIC if value == curves.AUTOMATIC else _several(value)
 
 
 def _shape(value: Any) -> tuple[int, ...] | None:
@@ -256,8 +248,8 @@ KEYS: dict[str, _Kind] = {
     "exposure": (_several, "a number above 0, or one for each frame"),
     "clip": (_clip, "a level above 0, one for each frame, or auto"),
     "black_level": (_several, "a level of 0 or more, or one for each frame"),
-    "full_scale": (_above_0, f"a level above 0, at most {MOST_LEVEL:g}"),
-    "response": (_text, RESPONSES),
+    "full_scale": (_above_0, f"a level above 0, at most {curves.MOST_LEVEL:g}"),
+    "response": (_text, curves.RESPONSES),
     "projector_response": (_text, "the name of a projector's curve, or auto"),
     "mosaic": (_of(bool), "true or false"),
 }

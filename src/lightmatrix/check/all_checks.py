@@ -16,23 +16,10 @@ from lightmatrix.capture.capture import Capture, Crop
 from lightmatrix.capture.folder import check_depth, read_capture, read_folders
 from lightmatrix.capture.frames import CaptureParts
 from lightmatrix.capture.settings import ReadSettings
+from lightmatrix.check import code_order, levels
 from lightmatrix.check.code_frames import check_brightness, check_grey_values, check_uniform
-from lightmatrix.check.code_order import (
-    CodeLattice,
-    check_code_order,
-    check_mirrored,
-    missing_of_code,
-)
 from lightmatrix.check.finding import Finding, join_names
 from lightmatrix.check.inverse_pairs import check_pairs, find_pairs
-from lightmatrix.check.levels import (
-    check_clip_level,
-    check_jpeg,
-    check_light_level,
-    check_plain_frames,
-    check_saturated,
-    check_two_levels,
-)
 from lightmatrix.check.motion import check_motion
 from lightmatrix.check.prediction import predict
 from lightmatrix.check.relation import Relation, check_relation, check_unseen
@@ -145,9 +132,9 @@ def check_counts(survey: Survey | None, patterns: int, images: Sequence[Path]) -
 def missing_places(survey: Survey) -> tuple[int, ...]:
     """Which of K patterns may have no frame among K - 1 frames; empty if unknown."""
     patterns, count = survey.patterns, survey.count
-    lattice = CodeLattice.of(survey)
+    lattice = code_order.CodeLattice.of(survey)
     if lattice is not None:
-        return missing_of_code(lattice)
+        return code_order.missing_of_code(lattice)
     # Frames after the missing one show the pattern after that of their number.
     first = replace(survey, patterns=patterns.subset(np.arange(count)))
     place = size = 0
@@ -190,12 +177,12 @@ def check_capture(capture: Capture) -> list[Finding]:
     """
     with one_blas_thread():
         survey = _survey(capture.whole)
-        findings = check_interchanged(survey) or check_saturated(survey, capture.frames.name)
+        findings = check_interchanged(survey) or levels.check_saturated(survey, capture.frames.name)
         if findings:
             return findings
         # What follows judges by the level at which the photographs do clip, and by the pixels that
         # see the projector.
-        of_clip, survey = check_clip_level(survey)
+        of_clip, survey = levels.check_clip_level(survey)
         unseen, survey = check_unseen(survey)
         if capture.whole is not capture:
             unseen, _ = check_unseen(_survey(capture))
@@ -215,18 +202,20 @@ def _check_surveyed(survey: Survey, capture: Capture, copies: list[Finding]) -> 
     def of_light() -> list[Finding]:
         seen = survey if capture.whole is capture else _survey(capture)
         found = check_distinguishable(survey.patterns)
-        found += check_light_level(seen, lattice.codes.codes if lattice else ())
+        found += levels.check_light_level(seen, lattice.codes.codes if lattice else ())
         if lattice is not None and not displaced:
-            found += check_mirrored(lattice)
-        return found + check_jpeg(survey, names)
+            found += code_order.check_mirrored(lattice)
+        return found + levels.check_jpeg(survey, names)
 
-    lattice, pairs = CodeLattice.of(survey), find_pairs(survey.patterns)
+    lattice, pairs = code_order.CodeLattice.of(survey), find_pairs(survey.patterns)
     # A white photograph, or a black one, would seem to be in the wrong place. Where patterns come
     # with inverses, the sums of pairs tell which one it is.
     uniform = list[Finding]()
     if lattice and not len(pairs) and lattice.possible(np.arange(survey.count)).all():
         uniform = check_uniform(lattice, names.__getitem__)
-    displaced = check_code_order(lattice, names.__getitem__) if lattice and not uniform else []
+    displaced = (
+        code_order.check_code_order(lattice, names.__getitem__) if lattice and not uniform else []
+    )
     # Stripes tell that two photographs are alike, and not which one is in the other's place.
     copied = {k for each in copies for k in each.frames}
     if any(each.frames and copied.issuperset(each.frames) for each in displaced):
@@ -264,7 +253,7 @@ def _check_surveyed(survey: Survey, capture: Capture, copies: list[Finding]) -> 
         return findings + displaced
     # Photographs of another series or scene are no reason to measure the camera's curve.
     if not any(each.kind in (*kinds, "unrelated") for each in of_frames):
-        of_frames += check_two_levels(survey, rows)
+        of_frames += levels.check_two_levels(survey, rows)
     return findings + of_frames
 
 
@@ -371,7 +360,7 @@ def _check_by_pairs(
     disorder: list[Finding],
 ) -> list[Finding]:
     """Checks of patterns that come with their inverses; `disorder` is that of stripes."""
-    findings = check_plain_frames(survey, rows, names)
+    findings = levels.check_plain_frames(survey, rows, names)
     of_pairs = check_pairs(survey, rows, pairs, names)
     # One black or spoilt frame, and motion, look like a swap. It is one if pairs add up once both
     # frames are exchanged.
@@ -397,7 +386,7 @@ def _check_by_prediction(
     exchanged = sorted({k for each in order for k in each.frames})
     if order and not 0 < len(exchanged) < _MOST_ODD * survey.count:
         return order
-    findings = order + check_plain_frames(survey, rows, names)
+    findings = order + levels.check_plain_frames(survey, rows, names)
     samples = survey.samples(rows)
     # Learned from all frames: few that show something else hardly mislead it.
     first = predict(survey.patterns, samples)

@@ -148,12 +148,6 @@ class CodeLattice:
         return result
 
     @property
-    def readable(self) -> NDArray[np.bool_]:
-        """Which costs in the order as it is come from words of the code."""
-        parts = [self.apart(code, np.arange(len(self.samples))) for code in self.codes.codes]
-        return np.concatenate([np.isfinite(part) for pair in parts for part in pair])
-
-    @property
     def invisible(self) -> NDArray[np.bool_]:
         """Which frames show stripes too fine to be seen, (K,): like their inverses, to 2 %."""
         result = np.zeros(len(self.samples), bool)
@@ -245,7 +239,9 @@ def check_code_order(lattice: CodeLattice, name: Name) -> list[Finding]:
     count = lattice.patterns.count
     frames = np.arange(count)
     known: dict[bytes, NDArray[np.float64]] = {}
-    read, invisible = lattice.readable, lattice.invisible
+    # Which costs in the order as it is come from words of the code.
+    parts = [part for code in lattice.codes.codes for part in lattice.apart(code, frames)]
+    read, invisible = np.isfinite(np.concatenate(parts)), lattice.invisible
     own = np.where(lattice.possible(frames), frames, -1)
     # The later of two that are the same may have the other's image; nothing is read from it then.
     own[[later for _, later in lattice.twins]] = -1

@@ -78,7 +78,8 @@ class _Follower:
         """The logarithm of what the prediction of each followed row misses, (m,)."""
         samples = self.here
         if shift != (0, 0):
-            there = self.survey.samples(self.survey.neighbour(self.rows, shift))
+            _, _, cols, channels = self.survey.grid
+            there = self.survey.samples(self.rows + (shift[0] * cols + shift[1]) * channels)
             late = np.arange(self.survey.count) >= start
             parts = (
                 (each.values, each.clipped, each.clip_levels_of_all())

@@ -137,11 +137,6 @@ class Survey:
         inside[:, MARGIN:-MARGIN, MARGIN:-MARGIN] = True
         return inside.ravel()
 
-    def neighbour(self, rows: NDArray[np.integer], shift: tuple[int, int]) -> NDArray[np.integer]:
-        """The rows of the survey that lie (down, right) of the given inner ones."""
-        _, _, cols, channels = self.grid
-        return np.asarray(rows + (shift[0] * cols + shift[1]) * channels)
-
 
 def high_variance_rows(survey: Survey) -> NDArray[np.int64]:
     """Rows that vary much and clip little, at random among equals; sorted, perhaps none."""

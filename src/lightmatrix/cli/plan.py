@@ -6,34 +6,21 @@ from typing import Literal
 from typer import Argument, Option
 
 import lightmatrix as lm
-from lightmatrix.cli.options import (
-    USUAL_SIZE,
-    Clip,
-    Json,
-    Overwrite,
-    ResponseCurve,
-    Seed,
-    described,
-    size,
-)
+from lightmatrix import defaults
+from lightmatrix.cli import options
 from lightmatrix.cli.source import level_or_file
 from lightmatrix.cli.terminal import answer, progress, say, show_columns, show_json
-from lightmatrix.defaults import (
-    FEWEST_BLACK_AND_WHITE,
-    FEWEST_MIXED,
-    MIX_EXAMPLE,
-    USUAL_COUNT,
-    USUAL_NOISE,
-)
 from lightmatrix.errors import InputError
 
 
-@described(
+@options.described(
     source=Argument(
         metavar="WHITE_FRAME|SCENE|T.npz",
         help="Photograph under a white pattern; or a scene or a truth file to simulate.",
     ),
-    shape=Option("--size", help="Rows x columns of the projector.", show_default=USUAL_SIZE),
+    shape=Option(
+        "--size", help="Rows x columns of the projector.", show_default=options.USUAL_SIZE
+    ),
     frames=Option(
         "-k", "--count", help="Number of patterns.", show_default="as --error needs", min=2
     ),
@@ -53,15 +40,15 @@ def plan(
     shape: str | None = None,
     frames: int | None = None,
     error: float = 0.03,
-    noise: float = USUAL_NOISE,
+    noise: float = defaults.USUAL_NOISE,
     exposure: float | None = None,
     shortest: float | None = None,
     black: str | None = None,
-    clip: Clip = None,
-    response: ResponseCurve = None,
+    clip: options.Clip = None,
+    response: options.ResponseCurve = None,
     output: Path | None = None,
-    overwrite: Overwrite = False,
-    as_json: Json = False,
+    overwrite: options.Overwrite = False,
+    as_json: options.Json = False,
 ) -> None:
     """Advise exposures, patterns and the number of frames.
 
@@ -69,7 +56,7 @@ def plan(
     """
     with progress("rendering", "paths") as report:
         advice = lm.plan(
-            source, size=None if shape is None else size(shape), frames=frames, error=error,
+            source, size=None if shape is None else options.size(shape), frames=frames, error=error,
             noise=noise, exposure=exposure, shortest=shortest,
             black=None if black is None else level_or_file(black), clip=clip, response=response,
             output=output, overwrite=overwrite, progress=report,
@@ -78,7 +65,7 @@ def plan(
         show_json(advice.as_dict())
         return
     if not advice.simulated and shape is None:
-        say(f"for a projector of {USUAL_SIZE}; give the size of yours with --size")
+        say(f"for a projector of {options.USUAL_SIZE}; give the size of yours with --size")
     if advice.white_is_clipped:
         say(
             f"{100 * advice.white_clipped_share:.1f} % of the white frame is clipped, so its "
@@ -123,7 +110,7 @@ def plan(
         say(
             "The patterns have grey levels. The light of these must be known: a projector's curve "
             "(gamma) and sharpening spoil them. Black and white ones, from "
-            f"{FEWEST_BLACK_AND_WHITE} frames on, are not spoilt.",
+            f"{defaults.FEWEST_BLACK_AND_WHITE} frames on, are not spoilt.",
             style="yellow",
         )
     scenes = ", ".join(advice.expected[0].scenes)
@@ -165,14 +152,14 @@ Primary = Literal["red", "green", "blue", "rgb"]
 Order = Literal["natural", "sequency", "random"]
 
 
-@described(
+@options.described(
     kind=Argument(metavar="KIND", help="Kind of patterns."),
     output="Folder to write.",
     count=Option(
         "-k",
         "--count",
         help="Number of patterns.",
-        show_default=f"{USUAL_COUNT}; all for onepixel and blocks; as needed for codes",
+        show_default=f"{defaults.USUAL_COUNT}; all for onepixel and blocks; as needed for codes",
     ),
     shape=Option("--size", help="Rows x columns of the projector."),
     density="Bernoulli and mix: share of lit pixels.",
@@ -181,7 +168,7 @@ Order = Literal["natural", "sequency", "random"]
         show_default="2 from 16 patterns on, else 3 or 4",
     ),
     mix="Mix: cell sizes and their shares of the patterns, "
-    f"{MIX_EXAMPLE} (the default; all fine below {FEWEST_MIXED} patterns).",
+    f"{defaults.MIX_EXAMPLE} (the default; all fine below {defaults.FEWEST_MIXED} patterns).",
     order="Hadamard: order of the patterns.",
     permute="Hadamard: shuffle the pixels.",
     block="Blocks: rows x columns of a block.",
@@ -221,9 +208,9 @@ def patterns(
     primary: Primary | None = None,
     grey: int | None = None,
     bit_planes: str | None = None,
-    seed: Seed = 0,
-    overwrite: Overwrite = False,
-    as_json: Json = False,
+    seed: options.Seed = 0,
+    overwrite: options.Overwrite = False,
+    as_json: options.Json = False,
 ) -> None:
     """Write projection patterns as a folder of PNG files."""
     in_colour = primary == "rgb"
@@ -234,19 +221,21 @@ def patterns(
         raise InputError("--grey without --primary rgb", hint="all of these patterns are grey")
     made: lm.PatternSet
     if in_colour:
-        number = USUAL_COUNT if count is None else count
-        made = lm.colour_bernoulli(size(shape), number, grey=grey, density=density, seed=seed)
+        number = defaults.USUAL_COUNT if count is None else count
+        made = lm.colour_bernoulli(
+            options.size(shape), number, grey=grey, density=density, seed=seed
+        )
     else:
         made = lm.make_patterns(
-            kind, size(shape), count, density=density, levels=levels, mix=mix, order=order,
-            permute=permute, block=size(block), inverse=inverse, period=period, seed=seed,
+            kind, options.size(shape), count, density=density, levels=levels, mix=mix, order=order,
+            permute=permute, block=options.size(block), inverse=inverse, period=period, seed=seed,
         )  # fmt: skip
     lm.write_patterns(
         output, made, colour=None if in_colour else primary, bit_planes=bit_planes,
         overwrite=overwrite,
     )  # fmt: skip
     result = {**made.description, "count": made.count, "digest": made.digest, "output": output}
-    rows, cols = size(shape)
+    rows, cols = options.size(shape)
     lines = [f"{made.count} patterns ({kind}) of {rows} x {cols} pixels in {output}"]
     if rows > cols:
         lines.append(

@@ -6,24 +6,14 @@ from typing import Any
 from typer import Argument, Option
 
 import lightmatrix as lm
-from lightmatrix.cli.options import (
-    Geometry,
-    Json,
-    LeastProbability,
-    Overwrite,
-    Store,
-    Tolerance,
-    described,
-    refuse,
-    size,
-)
+from lightmatrix.cli import options
 from lightmatrix.cli.source import Source, with_source
 from lightmatrix.cli.terminal import answer, progress
 from lightmatrix.files.colours import holds_colour, stores_within
 
 
 @with_source(crop=False)
-@described(
+@options.described(
     output="The correspondence to write: .npz.",
     bin_projector=Option(metavar="N", help="Projector pixels to a block, such as 2 or 1x2."),
     check="Refuse photographs that contradict the code.",
@@ -34,8 +24,8 @@ def decode(
     source: Source,
     bin_projector: str = "1",
     check: bool = True,
-    overwrite: Overwrite = False,
-    as_json: Json = False,
+    overwrite: options.Overwrite = False,
+    as_json: options.Json = False,
 ) -> None:
     """Find what each camera pixel sees, from stripes.
 
@@ -43,7 +33,7 @@ def decode(
     order: the code is read from the patterns. Writes the projector pixel that each camera pixel
     sees, to fractions, with its uncertainty.
     """
-    capture = source.open().bin(projector=size(bin_projector))
+    capture = source.open().bin(projector=options.size(bin_projector))
     with progress("decoding", "samples") as step:
         matches = lm.decode(capture, output=output, overwrite=overwrite, check=check, progress=step)
     share, known = float(matches.valid.mean()), matches.confidence[matches.valid]
@@ -57,7 +47,7 @@ def decode(
     )
 
 
-@described(
+@options.described(
     scene=Argument(metavar="SCENE", help="A store, a T.npz, a file of `decode`, or a map."),
     output="Point cloud to write: .ply, .pcd, .obj or .xyz.",
     depth="Depth map to write: .tif, .tiff, .npy, or .png of 16 bits in millimetres.",
@@ -66,15 +56,15 @@ def decode(
 )
 def triangulate(
     scene: Path,
-    geometry: Geometry,
+    geometry: options.Geometry,
     output: Path,
     depth: Path | None = None,
     picture: Path | None = None,
-    tolerance: Tolerance = 0.01,
-    least_probability: LeastProbability = 0.5,
+    tolerance: options.Tolerance = 0.01,
+    least_probability: options.LeastProbability = 0.5,
     mesh: bool = False,
-    overwrite: Overwrite = False,
-    as_json: Json = False,
+    overwrite: options.Overwrite = False,
+    as_json: options.Json = False,
 ) -> None:
     """Find the shape of the scene: depth, points, normals.
 
@@ -99,20 +89,20 @@ def triangulate(
     answer(as_json, {"output": output, "depth": depth, "picture": picture, **summary}, *lines)
 
 
-@described(
+@options.described(
     scene=Argument(metavar="SCENE", help="A store of `estimate`, or a T.npz."),
     output="Point cloud (.ply, .pcd, .obj, .xyz) or image of layers (.exr).",
     picture="Maps of the layers to write: .png.",
 )
 def layers(
     scene: Path,
-    geometry: Geometry,
+    geometry: options.Geometry,
     output: Path,
     picture: Path | None = None,
-    tolerance: Tolerance = 0.01,
-    least_probability: LeastProbability = 0.5,
-    overwrite: Overwrite = False,
-    as_json: Json = False,
+    tolerance: options.Tolerance = 0.01,
+    least_probability: options.LeastProbability = 0.5,
+    overwrite: options.Overwrite = False,
+    as_json: options.Json = False,
 ) -> None:
     """Find surfaces behind gauze and glass, and those in mirrors.
 
@@ -130,7 +120,7 @@ def layers(
     )
 
 
-@described(
+@options.described(
     output="Map: .mpcdi, .exr (an STMap), .png (a pair of 16 bits), .npz (OpenCV's remap), or a "
     "folder for LightLeaks.",
     reverse="Map camera pixels to the projector instead.",
@@ -139,12 +129,12 @@ def layers(
     ),
 )
 def map(
-    scene: Store,
+    scene: options.Store,
     output: Path,
     reverse: bool = False,
     geometry: Path | None = None,
-    overwrite: Overwrite = False,
-    as_json: Json = False,
+    overwrite: options.Overwrite = False,
+    as_json: options.Json = False,
 ) -> None:
     """Map projector pixels to the camera, for media servers.
 
@@ -153,7 +143,7 @@ def map(
     projectors gives one .mpcdi with a region and a blend mask for each.
     """
     if stores_within(scene) and not holds_colour(scene):
-        refuse({"--geometry": geometry, "--reverse": reverse}, "several projectors")
+        options.refuse({"--geometry": geometry, "--reverse": reverse}, "several projectors")
         several = lm.map_projectors(scene, output=output, overwrite=overwrite)
     else:
         about: dict[str, Any] = {"geometry": geometry, "reverse": reverse, "output": output}

@@ -88,10 +88,9 @@ def render(
     f"frames, {EXPOSURES_EXAMPLE}.",
     bits="Bit depth: 8, 10, 12 or 16.",
     noise="Read noise, standard deviation as a share of the clip level.",
-    shot_noise="Shot noise at the clip level, standard deviation as a share of it.",
     full_well=typer.Option(
-        help="Electrons at the clip level, in place of --shot-noise, such as 10500.",
-        show_default="--shot-noise counts",
+        help="Electrons at the clip level, whose root is the shot noise, such as 10500.",
+        show_default="no shot noise",
     ),
     black_level="Raw level without light.",
     blur="Defocus of the projector, standard deviation in pixels.",
@@ -119,7 +118,6 @@ def simulate(
     exposure: str = "0.8",
     bits: int = 8,
     noise: float = USUAL_NOISE,
-    shot_noise: float = 0.0,
     full_well: float | None = None,
     black_level: float = 0.0,
     blur: float = 0.0,
@@ -150,8 +148,8 @@ def simulate(
         with progress("simulating", "rows") as report:
             capture = lm.simulate(
                 scene, patterns, camera=camera, exposure=exposure, bits=bits, noise=noise,
-                shot_noise=shot_noise, full_well=full_well, black_level=black_level, blur=blur,
-                camera_blur=camera_blur, leak=leak, ambient=ambient, vignetting=vignetting,
+                full_well=full_well, black_level=black_level, blur=blur, camera_blur=camera_blur,
+                leak=leak, ambient=ambient, vignetting=vignetting,
                 primary=primary, faults=_amounts(fault or []), seed=seed, progress=report,
             )  # fmt: skip
             capture.save(place, overwrite=overwrite)

@@ -160,7 +160,7 @@ def unmixed_capture(
         sets.insert(0, samples.patterns.red.subset(grey))
     bits = [each for each in (one.as_bits() for one in sets) if each is not None]
     patterns: PatternSet = (
-        BitPatterns(samples.patterns.primary_shape, np.concatenate(bits))
+        BitPatterns(samples.patterns.red.shape, np.concatenate(bits))
         if len(bits) == len(sets)
         else ImagePatterns(np.concatenate([one.images() for one in sets]))
     )

@@ -6,14 +6,8 @@ from typing import ClassVar
 
 from lightmatrix.capture.capture import Capture
 from lightmatrix.capture.samples import Samples
+from lightmatrix.estimators import base
 from lightmatrix.estimators.automatic_regularization import automatic_regularization
-from lightmatrix.estimators.base import (
-    Estimator,
-    Plan,
-    capture_provenance,
-    rows_with_diagnostics,
-    solver_provenance,
-)
 from lightmatrix.estimators.certainty import with_certainty
 from lightmatrix.estimators.work import TILE_BYTES, ReadStep, SolveTile, Work, cut_rows
 from lightmatrix.patterns.pattern_set import PatternSet
@@ -26,7 +20,7 @@ from lightmatrix.transport.sparse_rows import SparseRows
 
 
 @dataclass(frozen=True)
-class PlainEstimator(Estimator):
+class PlainEstimator(base.Estimator):
     """Estimates T row by row with one solver.
 
     Parameters
@@ -58,7 +52,7 @@ class PlainEstimator(Estimator):
     def __post_init__(self) -> None:
         check_at_least_one(tile_rows=self.tile_rows)
 
-    def plan(self, capture: Capture) -> Plan:
+    def plan(self, capture: Capture) -> base.Plan:
         """The estimate before it is made."""
         regularization = self.regularization
         if regularization is None:
@@ -66,15 +60,15 @@ class PlainEstimator(Estimator):
             regularization = automatic_regularization(capture, pictures=pictures)
         provenance = {
             "estimator": self.name,
-            **solver_provenance(self.solver),
+            **base.solver_provenance(self.solver),
             "regularization": regularization,
             "nonnegative": self.nonnegative,
             "background": self.background,
             # What tiles hold depends on it.
             **({} if self.judged else {"judged": False}),
-            **capture_provenance(capture),
+            **base.capture_provenance(capture),
         }
-        return Plan(self.work(capture, regularization), provenance)
+        return base.Plan(self.work(capture, regularization), provenance)
 
     def work(self, capture: Capture, regularization: float) -> Work:
         """The rows of a capture, in tiles."""
@@ -109,7 +103,7 @@ class PlainRows(Work):
         samples = self.capture.samples(start, stop)
         problem = self.estimator.problem(self.capture.patterns, samples, self.regularization)
         result = solve(problem, self.estimator.solver, progress=progress)
-        rows = rows_with_diagnostics(samples, result).rounded()
+        rows = base.rows_with_diagnostics(samples, result).rounded()
         if not self.estimator.judged:
             return rows
         return with_certainty(rows, samples, problem.patterns, start, self.capture.rows)

@@ -13,21 +13,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from lightmatrix.capture import found_response as responses
 from lightmatrix.capture.camera_curve import AUTOMATIC, Response
 from lightmatrix.capture.capture import Capture, open_capture
-from lightmatrix.capture.found_response import (
-    GAMMAS,
-    FoundResponse,
-    bends,
-    bent,
-    exponent,
-    gamma_response,
-    largest_difference,
-    points,
-    raised,
-    with_projector,
-    with_response,
-)
 from lightmatrix.errors import InputError, warn
 from lightmatrix.estimators.camera_window import window_of_levels
 from lightmatrix.estimators.choice import choose_estimator
@@ -65,8 +53,11 @@ class Curves:
 
     def difference(self, other: "Curves") -> float:
         """The largest difference of the curves, as a share of full light."""
-        greys = (gamma_response(each.gamma or 1.0) for each in (self, other))
-        return max(largest_difference(self.response, other.response), largest_difference(*greys))
+        greys = (responses.gamma_response(each.gamma or 1.0) for each in (self, other))
+        return max(
+            responses.largest_difference(self.response, other.response),
+            responses.largest_difference(*greys),
+        )
 
 
 def find_response(
@@ -74,7 +65,7 @@ def find_response(
     settings: EstimateSettings | None = None,
     *,
     projector: bool | None = None,
-) -> FoundResponse:
+) -> responses.FoundResponse:
     """Find the response of a camera or a projector in the photographs of a capture.
 
     Light adds up: under the right curve, what a camera pixel shows under all patterns is explained
@@ -144,7 +135,7 @@ def find_response(
         if looked_for:
             yield Curves(stated, 2.2)
         else:
-            yield Curves(raised(stated, search.scanned(stated)))
+            yield Curves(responses.raised(stated, search.scanned(stated)))
 
     found = search.best(starts())
     # A projector's gamma whose standard error is above 2.5 % is not determined.
@@ -196,7 +187,7 @@ class _Search:
         # An error of half of these steps can be told from one of a whole step.
         step = 1.25
         powers = [step**k for k in range(-1, 6)]
-        scan = (self.estimated(Curves(raised(stated, power)))[1] for power in powers)
+        scan = (self.estimated(Curves(responses.raised(stated, power)))[1] for power in powers)
         misses = [prediction_error(transport) or 0.0 for transport in scan]
         best = int(np.argmin(misses))
         if best in (0, len(misses) - 1):
@@ -210,20 +201,20 @@ class _Search:
     def estimated(self, curves: Curves) -> tuple[Capture, LightTransport]:
         """The part, read by some curves, and its T."""
         self.estimates += 1
-        read = with_response(self.part, curves.response)
+        read = responses.with_response(self.part, curves.response)
         if curves.gamma is not None:
-            read = with_projector(read, ProjectorResponse.of_gamma(curves.gamma))
+            read = responses.with_projector(read, ProjectorResponse.of_gamma(curves.gamma))
         return read, choose_estimator(read, self.settings).estimate(read)
 
-    def found(self, curves: Curves, stated: Response) -> FoundResponse:
+    def found(self, curves: Curves, stated: Response) -> responses.FoundResponse:
         """What was found."""
-        gamma, projector = exponent(curves.response), curves.gamma
+        gamma, projector = responses.exponent(curves.response), curves.gamma
         # The uncertainty is twice the standard error, and at least 0.5 % of the gamma: on simulated
         # captures the gamma is off by up to that where the standard error is smaller.
         uncertainty = [max(2 * error, 0.005) for error in curves.errors]
-        return FoundResponse(
+        return responses.FoundResponse(
             curves.response, gamma, uncertainty[0] * gamma if self.camera else 0.0,
-            largest_difference(curves.response, stated), self.estimates,
+            responses.largest_difference(curves.response, stated), self.estimates,
             None if projector is None else ProjectorResponse.of_gamma(projector),
             0.0 if projector is None else uncertainty[-1] * projector,
         )  # fmt: skip
@@ -251,28 +242,28 @@ def refined(
         powers = 1 + np.clip(sizes, -0.5, 1.0)
         response, curved = known.response, known.curved
         if camera:
-            response = raised(response, float(powers[0]))
+            response = responses.raised(response, float(powers[0]))
         # A curve says nothing of levels that no photograph reaches; a gamma needs no such levels.
         # A curve is looked for only if photographs use half of the levels of their files: those of
         # a camera of 12 bits in files of 16 bits use a sixteenth.
         if curves and np.max(capture.decoder.clip) > 0.5 * capture.decoder.full_scale:
-            levels, light = points(known.response)
+            levels, light = responses.points(known.response)
             shapes = bent_light(
-                seen, lambda share: bends(known.response, np.interp(share, light, levels))
+                seen, lambda share: responses.bends(known.response, np.interp(share, light, levels))
             )
             by_bends = _solved(seen, shapes)
             if by_bends is None:
                 return None
-            curve = bent(known.response, by_bends[0])
+            curve = responses.bent(known.response, by_bends[0])
             # A gamma looks like the first bend, so only the others tell it from a curve: by eight
             # standard errors, and by 0.25 % of full light. Chosen on simulated captures: gammas
             # stay gammas, sRGB becomes a curve. It is looked for once the gamma is right to 3 %:
             # the T of a wrong gamma bends in other ways, too.
             certain = np.max(np.abs(by_bends[0][1:]) / np.maximum(by_bends[1][1:], 1e-12))
-            differs = certain > 8 and largest_difference(curve, response) > 0.0025
+            differs = certain > 8 and responses.largest_difference(curve, response) > 0.0025
             curved |= bool(abs(sizes[0]) < 0.03 and differs)
             response = curve if curved else response
-    gamma = known.gamma and float(np.clip(known.gamma * powers[-1], *GAMMAS))
+    gamma = known.gamma and float(np.clip(known.gamma * powers[-1], *responses.GAMMAS))
     return Curves(
         response, gamma, tuple(map(float, errors)), curved, prediction_error(transport) or 0.0
     )

@@ -18,7 +18,7 @@ import imagecodecs
 import lazy_loader
 import numpy as np
 from numpy.typing import NDArray
-from PIL import Image, UnidentifiedImageError
+from PIL import Image, ImageOps, UnidentifiedImageError
 
 from lightmatrix.errors import InputError, LightMatrixError, warn
 from lightmatrix.files.colours import COLOURS
@@ -185,6 +185,23 @@ def _as_light(name: str, image: NDArray[Any]) -> NDArray[np.float32]:
             )
         return image
     return (image / np.float32(np.iinfo(image.dtype).max)).astype(np.float32)
+
+
+def fitted(image: NDArray[np.float32], shape: tuple[int, int], fit: str) -> NDArray[np.float32]:
+    """An image (rows, cols[, channels]) in [0, 1] of another shape; see `compensate`.
+
+    Pixels are averaged where it shrinks, which keeps its light.
+    """
+    shrinks = image.shape[0] >= shape[0] and image.shape[1] >= shape[1]
+    how = Image.Resampling.BOX if shrinks else Image.Resampling.BILINEAR
+    ways: dict[str, Callable[..., Image.Image]] = {
+        "cover": ImageOps.fit,
+        "contain": ImageOps.pad,
+        "stretch": Image.Image.resize,
+    }
+    channels = np.moveaxis(np.atleast_3d(image), 2, 0)
+    done = [np.asarray(ways[fit](Image.fromarray(c), shape[::-1], how)) for c in channels]
+    return np.stack(done, axis=-1).reshape(*shape, *image.shape[2:]).clip(0, 1)
 
 
 def colour_of(image: NDArray[Any]) -> str:

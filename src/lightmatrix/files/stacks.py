@@ -19,17 +19,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from lightmatrix.errors import InputError
-from lightmatrix.files.images import (
-    FORMATS,
-    JPEG,
-    READABLE,
-    as_image_error,
-    as_stored,
-    check_page,
-    is_grey,
-    read_image,
-    read_page,
-)
+from lightmatrix.files import images as image_files
 from lightmatrix.files.numpy_files import map_npy, read_npz
 from lightmatrix.files.reading import check_image_size, regular_file
 from lightmatrix.paths import as_path
@@ -61,14 +51,14 @@ class Page:
 
     def read(self) -> NDArray[Any]:
         """The image, as `read_image` returns one."""
-        with as_image_error(str(self)):
+        with image_files.as_image_error(str(self)):
             image = self.reader(self.index)
-        return as_stored(str(self), image)
+        return image_files.as_stored(str(self), image)
 
 
 def read_entry(entry: Path | Page, *, mosaic: bool = False) -> NDArray[Any]:
     """An image from a file of its own or from a stack; see `read_image`."""
-    return entry.read() if isinstance(entry, Page) else read_image(entry, mosaic=mosaic)
+    return entry.read() if isinstance(entry, Page) else image_files.read_image(entry, mosaic=mosaic)
 
 
 def is_stack(path: str | Path) -> bool:
@@ -95,7 +85,7 @@ def pages(path: str | Path) -> list[Page]:
     suffix = file.suffix.lower()
     if suffix not in STACKS:
         raise InputError(f"{file}: is no stack of images", hint=f"give {STACK_FORMATS}")
-    with as_image_error(str(file)):
+    with image_files.as_image_error(str(file)):
         reader: Callable[[int], NDArray[Any]]
         if suffix == ".npz":
             arrays = read_npz(file)
@@ -117,7 +107,7 @@ def pages(path: str | Path) -> list[Page]:
 
 def _tiff_page(file: Path, index: int) -> NDArray[Any]:
     with tifffile.TiffFile(file) as tiff:
-        return read_page(file, tiff.pages[index].aspage())
+        return image_files.read_page(file, tiff.pages[index].aspage())
 
 
 def _mapped_page(opened: Callable[[Path], Any], file: Path, index: int) -> NDArray[Any]:
@@ -132,7 +122,7 @@ def _contiguous(file: Path) -> NDArray[Any] | None:
         few = len(tiff.pages) > 1 or not (tiff.is_imagej or tiff.is_shaped)
         if few or tiff.series[0].size == page.size:
             return None
-        check_page(file, page)
+        image_files.check_page(file, page)
     mapped: NDArray[Any] = tifffile.memmap(file, mode="r")
     return mapped.reshape(-1, *page.shape)
 
@@ -163,14 +153,18 @@ def list_images(folder: str | Path) -> list[Path]:
         hint = f"give the folder that holds it, or a stack: {STACK_FORMATS}"
         raise InputError(f"{place}: is a file, not a folder of images", hint=hint)
     files = [entry for entry in place.iterdir() if not entry.is_dir() and entry.name[0] != "."]
-    images = sorted((file for file in files if file.suffix.lower() in READABLE), key=natural_order)
+    images = sorted(
+        (file for file in files if file.suffix.lower() in image_files.READABLE), key=natural_order
+    )
     for file in images:
         # A link that leads nowhere is a missing frame, not a file to ignore.
         regular_file(file)
     if not images:
         other = sorted({file.suffix for file in files if file.suffix})
         only = f", only {', '.join(other)} files" if other else ""
-        raise InputError(f"{place}: holds no images{only}", hint=f"convert them to {FORMATS}")
+        raise InputError(
+            f"{place}: holds no images{only}", hint=f"convert them to {image_files.FORMATS}"
+        )
     suffixes = sorted({file.suffix.lower() for file in images})
     if len(suffixes) > 1:
         raise InputError(
@@ -194,7 +188,7 @@ def list_entries(source: str | Path) -> list[Path | Page]:
 def nonlinear_tag(path: str | Path | Page) -> str | None:
     """Why a file is probably not linear: "JPEG", "tagged sRGB", ... (not gamma 1), or None."""
     file = path.file if isinstance(path, Page) else Path(path)
-    if file.suffix.lower() in JPEG:
+    if file.suffix.lower() in image_files.JPEG:
         return "JPEG"
     if file.suffix.lower() != ".png":
         return None
@@ -252,7 +246,7 @@ class ImageStack(ShortRepr):
         path = self.paths[index]
         image = read_entry(path, mosaic=self.mosaic)
         if self.grey and image.ndim == 3:
-            if not is_grey(image):
+            if not image_files.is_grey(image):
                 raise InputError(
                     f"{path}: is in colour, but other images of the folder are grey in three "
                     "channels",
@@ -295,7 +289,7 @@ def _all_grey(paths: Sequence[Path | Page]) -> bool:
         except InputError:
             # Reading it in its turn names the damage.
             return False
-        if image.ndim != 3 or not is_grey(image):
+        if image.ndim != 3 or not image_files.is_grey(image):
             return False
         varied += bool(np.ptp(image) > 0)
     return varied > len(samples) // 2

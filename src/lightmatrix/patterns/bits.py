@@ -10,12 +10,7 @@ from numpy.typing import NDArray
 
 from lightmatrix import _core
 from lightmatrix.errors import InputError
-from lightmatrix.patterns.pattern_set import (
-    ImagePatterns,
-    PatternSet,
-    check_geometry,
-    seed_sequence,
-)
+from lightmatrix.patterns import pattern_set
 from lightmatrix.ranges import as_float, check_seed, real_array
 from lightmatrix.resources.threads import computed_once
 
@@ -26,7 +21,7 @@ _DENSE_BYTES = 128 << 20
 _DENSE_ROWS = 8
 
 
-class BinaryPatterns(PatternSet):
+class BinaryPatterns(pattern_set.PatternSet):
     """Black and white patterns as bits, (K, ceil(N / 8)) uint8, least significant bit first."""
 
     bits: NDArray[np.uint8]
@@ -82,7 +77,7 @@ class BinaryPatterns(PatternSet):
     def as_bits(self) -> NDArray[np.uint8]:
         return self.bits
 
-    def subset(self, index: NDArray[np.integer]) -> PatternSet:
+    def subset(self, index: NDArray[np.integer]) -> pattern_set.PatternSet:
         return BitPatterns(self.shape, self.bits[np.asarray(index)])
 
 
@@ -110,7 +105,7 @@ class BitPatterns(BinaryPatterns):
 
     def __post_init__(self) -> None:
         bits = real_array("bits", self.bits)
-        check_geometry(self.shape, len(bits) if bits.ndim else 0)
+        pattern_set.check_geometry(self.shape, len(bits) if bits.ndim else 0)
         if bits.dtype != np.uint8 or bits.shape[1:] != ((self.pixels + 7) // 8,):
             raise InputError(
                 f"{bits.dtype} bits of shape {bits.shape} for a projector of shape {self.shape}",
@@ -165,14 +160,14 @@ class BernoulliPatterns(BinaryPatterns):
 
 
 def drawn_bits(
-    patterns: PatternSet,
+    patterns: pattern_set.PatternSet,
     density: float,
     seed: int,
     cells: Sequence[NDArray[np.int64]] | None = None,
 ) -> NDArray[np.uint8]:
     """Random bits of each pattern, whose cells (by its kind) are lit as a whole; None: pixels."""
     bits = np.empty((patterns.count, (patterns.pixels + 7) // 8), np.uint8)
-    seeds = seed_sequence(seed, patterns.shape, density).spawn(patterns.count)
+    seeds = pattern_set.seed_sequence(seed, patterns.shape, density).spawn(patterns.count)
     # Each pattern has its own generator, so the first k do not depend on how many follow.
     for k, child in enumerate(seeds):
         cell = None if cells is None else cells[patterns.kinds[k]]
@@ -184,17 +179,17 @@ def drawn_bits(
 
 def check_random(shape: tuple[int, int], count: int, density: float, seed: int) -> None:
     """Refuse projectors, counts, densities and seeds of which no random patterns can be drawn."""
-    check_geometry(shape, count)
+    pattern_set.check_geometry(shape, count)
     check_seed(seed)
     if not 0 < as_float(density) < 1:
         raise InputError(f"a density of {density}", hint="use a share between 0 and 1, such as 0.5")
 
 
-def with_white(patterns: PatternSet) -> PatternSet:
+def with_white(patterns: pattern_set.PatternSet) -> pattern_set.PatternSet:
     """The patterns and a white one after them, as bits if they are black and white."""
     bits = patterns.as_bits()
     if bits is None:
         white = np.ones((1, *patterns.shape), np.float32)
-        return ImagePatterns(np.concatenate([patterns.images(), white]))
+        return pattern_set.ImagePatterns(np.concatenate([patterns.images(), white]))
     lit = np.packbits(np.ones((1, patterns.pixels), bool), axis=1, bitorder="little")
     return BitPatterns(patterns.shape, np.concatenate([bits, lit]))

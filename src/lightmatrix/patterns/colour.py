@@ -59,13 +59,8 @@ class ColourPatterns(PatternSet):
         return self.red, self.green, self.blue
 
     @property
-    def primary_shape(self) -> tuple[int, int]:
-        """Rows and columns of the projector."""
-        return self.red.shape
-
-    @property
     def shape(self) -> tuple[int, int]:  # type: ignore[override]
-        rows, cols = self.primary_shape
+        rows, cols = self.red.shape
         return rows, 3 * cols
 
     @property
@@ -96,11 +91,11 @@ class ColourPatterns(PatternSet):
         return np.asarray(parts[0] + parts[1] + parts[2])
 
     def adjoint(self, e: NDArray[Any]) -> NDArray[Any]:
-        parts = [one.adjoint(e).reshape(-1, *self.primary_shape) for one in self.primaries]
+        parts = [one.adjoint(e).reshape(-1, *self.red.shape) for one in self.primaries]
         return np.concatenate(parts, axis=2).reshape(-1, self.pixels)
 
     def columns(self, index: NDArray[np.integer]) -> NDArray[np.float32]:
-        cols = self.primary_shape[1]
+        cols = self.red.shape[1]
         row, place = np.divmod(np.asarray(index), 3 * cols)
         primary, col = np.divmod(place, cols)
         found = np.empty((self.count, len(row)), np.float32)
@@ -126,7 +121,7 @@ class ColourPatterns(PatternSet):
 
     @property
     def description(self) -> dict[str, Any]:
-        shape = [*self.primary_shape, 3]
+        shape = [*self.red.shape, 3]
         return {"kind": "images", "shape": shape, "count": self.count}
 
 

@@ -15,15 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lightmatrix.errors import InputError, warn
+from lightmatrix.files import images as image_files
 from lightmatrix.files.colours import COLOURS
-from lightmatrix.files.images import (
-    as_grey,
-    colour_of,
-    fill_image,
-    is_grey,
-    likely_white,
-    read_image,
-)
 from lightmatrix.files.kinds import PATTERNS
 from lightmatrix.files.reading import errors_naming, read_json
 from lightmatrix.files.stacks import ImageStack, Page, list_entries
@@ -103,7 +96,7 @@ def fill_pattern_folder(folder: Path, patterns: PatternSet, colour: str | None =
         if isinstance(patterns, ColourPatterns):
             image = np.stack(np.split(image, 3, axis=1), axis=-1)
         coloured = image if colour is None else image[..., None] * primary
-        fill_image(folder / f"pattern_{k:0{digits}d}.png", coloured)
+        image_files.fill_image(folder / f"pattern_{k:0{digits}d}.png", coloured)
 
     for _ in work_ahead(write, range(patterns.count)):
         pass
@@ -154,7 +147,7 @@ def read_patterns(source: str | Path) -> PatternSet:
             hint = "remove it to read the patterns from their images"
             raise InputError(f"{file}: holds no description of the patterns", hint=hint)
         # Patterns of another size might take all memory.
-        size = [*read_image(paths[0]).shape[:2]]
+        size = [*image_files.read_image(paths[0]).shape[:2]]
         if description.get("kind") != PatternSet.kind:
             if description.get("count", len(paths)) != len(paths):
                 difference = f"its {len(paths)} images are not"
@@ -178,7 +171,7 @@ def _from_images(place: Path, entries: list[Path | Page]) -> PatternSet:
     stack = ImageStack.open(entries)
     shape, count = (stack.shape[0], stack.shape[1]), len(entries)
     if len(stack.shape) == 3 and any(
-        image.any(axis=(0, 1)).sum() > 1 and not is_grey(image)
+        image.any(axis=(0, 1)).sum() > 1 and not image_files.is_grey(image)
         for image in work_ahead(stack.read, range(count))
     ):
         # A pattern of more than one colour is one of a colour projector.
@@ -216,7 +209,7 @@ def _from_images(place: Path, entries: list[Path | Page]) -> PatternSet:
 def _check_depth(place: Path, dtype: np.dtype[Any], brightest: float) -> None:
     """Refuse 16-bit files of fewer bits: for 0 and 255, T would be 257 times too large."""
     top = round(brightest * 65535)
-    if top and (likely := likely_white(dtype, top)) is not None:
+    if top and (likely := image_files.likely_white(dtype, top)) is not None:
         raise InputError(
             f"{place}: the patterns have 16 bits, but no level above {top}: was {likely} shown as "
             "white?",
@@ -231,7 +224,7 @@ def _greys(
     """The grey values of patterns, which must all be shown in one colour."""
     first: tuple[Path | Page, str] | None = None
     for entry, image in zip(entries, images, strict=True):
-        grey, colour = as_grey(str(entry), image), colour_of(image)
+        grey, colour = image_files.as_grey(str(entry), image), image_files.colour_of(image)
         if colour and first is None:
             first = entry, colour
         if colour and first is not None and colour != first[1]:
@@ -247,7 +240,7 @@ def _first_difference(operator: PatternSet, paths: list[Path]) -> str | None:
     """How the images differ from an operator, in words; None if they do not."""
     if len(paths) != operator.count:
         return f"its {len(paths)} images are not"
-    for k, grey in enumerate(_greys(paths, work_ahead(read_image, paths))):
+    for k, grey in enumerate(_greys(paths, work_ahead(image_files.read_image, paths))):
         if not np.array_equal(to_grey(grey), operator.greys(k, k + 1)[0]):
             return f"{paths[k].name} is not among"
     return None
@@ -289,7 +282,7 @@ def fill_bit_planes(folder: Path, patterns: PatternSet, order: str) -> None:
             lit = patterns.images(k, k + 1)[0] > 0
             planes[..., _CHANNELS.index(primary)] |= lit.astype(np.uint8) << bit
             rows.append((k, name, number, f"{primary.upper()}{bit}"))
-        fill_image(folder / name, planes)
+        image_files.fill_image(folder / name, planes)
     with (folder / "sequence.csv").open("w", newline="") as file:
         writer = csv.writer(file)
         writer.writerow(("pattern", "image", "plane", "bit"))

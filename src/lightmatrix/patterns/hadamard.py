@@ -5,6 +5,7 @@ from functools import cached_property
 from typing import Any, ClassVar
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
 
 from lightmatrix import _core
@@ -58,7 +59,8 @@ class HadamardPatterns(PatternSet):
     @property
     def grid(self) -> tuple[int, int]:
         """The projector grid enlarged to powers of two."""
-        return _power_of_two(self.shape[0]), _power_of_two(self.shape[1])
+        rows, cols = (1 << (size - 1).bit_length() for size in self.shape)
+        return rows, cols
 
     @property
     def transform_size(self) -> int:
@@ -68,11 +70,14 @@ class HadamardPatterns(PatternSet):
     @cached_property
     def selected(self) -> NDArray[np.int64]:
         """The rows of the Sylvester matrix of order n that are the patterns, (K,) int64."""
-        rows, cols = self.grid
         if self.order == "natural":
             return np.arange(self.count, dtype=np.int64)
         if self.order == "sequency":
-            changes = _sequency(rows)[:, None] + _sequency(cols)[None, :]
+            # Sign changes along the rows of Sylvester's matrices.
+            down, across = (
+                np.count_nonzero(np.diff(scipy.linalg.hadamard(size)), axis=1) for size in self.grid
+            )
+            changes = np.add.outer(down, across)
             return np.argsort(changes.ravel(), kind="stable")[: self.count].astype(np.int64)
         generator = np.random.Generator(np.random.PCG64(self.seed))
         return generator.permutation(self.transform_size)[: self.count].astype(np.int64)
@@ -116,21 +121,7 @@ class HadamardPatterns(PatternSet):
     @staticmethod
     def _lit(row: NDArray[np.int64], col: NDArray[np.int64]) -> NDArray[np.float32]:
         # An entry of Sylvester's matrix is -1 to the number of bits that row and column share.
-        return 1 - _odd_parity(row[:, None] & col[None, :]).astype(np.float32)
-
-
-def _power_of_two(size: int) -> int:
-    return 1 << (size - 1).bit_length()
-
-
-def _odd_parity(values: NDArray[np.int64]) -> NDArray[np.int64]:
-    for shift in (32, 16, 8, 4, 2, 1):
-        values = values ^ (values >> shift)
-    return values & 1
-
-
-def _sequency(size: int) -> NDArray[np.int64]:
-    """Sign changes along each row of the Sylvester matrix of the given order."""
-    index = np.arange(size)
-    matrix = _odd_parity(index[:, None] & index[None, :])
-    return np.abs(np.diff(matrix, axis=1)).sum(axis=1)
+        bits = row[:, None] & col[None, :]
+        for shift in (32, 16, 8, 4, 2, 1):
+            bits ^= bits >> shift
+        return 1 - (bits & 1).astype(np.float32)

@@ -319,9 +319,6 @@ class PatternSet(ShortRepr, ABC):
 
         Blocks at the border may be smaller.
         """
-        if min(block) < 1:
-            hint = "use at least 1 x 1"
-            raise InputError(f"a block of {block[0]} x {block[1]} pixels", hint=hint)
         parts = [
             block_mean(part.reshape(-1, *self.shape), block).astype(np.float32)
             for _, part in self.chunks()

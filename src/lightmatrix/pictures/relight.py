@@ -7,11 +7,10 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from PIL import Image
 
 from lightmatrix.errors import InputError
+from lightmatrix.files import images as image_files
 from lightmatrix.files.colours import colour_paths, holds_colour
-from lightmatrix.files.images import DISPLAY_GAMMA, given_image, read_grey, read_light, write_image
 from lightmatrix.files.kinds import IMAGE
 from lightmatrix.files.reading import errors_naming
 from lightmatrix.files.writing import check_output
@@ -82,7 +81,7 @@ def relight(
     """
     hint = "use a number above 0, such as 1"
     check_number("an exposure", exposure, most=1e9, above=True, hint=hint)
-    shown = DISPLAY_GAMMA if gamma is None else gamma
+    shown = image_files.DISPLAY_GAMMA if gamma is None else gamma
     check_number("a gamma", shown, least=0.1, most=10, hint="use 0.1 to 10, such as 2.2")
     check_output(output, IMAGE, overwrite=overwrite)
     as_png = output is not None and as_path(output).suffix.lower() == ".png"
@@ -118,15 +117,15 @@ def relight(
         )
     if output is not None:
         written = np.clip(image, 0, 1) ** (1 / shown) if as_png else image
-        write_image(output, written.astype(np.float32), overwrite=overwrite)
+        image_files.write_image(output, written.astype(np.float32), overwrite=overwrite)
     return image
 
 
 def _channels(pattern: NDArray[Any] | str | Path, count: int) -> list[NDArray[Any]]:
     """The pattern of each of the projector's primaries."""
     if count == 1:
-        return [given_image("a pattern", pattern, read_grey)]
-    image = given_image("a pattern", pattern, read_light)
+        return [image_files.given_image("a pattern", pattern, image_files.read_grey)]
+    image = image_files.given_image("a pattern", pattern, image_files.read_light)
     if image.ndim == 2:
         return [image] * count
     if image.ndim != 3 or image.shape[2] != count:
@@ -161,8 +160,4 @@ def _fitted(pattern: NDArray[Any], transport: Relit, resize: bool, source: Any) 
         name = f"{source}: " if isinstance(source, str | Path) else ""
         what = f"{name}a pattern of shape {pattern.shape} for a projector of"
         raise InputError(f"{what} {wanted[0]} x {wanted[1]}", hint="resize it (resize=True)")
-    # Shrinking averages over pixels, which keeps the light; enlarging is bilinear.
-    shrinks = pattern.shape[0] >= wanted[0] and pattern.shape[1] >= wanted[1]
-    filter_ = Image.Resampling.BOX if shrinks else Image.Resampling.BILINEAR
-    image = Image.fromarray(pattern.astype(np.float32))
-    return np.asarray(image.resize((wanted[1], wanted[0]), filter_)).clip(0, 1)
+    return image_files.fitted(pattern.astype(np.float32), wanted, "stretch")

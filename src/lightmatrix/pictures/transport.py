@@ -11,13 +11,13 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 from numpy.typing import NDArray
 
+from lightmatrix.pictures import style
 from lightmatrix.pictures.maps import Map, correspondence_maps, display, light_map, white_level
-from lightmatrix.pictures.style import COLOURS, Picture, figure, fix_ticks, panel
 from lightmatrix.transport.correspondence import correspondence
 from lightmatrix.transport.matrix import LightTransport
 
 
-def draw_row(transport: LightTransport, *camera_index: int) -> Picture:
+def draw_row(transport: LightTransport, *camera_index: int) -> style.Picture:
     """How much light each projector pixel sends to one camera sample, beside the scene."""
     transport.row_number(camera_index)  # Refuses a pixel that the camera does not have.
     place = ", ".join(map(str, camera_index))
@@ -30,7 +30,7 @@ def draw_row(transport: LightTransport, *camera_index: int) -> Picture:
     return _spot(scene, camera_index, transport.row(*camera_index), titles)
 
 
-def draw_column(transport: LightTransport, row: int, col: int) -> Picture:
+def draw_column(transport: LightTransport, row: int, col: int) -> style.Picture:
     """What the camera sees when one projector pixel is lit: the mean of its channels."""
     titles = f"Projector pixel {row}, {col}, in the dual image", "Its column of T: the camera"
     return _spot(transport.dual_image(), (row, col), _grey(transport.column(row, col)), titles)
@@ -42,7 +42,7 @@ def _grey(image: NDArray[Any]) -> NDArray[Any]:
 
 def _spot(
     scene: NDArray[Any], index: tuple[int, ...], light: NDArray[Any], titles: tuple[str, str]
-) -> Picture:
+) -> style.Picture:
     """A pixel in its scene, its light on the other side, and that light around its peak."""
     shown = light_map(light, titles[1])
     peak = np.unravel_index(light.argmax(), light.shape)
@@ -50,10 +50,10 @@ def _spot(
     first = [max(int(place) - 10, 0) for place in peak]
     last = [min(int(p) + 10, n - 1) for p, n in zip(peak, light.shape, strict=True)]
     top, left, bottom, right = first[0] - 0.5, first[1] - 0.5, last[0] + 0.5, last[1] + 0.5
-    with figure(10.2, 3.4) as drawing:
+    with style.figure(10.2, 3.4) as drawing:
         around, whole, near = drawing.subplots(1, 3)
-        panel(around, display(_grey(scene), white_level(scene)), titles[0])
-        around.plot(index[1], index[0], "o", mfc="none", mec=COLOURS[1], ms=10, mew=2)
+        style.panel(around, display(_grey(scene), white_level(scene)), titles[0])
+        around.plot(index[1], index[0], "o", mfc="none", mec=style.COLOURS[1], ms=10, mew=2)
         draw_into(drawing, whole, shown, bar=False)
         corner, size = (left, top), (right - left, bottom - top)
         whole.add_patch(Rectangle(corner, *size, fill=False, edgecolor="white", linewidth=0.8))
@@ -63,20 +63,20 @@ def _spot(
     return drawing
 
 
-def draw_dual(transport: LightTransport) -> Picture:
+def draw_dual(transport: LightTransport) -> style.Picture:
     """The scene as the projector would photograph it, lit evenly from the camera."""
     image = transport.dual_image()
-    with figure(3.6, 3.6) as drawing:
+    with style.figure(3.6, 3.6) as drawing:
         title = "Dual image: seen from the projector"
-        panel(drawing.subplots(), display(image, white_level(image)), title)
+        style.panel(drawing.subplots(), display(image, white_level(image)), title)
     return drawing
 
 
-def draw_parts(images: Mapping[str, NDArray[Any]]) -> Picture:
+def draw_parts(images: Mapping[str, NDArray[Any]]) -> style.Picture:
     """Parts of one photograph by name, faint ones brightened by a power of two."""
     # The level is that of all parts together, since a black part has none of its own.
     whole = white_level(np.stack(list(images.values())))
-    with figure(3.4 * len(images), 3.6) as drawing:
+    with style.figure(3.4 * len(images), 3.6) as drawing:
         for axes, (name, image) in zip(
             drawing.subplots(1, len(images)), images.items(), strict=True
         ):
@@ -84,7 +84,7 @@ def draw_parts(images: Mapping[str, NDArray[Any]]) -> Picture:
             factor = 2.0 ** np.clip(np.floor(np.log2(whole / white_level(image))), 0, 6)
             title = f"{name.capitalize()} light"
             title += f", {factor:g} times as bright" if factor > 1 else ""
-            panel(axes, display(image, whole / factor), title)
+            style.panel(axes, display(image, whole / factor), title)
     return drawing
 
 
@@ -100,13 +100,13 @@ def spectrum(transport: LightTransport) -> dict[str, NDArray[Any]]:
     return {"values": np.sort(values)[::-1]}
 
 
-def draw_spectrum(transport: LightTransport) -> Picture:
+def draw_spectrum(transport: LightTransport) -> style.Picture:
     """The largest singular values of T, as shares of the largest."""
     values = spectrum(transport)["values"]
     shares = values / max(float(values[0]), np.finfo(float).tiny)
-    with figure(4.2, 2.8) as drawing:
+    with style.figure(4.2, 2.8) as drawing:
         axes = drawing.subplots()
-        axes.plot(np.arange(1, len(shares) + 1), shares, "o-", color=COLOURS[0], markersize=3)
+        axes.plot(np.arange(1, len(shares) + 1), shares, "o-", color=style.COLOURS[0], markersize=3)
         axes.set_ylim(0, 1.05)
         axes.set_title(f"Singular values of T: the {len(shares)} largest")
         axes.set_xlabel("number")
@@ -115,10 +115,10 @@ def draw_spectrum(transport: LightTransport) -> Picture:
     return drawing
 
 
-def draw_correspondence(transport: LightTransport) -> Picture:
+def draw_correspondence(transport: LightTransport) -> style.Picture:
     """The projector pixel that each camera pixel sees most, and how much light comes from it."""
     maps = correspondence_maps(correspondence(transport))
-    with figure(10.2, 3.4) as drawing:
+    with style.figure(10.2, 3.4) as drawing:
         for number, (axes, shown) in enumerate(zip(drawing.subplots(1, 3), maps, strict=True)):
             draw_into(drawing, axes, shown)
             # Lines of equal row or column, in eight bands, can be read without colour.
@@ -129,9 +129,9 @@ def draw_correspondence(transport: LightTransport) -> Picture:
     return drawing
 
 
-def draw_map(shown: Map) -> Picture:
+def draw_map(shown: Map) -> style.Picture:
     """A map with its title and the scale of its colours."""
-    with figure(4.4, 3.6) as drawing:
+    with style.figure(4.4, 3.6) as drawing:
         draw_into(drawing, drawing.subplots(), shown)
     return drawing
 
@@ -139,11 +139,11 @@ def draw_map(shown: Map) -> Picture:
 def draw_into(drawing: Figure, axes: Axes, shown: Map, *, bar: bool = True) -> None:
     """Draw a map, and by default the scale of its colours, into axes."""
     options = {"cmap": shown.colour_map, "norm": shown.norm, "vmin": None, "vmax": None}
-    drawn = panel(axes, shown.shown, shown.title, **options)
+    drawn = style.panel(axes, shown.shown, shown.title, **options)
     if bar:
         # The colour bar is as high as the map, whatever the frame's shape.
         scale = axes.inset_axes((1.03, 0, 0.05, 1))
         drawing.colorbar(drawn, cax=scale, label=shown.label)
         if shown.logarithmic:
             decades = 10.0 ** np.arange(np.ceil(np.log10(shown.low)), np.log10(shown.high) + 0.01)
-            fix_ticks(scale.yaxis, decades.tolist())
+            style.fix_ticks(scale.yaxis, decades.tolist())

@@ -15,17 +15,8 @@ from lightmatrix.estimators.choice import choose_estimator
 from lightmatrix.estimators.coherent.row_errors import FEWEST, HeldOut
 from lightmatrix.estimators.settings import EstimateSettings
 from lightmatrix.geometry.rig_geometry import RigGeometry
+from lightmatrix.judgement import judgement as judging
 from lightmatrix.judgement.evaluate import Errors, errors_by_rows
-from lightmatrix.judgement.judgement import (
-    FAIR,
-    GOOD,
-    OwnError,
-    Verdict,
-    level_of,
-    relighting_verdict,
-    stored_findings,
-    verdict_by_rows,
-)
 from lightmatrix.judgement.metrics import relative_error, squared_errors
 from lightmatrix.progress import Progress
 from lightmatrix.reprs import percent
@@ -164,9 +155,9 @@ class Facts:
         return self.transport.relight(np.ones(self.transport.projector_shape, np.float32))
 
     @cached_property
-    def own(self) -> OwnError:
+    def own(self) -> judging.OwnError:
         """What the diagnostics say of the error."""
-        return OwnError(self.transport)
+        return judging.OwnError(self.transport)
 
     @cached_property
     def relative_error(self) -> float | None:
@@ -200,17 +191,19 @@ class Facts:
             return np.where(total > 0, np.sqrt(wrong / total), np.nan)
 
     @property
-    def relighting_verdict(self) -> Verdict:
+    def relighting_verdict(self) -> judging.Verdict:
         """The verdict on T's predictions, by the unseen photographs where there are any."""
         if not isinstance(self.validation, Validation):
-            return relighting_verdict(self.transport, stored_findings(self.transport))
+            return judging.relighting_verdict(
+                self.transport, judging.stored_findings(self.transport)
+            )
         error = float(np.hypot(_validation_error(self.validation), self.own.beyond_clip))
-        level = "doubtful" if self.own.light_doubts else level_of(error)
+        level = "doubtful" if self.own.light_doubts else judging.level_of(error)
         sentence = _validation_sentence(self.validation)
-        return Verdict(level, None, (sentence, *self.own.light_doubts, *self.own.warnings))
+        return judging.Verdict(level, None, (sentence, *self.own.light_doubts, *self.own.warnings))
 
     @cached_property
-    def verdict(self) -> Verdict:
+    def verdict(self) -> judging.Verdict:
         """The verdict by the worst of the prediction error, the true and the estimated error."""
         own = self.own
         errors = [] if own.stated is None else [own.stated]
@@ -221,26 +214,26 @@ class Facts:
         if self.relative_error is not None:
             errors.append(self.relative_error)
             reasons.append(f"Error of T against the truth: {percent(self.relative_error)}.")
-        if self.diffuse_error > 2 * GOOD:
+        if self.diffuse_error > 2 * judging.GOOD:
             reasons.append(
                 f"In rows that hardly see direct light it is {percent(self.diffuse_error)}."
             )
         if not errors:
             why = f"It was not tested on unseen photographs: {self.validation}."
-            return verdict_by_rows(self.transport, why)
-        level = level_of(max(errors))
+            return judging.verdict_by_rows(self.transport, why)
+        level = judging.level_of(max(errors))
         if self.relative_error is None:
             if own.doubts:
                 level = "doubtful"
             reasons += [*own.doubts, *own.warnings]
-        return Verdict(level, own.stated, tuple(reasons))
+        return judging.Verdict(level, own.stated, tuple(reasons))
 
 
 def _validation_error(validation: Validation) -> float:
     """The prediction error; doubtful where the mean photograph predicts nearly as well."""
     error, baseline = validation.error, validation.mean_error
     # The mean photograph knows nothing of T. The factor was chosen by hand.
-    return error if error < 0.5 * baseline else max(error, 2 * FAIR)
+    return error if error < 0.5 * baseline else max(error, 2 * judging.FAIR)
 
 
 def _validation_sentence(validation: Validation) -> str:

@@ -18,26 +18,12 @@ from lightmatrix.estimators.settings import EstimateSettings
 from lightmatrix.files.kinds import REPORT
 from lightmatrix.files.writing import atomic_folder
 from lightmatrix.geometry.rig_geometry import RigGeometry
-from lightmatrix.judgement.judgement import (
-    GOOD,
-    SINGLY_CLIPPED,
-    Verdicts,
-    correspondence_verdict,
-    stored_findings,
-)
+from lightmatrix.judgement import judgement
 from lightmatrix.judgement.metrics import check_same_rig
 from lightmatrix.progress import Progress
+from lightmatrix.report import sections
 from lightmatrix.report.elements import Section
 from lightmatrix.report.facts import AnyEstimator, Facts, Validation, validate
-from lightmatrix.report.sections import (
-    error_estimates,
-    first_pictures,
-    parameters,
-    photographs,
-    relighting,
-    transport_matrix,
-    uses,
-)
 from lightmatrix.reprs import percent
 from lightmatrix.rig_model.model import RigModel
 from lightmatrix.shape.triangulation import geometry_of
@@ -51,7 +37,7 @@ def recommendations(facts: Facts) -> tuple[str, ...]:
     transport, frames, validation = facts.transport, facts.frames, facts.validation
     sentences = list[str]()
     often = float(np.mean(np.asarray(transport.diagnostics.get("clipped_share", 0.0)) > 0.5))
-    if facts.own.singly_clipped > SINGLY_CLIPPED:
+    if facts.own.singly_clipped > judgement.SINGLY_CLIPPED:
         sentences.append(
             f"{percent(facts.own.singly_clipped)} of the squared light is in rows that clip "
             "whenever their strongest projector pixel is lit, so that this entry is only a lower "
@@ -72,7 +58,7 @@ def recommendations(facts: Facts) -> tuple[str, ...]:
             f"The brightest frame reaches {percent(brightest)} of the clip level on average, and "
             f"nothing clips. An exposure {factor:.2g} times as long would leave less noise."
         )
-    if isinstance(validation, Validation) and validation.error > GOOD:
+    if isinstance(validation, Validation) and validation.error > judgement.GOOD:
         count = facts.capture.count
         sentences.append(
             f"Prediction error on unseen photographs: {percent(validation.error)}. More patterns "
@@ -80,7 +66,7 @@ def recommendations(facts: Facts) -> tuple[str, ...]:
             "and are linear in light, and the camera did not move."
         )
     mixed = bool(np.any(facts.capture.patterns.kinds))
-    if facts.diffuse_error > 2 * GOOD and not mixed:
+    if facts.diffuse_error > 2 * judgement.GOOD and not mixed:
         sentences.append(
             "Coarse patterns among the fine ones resolve the rows that hardly see direct light "
             f"(error: {percent(facts.diffuse_error)}): `lightmatrix patterns mix`."
@@ -198,11 +184,13 @@ def write_page(
 ) -> dict[str, Any]:
     """Write the files of `report` into an existing folder, with `more` sections near the end."""
     transport, capture = facts.transport, facts.capture
-    kinds = {*stored_findings(transport), *(finding.kind for finding in findings)}
+    kinds = {*judgement.stored_findings(transport), *(finding.kind for finding in findings)}
     judged = facts.verdict
     if facts.relative_error is None:
         judged = judged.with_findings(kinds)
-    of_each = Verdicts(correspondence_verdict(transport, kinds), facts.relighting_verdict, judged)
+    of_each = judgement.Verdicts(
+        judgement.correspondence_verdict(transport, kinds), facts.relighting_verdict, judged
+    )
     if viewer:
         export_viewer(folder / "viewer.html", transport, geometry=facts.geometry)
     clipped = float(facts.frames.clipped.mean())
@@ -234,16 +222,16 @@ def write_page(
         numbers=first_numbers,
         viewer="viewer.html" if viewer else None,
         findings=[_sentences(finding) for finding in findings],
-        first=first_pictures(facts),
+        first=sections.first_pictures(facts),
         advice=advice,
         sections=(
-            relighting(facts),
-            transport_matrix(facts),
-            uses(facts),
-            error_estimates(facts),
+            sections.relighting(facts),
+            sections.transport_matrix(facts),
+            sections.uses(facts),
+            sections.error_estimates(facts),
             *more,
-            photographs(facts),
-            parameters(facts),
+            sections.photographs(facts),
+            sections.parameters(facts),
         ),
         version=__version__,
     )

@@ -31,7 +31,7 @@ from lightmatrix.judgement.metrics import row_energies
 from lightmatrix.patterns.folder import read_patterns
 from lightmatrix.patterns.making import make_patterns
 from lightmatrix.patterns.pattern_set import PatternSet
-from lightmatrix.ranges import as_float, whole
+from lightmatrix.ranges import check_number, whole
 from lightmatrix.reprs import percent
 from lightmatrix.rig.devices.base import exposure_limits
 from lightmatrix.rig.devices.several import pattern_sizes
@@ -165,8 +165,8 @@ class CaptureSettings:
     def __post_init__(self) -> None:
         for name, value in (("exposure", self.exposure), ("settle time", self.settle)):
             # More than a minute is a mistake.
-            if value is not None and not 0 <= as_float(value) <= 60:
-                raise InputError(f"a {name} of {value} s", hint="give seconds, such as 0.02")
+            if value is not None:
+                check_number(f"a {name}", value, most=60, hint="give seconds, such as 0.02")
         if (whole(self.cell) or 0) < 1:
             raise InputError(f"a cell of {self.cell} pixels", hint="use a whole number, 1 or more")
         if self.until is not None:

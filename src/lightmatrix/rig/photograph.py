@@ -36,11 +36,6 @@ class Shot:
     frame: Frame
     exposure: float
 
-    @property
-    def data(self) -> NDArray[np.uint8] | NDArray[np.uint16]:
-        """Raw levels."""
-        return self.frame.data
-
 
 @dataclass(eq=False)
 class Photographer:
@@ -124,7 +119,7 @@ class AveragedFrame:
     def without_noise(self) -> NDArray[np.float32]:
         """The mean of black frames, or their median level if they show nothing but noise."""
         noise = self.noise / np.sqrt(len(self.shots))
-        level = float(np.median([shot.data for shot in self.shots]))
+        level = float(np.median([shot.frame.data for shot in self.shots]))
         apart = np.abs(self.mean - np.median(self.mean))
         # The median distance of normal noise from its mean is 0.67 standard deviations. A frame
         # with a spread up to 15 % above that shows nothing, but for hot pixels beyond 6 deviations.
@@ -164,7 +159,7 @@ def take_average(
             f"of the others: {reason}",
             hint=hint or "look at the camera's picture with its own program, and at its cable",
         )
-    stack = np.stack([shot.data for shot in shots]).astype(np.float32)
+    stack = np.stack([shot.frame.data for shot in shots]).astype(np.float32)
     middle = np.median(stack, axis=0)
     distance = np.sqrt(((stack - middle) ** 2).mean(axis=tuple(range(1, stack.ndim))))
     near = distance <= 3 * max(float(np.median(distance)), 1e-3)

@@ -13,17 +13,9 @@ from lightmatrix.defaults import PROCEDURAL
 from lightmatrix.errors import DeviceError, FrameTimeoutError, InputError, warn
 from lightmatrix.patterns.pattern_set import PatternSet, to_grey
 from lightmatrix.patterns.projector_curve import ProjectorResponse
+from lightmatrix.rig.devices import virtual
 from lightmatrix.rig.devices.base import Camera, Clock, Projector
 from lightmatrix.rig.devices.registry import open_camera, open_projector
-from lightmatrix.rig.devices.virtual import (
-    HARDWARE,
-    SimulatedClock,
-    VirtualCamera,
-    VirtualLight,
-    VirtualProjector,
-    VirtualSettings,
-    parse_settings,
-)
 from lightmatrix.simulation import library, realism
 from lightmatrix.simulation.procedural import ProceduralScene
 from lightmatrix.simulation.truth import Truth
@@ -103,7 +95,7 @@ class Rig:
 
 
 def open_rig(
-    rig: str | VirtualSettings | None = None,
+    rig: str | virtual.VirtualSettings | None = None,
     *,
     projector: str | Sequence[str] | None = None,
     camera: str | None = None,
@@ -155,18 +147,18 @@ def open_rig(
     elif projector or camera is not None:
         hint = "a virtual rig has both; give one or the other"
         raise InputError("a rig and a projector or a camera", hint=hint)
-    settings = rig if isinstance(rig, VirtualSettings) else parse_settings(rig)
+    settings = rig if isinstance(rig, virtual.VirtualSettings) else virtual.parse_settings(rig)
     size = (settings.size, settings.size)
     if settings.scene == PROCEDURAL:
         truth = ProceduralScene(size, size, settings.seed).truth()
     else:
         truth = library.truth(settings.scene, size, camera=settings.camera)
-    clock = SimulatedClock() if not settings.real else Clock()
-    light = VirtualLight(truth, realism.ambient(truth, settings.room), settings)
-    device = VirtualCamera(light, clock)
+    clock = virtual.SimulatedClock() if not settings.real else Clock()
+    light = virtual.VirtualLight(truth, realism.ambient(truth, settings.room), settings)
+    device = virtual.VirtualCamera(light, clock)
     # The light of a black pixel is in the black frame, so the T that can be measured is smaller.
-    measurable = truth.scaled(np.float32(1 - HARDWARE.leak))
-    lamp = VirtualProjector(light, clock)
+    measurable = truth.scaled(np.float32(1 - virtual.HARDWARE.leak))
+    lamp = virtual.VirtualProjector(light, clock)
     return Rig(lamp, device, device.reopen, clock, measurable, settings.unit)
 
 

@@ -212,7 +212,8 @@ class CaptureSession:
         except UntrustedFrameError as error:
             self._fail(k, error.message)
             return False
-        above = shot.data.astype(np.float32) - self.references.dark_at(shot.exposure)
+        levels = shot.frame.data
+        above = levels.astype(np.float32) - self.references.dark_at(shot.exposure)
         self._lights[k] = above / np.float32(shot.exposure)
         if self.check and not any(self._agree(shot, before, *other) for other in others):
             if others:
@@ -220,9 +221,9 @@ class CaptureSession:
             others.append((shot, before))
             return False
         self._failures = 0
-        self.record.keep(k, shot.data, shot.exposure)
+        self.record.keep(k, levels, shot.exposure)
         if self.progress is not None:
-            clipped = float((shot.data >= shot.frame.clip_level).mean())
+            clipped = float((levels >= shot.frame.clip_level).mean())
             done, total = len(self.record.state.frames), self.patterns.count
             self.progress(Step(done, total, clipped))
         return True
@@ -236,7 +237,7 @@ class CaptureSession:
         lights = [
             np.float32(shot.exposure) * shown[k] for k in (before, other_before) if k in shown
         ]
-        return self.references.agree(shot.data, other.data, shot.exposure, lights)
+        return self.references.agree(shot.frame.data, other.frame.data, shot.exposure, lights)
 
     def _show_other(self, k: int, befores: set[int]) -> None:
         """Photograph an image that is neither pattern k nor one of `befores`.

@@ -110,14 +110,12 @@ class Regression:
         self._blocks[one, two], self._blocks[two, one] = block, block.T
         return block
 
-    def _right_hand_side(self, name: str) -> Array:
-        along = "pmk,mk->pk" if self.per_frame[name] else "pmk,mk->p"
-        return np.einsum(along, self._parts[name], self.weight[:, None] * self.seen.left).ravel()
-
     def solve(self, names: Sequence[str]) -> tuple[dict[str, Array], dict[str, Array], float]:
         """Numbers of some terms, (P,) or (P, K), their standard errors, and what they explain."""
         part = np.block([[self._block(one, two) for two in names] for one in names])
-        side = np.concatenate([self._right_hand_side(name) for name in names])
+        left, each = self.weight[:, None] * self.seen.left, self.per_frame
+        sides = ((f"pmk,mk->p{'k' * each[name]}", self._parts[name]) for name in names)
+        side = np.concatenate([np.einsum(along, one, left).ravel() for along, one in sides])
         scale = 1 / np.sqrt(np.maximum(np.diag(part), 1e-30))
         strength, vectors = np.linalg.eigh(part * scale * scale[:, None])
         # Weaker directions are rounding errors of regressors that depend on each other.

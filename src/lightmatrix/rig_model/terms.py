@@ -12,16 +12,7 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from lightmatrix.rig_model.frames import (
-    Ambient,
-    DynamicContrast,
-    Gain,
-    Previous,
-    Rows,
-    Shift,
-    Torn,
-    Zoom,
-)
+from lightmatrix.rig_model import frames
 from lightmatrix.rig_model.levels import Black, CameraCurve, ProjectorCurve, ToneMapping
 from lightmatrix.rig_model.prediction import INNER, MARGIN, Prediction
 from lightmatrix.rig_model.term import Array, Draft, Term
@@ -148,18 +139,18 @@ TERMS: dict[str, type[Term]] = {
         ProjectorCurve,
         Sharpening,
         Crosstalk,
-        Previous,
+        frames.Previous,
         CameraSharpening,
-        Shift,
-        Zoom,
-        DynamicContrast,
-        Gain,
-        Rows,
-        Ambient,
+        frames.Shift,
+        frames.Zoom,
+        frames.DynamicContrast,
+        frames.Gain,
+        frames.Rows,
+        frames.Ambient,
         ToneMapping,
         CameraCurve,
         Black,
-        Torn,
+        frames.Torn,
         CameraBlur,
     )
 }

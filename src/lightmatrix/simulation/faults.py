@@ -220,9 +220,7 @@ class Faults:
         names = self._at("projector")
         if not names:
             return patterns
-        rows, cols = (
-            patterns.primary_shape if isinstance(patterns, ColourPatterns) else patterns.shape
-        )
+        rows, cols = patterns.red.shape if isinstance(patterns, ColourPatterns) else patterns.shape
         shown = patterns.rows(0, patterns.count).reshape(patterns.count, rows, -1, cols)
         for name in names:
             shown = FAULTS[name].act(shown, self._shots(name, patterns, np.ones(1)))

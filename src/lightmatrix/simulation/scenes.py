@@ -126,14 +126,6 @@ def metal(kind: str, roughness: float) -> Material:
     return {"type": "twosided", "bsdf": base}
 
 
-def translucent(reflectance: float, through: float) -> Material:
-    """A thin sheet that scatters light to both sides; `through` in [0, 2], 1 sends half through."""
-    return {
-        "type": "principledthin", "base_color": _rgb(reflectance), "diff_trans": through,
-        "roughness": 0.6, "spec_trans": 0.0, "eta": 1.3,
-    }  # fmt: skip
-
-
 def _rgb(value: float | tuple[float, float, float]) -> dict[str, Any]:
     return {"type": "rgb", "value": [value] * 3 if isinstance(value, float) else list(value)}
 
@@ -316,7 +308,11 @@ def _valley(rim: float = 1.5, half: float = 3.0) -> Mesh:
     return Mesh(np.array(points), np.array(faces))
 
 
-_PAPER = translucent(0.88, 1.1)
+# A thin sheet that scatters light to both sides; with diff_trans=1 it would send half through.
+_PAPER: Material = {
+    "type": "principledthin", "base_color": _rgb(0.88), "diff_trans": 1.1, "roughness": 0.6,
+    "spec_trans": 0.0, "eta": 1.3,
+}  # fmt: skip
 _GLAZE = plastic((0.72, 0.70, 0.66), 0.14)
 
 

@@ -102,17 +102,6 @@ def polygon(corners: int, radius: float, *, points: int | None = None) -> NDArra
     return np.stack([reach * np.cos(angle), reach * np.sin(angle)], 1)
 
 
-def circle(radius: float, points: int = 64) -> NDArray[np.float64]:
-    """A circle as a polygon, counter-clockwise."""
-    return polygon(points, radius)
-
-
-def rectangle(width: float, depth: float) -> NDArray[np.float64]:
-    """A rectangle around the origin, counter-clockwise."""
-    w, d = width / 2, depth / 2
-    return np.array([[-w, -d], [w, -d], [w, d], [-w, d]])
-
-
 def l_outline(leg: float, width: float) -> NDArray[np.float64]:
     """An L with two legs of equal length, its outer corner at the origin."""
     return np.array(
@@ -122,7 +111,7 @@ def l_outline(leg: float, width: float) -> NDArray[np.float64]:
 
 def revolve(profile: ArrayLike, points: int = 64) -> Mesh:
     """A body of revolution about z from (radius, z) pairs, bottom to top, closed at both ends."""
-    unit = circle(1, points)
+    unit = polygon(points, 1)
     rings = [at_height(radius * unit, z) for radius, z in np.asarray(profile, float)]
     return loft(rings, (0.0, 0.0))
 
@@ -170,13 +159,13 @@ def bolt(radius: float, length: float, head_radius: float, head_height: float) -
 
 def nut(radius: float, hole: float, height: float) -> Mesh:
     """A hexagon nut standing on z = -height / 2."""
-    ring = hollow(polygon(6, radius, points=48), circle(hole, 48), height, 0.08 * height)
+    ring = hollow(polygon(6, radius, points=48), polygon(48, hole), height, 0.08 * height)
     return ring.placed((0, 0, -height / 2))
 
 
 def ring(radius: float, hole: float, height: float) -> Mesh:
     """A washer or bearing ring standing on z = -height / 2."""
-    body = hollow(circle(radius), circle(hole), height, 0.1 * min(height, radius - hole))
+    body = hollow(polygon(64, radius), polygon(64, hole), height, 0.1 * min(height, radius - hole))
     return body.placed((0, 0, -height / 2))
 
 
@@ -188,7 +177,8 @@ def bracket(leg: float, thickness: float, width: float) -> Mesh:
 
 def box(width: float, depth: float, height: float, bevel: float) -> Mesh:
     """A box standing on z = 0 with bevelled upper and lower edges."""
-    return extrude(rectangle(width, depth), height, bevel)
+    w, d = width / 2, depth / 2
+    return extrude([[-w, -d], [w, -d], [w, d], [-w, d]], height, bevel)
 
 
 def rod(radius: float, length: float) -> Mesh:

@@ -2,10 +2,9 @@
 
 import os
 from collections.abc import Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,6 +25,7 @@ from lightmatrix.patterns.pattern_set import PatternSet
 from lightmatrix.progress import Progress
 from lightmatrix.ranges import as_float, check_number, check_seed
 from lightmatrix.regions import Region
+from lightmatrix.resources.threads import work_ahead
 from lightmatrix.simulation import library, realism
 from lightmatrix.simulation.faults import Faults
 from lightmatrix.simulation.realism import in_all_primaries, in_primary, is_of_all_primaries
@@ -104,17 +104,15 @@ class SimulatedCapture(Capture):
             projectors=self.projectors, write_extras=save_truth, overwrite=overwrite,
         )  # fmt: skip
 
-    def crop(self, corner: tuple[int, int], shape: tuple[int, int]) -> "SimulatedCapture":
+    def crop(self, corner: tuple[int, int], shape: tuple[int, int]) -> Self:
         """A rectangle of the photographs, and the rows of the truth that belong to it."""
         cropped = super().crop(corner, shape)
-        assert isinstance(cropped, SimulatedCapture)
         rows, cols = self.frames.shape[:2]
         return replace(cropped, truth=self.truth.crop(Region(corner, shape, (rows, cols))))
 
-    def select(self, frames: Sequence[int] | np.ndarray) -> "SimulatedCapture":
+    def select(self, frames: Sequence[int] | np.ndarray) -> Self:
         """The capture that holds the frames of the stated indices only."""
         selected = super().select(frames)
-        assert isinstance(selected, SimulatedCapture)
         if np.ndim(self.sensor.exposure):
             exposures = np.asarray(self.sensor.exposure)[np.asarray(frames, np.int64)]
             selected = replace(selected, sensor=replace(self.sensor, exposure=exposures))
@@ -129,7 +127,6 @@ def simulate(
     exposure: float | str = 0.8,
     bits: int | None = 8,
     noise: float = USUAL_NOISE,
-    shot_noise: float = 0.0,
     full_well: float | None = None,
     black_level: float = 0.0,
     blur: float = 0.0,
@@ -163,11 +160,9 @@ def simulate(
         Bit depth; None gives float32 levels.
     noise : float
         Read noise, standard deviation as a share of the clip level, in [0, 1].
-    shot_noise : float
-        Shot noise at the clip level, standard deviation as a share of it, in [0, 1].
     full_well : float, optional
-        Electrons at the clip level, whose root is the shot noise: 10,500 give 0.0098 of the clip
-        level, as `shot_noise` would say. None: `shot_noise` counts.
+        Electrons at the clip level, whose root is the shot noise: 10,500 give a standard deviation
+        of 0.0098 of the clip level. None: no shot noise.
     black_level : float
         Raw level of a sample without light.
     blur : float
@@ -220,9 +215,8 @@ def simulate(
         hint = "leave out one of the two"
         raise InputError(f"the primary {primary} for patterns in colour", hint=hint)
     exposures = parse_exposures(exposure if isinstance(exposure, str) else repr(as_float(exposure)))
+    shot_noise = 0.0
     if full_well is not None:
-        if shot_noise:
-            raise InputError("a shot noise and a full well", hint="leave out one of the two")
         hint = "use electrons, such as 10500"
         check_number("a full well", full_well, least=1, most=1e12, hint=hint)
         shot_noise = full_well**-0.5
@@ -244,7 +238,7 @@ def simulate(
     if wrong.black_exposure != 1 and not (leak or ambient):
         hint = "add room light too, such as ambient=0.05"
         raise InputError("a fault black without a black frame", hint=hint)
-    shape = patterns.primary_shape if isinstance(patterns, ColourPatterns) else patterns.shape
+    shape = patterns.red.shape if isinstance(patterns, ColourPatterns) else patterns.shape
     several = 1 if isinstance(scene, Truth) else library.devices_of(scene)[0]
     # Projectors twice as wide as they are high do not exist: these are the patterns of one.
     if shape[0] % several or (several > 1 and shape[1] >= 2 * (shape[0] // several)):
@@ -340,8 +334,7 @@ def irradiance(
         for k, block in zip(firsts, blocks, strict=True):
             light[start:stop, k : k + size] = some_rows @ block
 
-    with ThreadPoolExecutor(os.cpu_count()) as pool:
-        for task, _ in enumerate(pool.map(multiply, range(len(cuts) - 1))):
-            if progress is not None:
-                progress(int(cuts[task + 1]), rows)
+    for task, _ in enumerate(work_ahead(multiply, range(len(cuts) - 1), os.cpu_count())):
+        if progress is not None:
+            progress(int(cuts[task + 1]), rows)
     return light

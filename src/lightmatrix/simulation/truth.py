@@ -97,11 +97,8 @@ def _nearest(mesh: Mesh, geometry: RigGeometry) -> tuple[NDArray[np.float64], ND
         hit, distance = _hits(points[triangle], np.column_stack([col, row]))
         pixel, distance, triangle = (row * cols + col)[hit], distance[hit], triangle[hit]
         # The nearest of each pixel comes last, and is the one that an assignment keeps.
-        order = np.lexsort((-distance, pixel))
-        pixel, distance, triangle = pixel[order], distance[order], triangle[order]
-        final = np.append(pixel[1:] != pixel[:-1], True)[: len(pixel)]
-        pixel, distance, triangle = pixel[final], distance[final], triangle[final]
-        closer = distance < depth[pixel]
+        order = np.argsort(-distance)
+        closer = order[distance[order] < depth[pixel[order]]]
         depth[pixel[closer]] = distance[closer]
         nearest[pixel[closer]] = triangle[closer]
     return np.where(nearest >= 0, depth, np.nan), nearest

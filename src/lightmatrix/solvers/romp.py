@@ -9,16 +9,8 @@ from scipy.sparse import csr_array
 from lightmatrix.errors import SolverError
 from lightmatrix.progress import Progress
 from lightmatrix.ranges import check_at_least_one
+from lightmatrix.solvers import problem as problems
 from lightmatrix.solvers.fidelity import Fidelity
-from lightmatrix.solvers.problem import (
-    CHUNK_BYTES,
-    Problem,
-    Result,
-    Status,
-    no_rows,
-    objective,
-    solved_rows,
-)
 from lightmatrix.transport.sparse_rows import SparseRows
 
 
@@ -68,11 +60,11 @@ class ROMP:
             )
         check_at_least_one(sparsity=self.sparsity, max_iterations=self.max_iterations)
 
-    def solve(self, problem: Problem, progress: Progress | None = None) -> Result:
+    def solve(self, problem: problems.Problem, progress: Progress | None = None) -> problems.Result:
         """Solve all rows, in chunks whose columns take up to `CHUNK_BYTES`."""
         n = self.sparsity or max(1, min(32, problem.patterns.count // 8))
         n = min(n, problem.patterns.pixels)
-        size = max(1, CHUNK_BYTES // (8 * 3 * n * problem.patterns.count))
+        size = max(1, problems.CHUNK_BYTES // (8 * 3 * n * problem.patterns.count))
         parts = []
         for start in range(0, problem.rows, size):
             rows = np.arange(start, min(start + size, problem.rows))
@@ -80,21 +72,25 @@ class ROMP:
             if progress is not None:
                 progress(int(rows[-1]) + 1, problem.rows)
         if not parts:
-            return Result(no_rows(problem), Status.CONVERGED)
+            return problems.Result(problems.no_rows(problem), problems.Status.CONVERGED)
         dtype = problem.samples.values.dtype
         solved = SparseRows.joined(parts)
         coefficients = csr_array(solved.coefficients, dtype=dtype)
         background = solved.background.astype(dtype)
-        reached = objective(problem, coefficients, background[:, 0], self.fidelity)
-        solved = solved_rows(coefficients, background, **solved.diagnostics, objective=reached)
+        reached = problems.objective(problem, coefficients, background[:, 0], self.fidelity)
+        solved = problems.solved_rows(
+            coefficients, background, **solved.diagnostics, objective=reached
+        )
         converged = solved.diagnostics["converged"].all()
-        return Result(solved, Status.CONVERGED if converged else Status.ITERATION_LIMIT)
+        return problems.Result(
+            solved, problems.Status.CONVERGED if converged else problems.Status.ITERATION_LIMIT
+        )
 
     def row_bytes(self, patterns: int, pixels: int) -> int:
         """Bytes of one row: correlations, samples and the Gram matrix of up to 96 pixels."""
         return 8 * (3 * pixels + 8 * patterns + 96 * 96)
 
-    def _solve_chunk(self, problem: Problem, n: int) -> SparseRows:
+    def _solve_chunk(self, problem: problems.Problem, n: int) -> SparseRows:
         """The rows of a chunk, with the number of rounds and convergence as diagnostics."""
         rows = problem.rows
         observed = problem.observed.astype(np.float64)
@@ -183,7 +179,7 @@ def _trimmed(index: NDArray[np.int64]) -> NDArray[np.int64]:
 class _LeastSquares:
     """Weighted least squares of each row on its support and the background."""
 
-    problem: Problem
+    problem: problems.Problem
     y: NDArray[np.float64]
     weights: NDArray[np.float64]
 

@@ -19,13 +19,7 @@ import scipy
 from numpy.typing import NDArray
 
 from lightmatrix.defaults import ADMM_ITERATIONS
-from lightmatrix.solvers.admm import (
-    Splitting,
-    System,
-    automatic_penalty_x,
-    relative,
-    shared_weights,
-)
+from lightmatrix.solvers import admm
 from lightmatrix.solvers.fidelity import Fidelity
 from lightmatrix.solvers.problem import Problem, objective
 
@@ -40,11 +34,11 @@ class VariationState:
     of_z: NDArray[Any]
     of_v: NDArray[Any]
     of_g: NDArray[Any]
-    system: System
+    system: admm.System
 
 
 @dataclass(frozen=True)
-class TotalVariation(Splitting):
+class TotalVariation(admm.Splitting):
     """Least squares and the total variation of each row, which is a picture on the projector.
 
     Parameters
@@ -73,9 +67,9 @@ class TotalVariation(Splitting):
     fidelity = Fidelity.ONE_SIDED
 
     def init(self, problem: Problem) -> VariationState:
-        mu = self.penalty_x or automatic_penalty_x(problem)
-        scale = shared_weights(problem)
-        system = System(problem.patterns, mu * problem.regularization, None, scale)
+        mu = self.penalty_x or admm.automatic_penalty_x(problem)
+        scale = admm.shared_weights(problem)
+        system = admm.System(problem.patterns, mu * problem.regularization, None, scale)
         zero = np.zeros((problem.rows, *problem.patterns.shape), problem.samples.values.dtype)
         seen, of_g = np.zeros_like(problem.samples.values), np.stack([zero, zero], axis=1)
         return VariationState(zero, zero, seen, _flat(zero), zero, of_g, system)
@@ -105,8 +99,8 @@ class TotalVariation(Splitting):
         floor = problem.regularization / after.system.ridge
         x = _flat(after.x)
         splits = (after.of_z, before.of_z), (after.of_v, before.of_v), (after.of_g, before.of_g)
-        primal = [relative(_flat(new) - _flat(old), floor, x) for new, old in splits]
-        return np.max(primal, axis=0), relative(x - _flat(before.x), floor, x)
+        primal = [admm.relative(_flat(new) - _flat(old), floor, x) for new, old in splits]
+        return np.max(primal, axis=0), admm.relative(x - _flat(before.x), floor, x)
 
     def solution(self, problem: Problem, state: Any) -> tuple[NDArray[Any], NDArray[Any]]:
         """Coefficients (M, N), and no background."""

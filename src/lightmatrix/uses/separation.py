@@ -71,7 +71,7 @@ class EpipolarGeometry(ShortRepr):
 
     def parallax(self, camera: Floats, projector: Floats) -> Floats:
         """Places of projector pixels (n, 2) along the line, relative to the mean surface."""
-        away, line = projector - on_surface(self.surface, camera), self._lines(camera)
+        away, line = projector - _monomials(camera) @ self.surface, self._lines(camera)
         # The direction of a line is its normal, turned by 90 degrees.
         return np.asarray((away * np.stack([-line[:, 1], line[:, 0]], axis=1)).sum(axis=1))
 
@@ -99,11 +99,6 @@ def mean_surface(camera: Floats, projector: Floats) -> Floats:
         error = ((projector - design @ surface) ** 2).sum(axis=1)
         weight = 1 / (1 + error / max(float(np.median(error)), ROBUST.least_spread_of_spots**2))
     return surface
-
-
-def on_surface(surface: Floats, camera: Floats) -> Floats:
-    """The projector pixels (n, 2) of the mean surface at camera pixels (n, 2)."""
-    return np.asarray(_monomials(camera) @ surface)
 
 
 def fit_epipolar(camera: Floats, projector: Floats, surface: Floats) -> EpipolarGeometry:
@@ -139,6 +134,7 @@ def fit_epipolar(camera: Floats, projector: Floats, surface: Floats) -> Epipolar
 
 
 def _monomials(points: Floats) -> Floats:
+    """The terms (n, 6) whose product with a polynomial, such as the mean surface, is its value."""
     row, col = points.T
     return np.stack([np.ones_like(row), row, col, row**2, row * col, col**2], axis=1)
 
@@ -393,7 +389,7 @@ def _find_direct_spots(spots: Spots, shape: tuple[int, int], deviation: float) -
     _check_direct_light(strong)
     surface = mean_surface(camera[strong], place[strong, 0])
     # Relative to the mean surface, neighbours on one surface see their light at one place.
-    relative = place - on_surface(surface, camera)[:, None]
+    relative = place - (_monomials(camera) @ surface)[:, None]
     radius = _scaled(_TUNING.agreement, deviation)
     pairs = list(near_spots(relative, shape, reach=2, radius=radius))
     first = np.zeros(light.shape, bool)

@@ -1,16 +1,14 @@
 """Pictures that are wanted, masks and ambient light, as one value for each camera sample."""
 
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from PIL import Image, ImageOps
 
 from lightmatrix.errors import InputError, warn
+from lightmatrix.files import images as image_files
 from lightmatrix.files.extras import upright
-from lightmatrix.files.images import DISPLAY_GAMMA, given_image, is_grey, read_image, read_light
 from lightmatrix.ranges import check_number
 
 WantedPicture = NDArray[Any] | str | Path
@@ -37,16 +35,20 @@ def wanted_samples(
         raise InputError(f"a fit of {fit!r}", hint="use cover, contain or stretch")
     name = str(wanted) if isinstance(wanted, str | Path) else "the wanted picture"
     # Turned as viewers show it.
-    image = given_image(name, wanted, lambda path: upright(path, read_image(path)))
+    image = image_files.given_image(
+        name, wanted, lambda path: upright(path, image_files.read_image(path))
+    )
     if fit is None and image.shape[:2] != camera_shape[:2]:
         # Shapes are refused before values, which a view may have without end.
         _samples(image, camera_shape, name, _FIT)
-    if image.ndim == 3 and len(camera_shape) == 2 and is_grey(image):
+    if image.ndim == 3 and len(camera_shape) == 2 and image_files.is_grey(image):
         image = image[..., 0]
     if (levels or isinstance(wanted, str | Path)) and image.dtype != np.float32:
         # Files of whole levels hold pictures for displays, files of floats hold light.
         white = np.iinfo(image.dtype).max
-        curve = np.linspace(0, 1, white + 1) ** (DISPLAY_GAMMA if gamma is None else gamma)
+        curve = np.linspace(0, 1, white + 1) ** (
+            image_files.DISPLAY_GAMMA if gamma is None else gamma
+        )
         light = curve.astype(np.float32).take(image)
     # Written so that it refuses NaN, too.
     elif image.size and not (image.min() >= 0 and image.max() <= 1):
@@ -59,7 +61,7 @@ def wanted_samples(
         # The weights of linear red, green and blue (ITU-R BT.709).
         light = light @ np.array([0.2126, 0.7152, 0.0722], np.float32)
     if fit is not None and light.ndim >= 2 and light.shape[:2] != camera_shape[:2]:
-        light = fitted(light, (camera_shape[0], camera_shape[1]), fit)
+        light = image_files.fitted(light, (camera_shape[0], camera_shape[1]), fit)
     samples = _samples(light, camera_shape, name, _FIT)
     if not (black or samples.any()):
         raise InputError(f"{name} is all black", hint="black needs no compensation: show black")
@@ -67,23 +69,6 @@ def wanted_samples(
 
 
 _FIT = 'fit it with fit="cover", "contain" or "stretch"'
-
-
-def fitted(image: NDArray[np.float32], shape: tuple[int, int], fit: str) -> NDArray[np.float32]:
-    """An image (rows, cols[, channels]) in [0, 1] of another shape; see `compensate`.
-
-    Pixels are averaged where it shrinks, which keeps its light.
-    """
-    shrinks = image.shape[0] >= shape[0] and image.shape[1] >= shape[1]
-    how = Image.Resampling.BOX if shrinks else Image.Resampling.BILINEAR
-    ways: dict[str, Callable[..., Image.Image]] = {
-        "cover": ImageOps.fit,
-        "contain": ImageOps.pad,
-        "stretch": Image.Image.resize,
-    }
-    channels = np.moveaxis(np.atleast_3d(image), 2, 0)
-    done = [np.asarray(ways[fit](Image.fromarray(c), shape[::-1], how)) for c in channels]
-    return np.stack(done, axis=-1).reshape(*shape, *image.shape[2:]).clip(0, 1)
 
 
 def _samples(
@@ -107,7 +92,7 @@ def mask_samples(
     if mask is None:
         return np.ones(int(np.prod(shape)), np.bool_)
     name = str(mask) if isinstance(mask, str | Path) else "the mask"
-    image = given_image(name, mask, read_image)
+    image = image_files.given_image(name, mask, image_files.read_image)
     if image.ndim == 3 and len(shape) == 2:
         image = image.max(axis=2)
     hint = f"give one value for each pixel of the {device}, 0 for those that do not count"
@@ -127,7 +112,7 @@ def ambient_samples(
     if ambient is None:
         return np.zeros(int(np.prod(camera_shape)), np.float32)
     name = str(ambient) if isinstance(ambient, str | Path) else "the ambient light"
-    image = given_image(name, ambient, read_light)
+    image = image_files.given_image(name, ambient, image_files.read_light)
     if image.ndim == 3 and len(camera_shape) == 2:
         image = image.mean(axis=2)
     samples = _samples(image, camera_shape, name, "give a photograph of the same camera")

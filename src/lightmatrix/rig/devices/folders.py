@@ -11,23 +11,16 @@ from numpy.typing import NDArray
 from lightmatrix.errors import DeviceError, InputError
 from lightmatrix.files.images import FORMATS, read_image, write_image
 from lightmatrix.files.new_files import NewFiles, State
-from lightmatrix.rig.devices.base import (
-    Address,
-    Camera,
-    Frame,
-    Projector,
-    check_image,
-    size_in_words,
-)
+from lightmatrix.rig.devices import base
 
 # The file that the other program watches.
 SHOWN = "shown.png"
 
 
-class FolderProjector(Projector):
+class FolderProjector(base.Projector):
     """Writes ``shown.png``, which is a complete image at any moment; made by `open_folder`."""
 
-    def __init__(self, address: Address, folder: Path, shape: tuple[int, int]) -> None:
+    def __init__(self, address: base.Address, folder: Path, shape: tuple[int, int]) -> None:
         self._address, self._folder, self._shape = address, folder, shape
         self._closed = False
         self.black()
@@ -48,7 +41,7 @@ class FolderProjector(Projector):
         """
         if self._closed:
             raise DeviceError(f"{self._address}: is closed", hint="open it again")
-        check_image(image, self._shape)
+        base.check_image(image, self._shape)
         write_image(self._folder / SHOWN, image, overwrite=True)
         return time.monotonic()
 
@@ -57,7 +50,7 @@ class FolderProjector(Projector):
         self._closed = True
 
 
-def open_folder(address: Address) -> FolderProjector:
+def open_folder(address: base.Address) -> FolderProjector:
     """Open "folder:DIR,size=768x1024", rows by columns as everywhere; makes a missing folder."""
     address.check_options(("size",))
     size = re.fullmatch(r"([1-9][0-9]{0,4})x([1-9][0-9]{0,4})", address.options.get("size", ""))
@@ -67,13 +60,15 @@ def open_folder(address: Address) -> FolderProjector:
     return FolderProjector(address, Path(address.argument), (int(size[1]), int(size[2])))
 
 
-class WatchedFolder(Camera):
+class WatchedFolder(base.Camera):
     """Reads the files that appear in a folder; made by `open_watched`."""
 
     kind = "watch"
     patience = 30.0
 
-    def __init__(self, address: Address, folder: Path, exposure: float, clip: float | None) -> None:
+    def __init__(
+        self, address: base.Address, folder: Path, exposure: float, clip: float | None
+    ) -> None:
         super().__init__(address)
         self._stated, self._clip = exposure, clip
         self._name, self._trigger = f"folder {folder}", "elsewhere"
@@ -81,7 +76,7 @@ class WatchedFolder(Camera):
         self._files = NewFiles(folder, lambda item: (item[1][1], item[0].name))
         self._files.pass_over()
 
-    def get_image(self, timeout: float) -> Frame:
+    def get_image(self, timeout: float) -> base.Frame:
         """The next complete file, timed by its last change, the likeliest end of exposure."""
         self._check_open()
         until = time.monotonic() + timeout
@@ -101,14 +96,14 @@ class WatchedFolder(Camera):
         self._check_open()
         self._files.pass_over()
 
-    def _frame(self, file: Path, image: NDArray[Any], state: State) -> Frame:
+    def _frame(self, file: Path, image: NDArray[Any], state: State) -> base.Frame:
         if image.dtype not in (np.uint8, np.uint16):
             hint = "have frames saved with 8 or 16 bits"
             raise DeviceError(f"{file}: is {image.dtype}, which no sensor delivers", hint=hint)
         if self._shape is not None and image.shape != self._shape:
             raise DeviceError(
-                f"{file}: is {size_in_words(image.shape)}, the frames before were "
-                f"{size_in_words(self._shape)}",
+                f"{file}: is {base.size_in_words(image.shape)}, the frames before were "
+                f"{base.size_in_words(self._shape)}",
                 hint="do not turn the camera or change its image size meanwhile",
             )
         self._files.suffix = file.suffix.lower()
@@ -116,10 +111,10 @@ class WatchedFolder(Camera):
         # The wall clock may be set meanwhile, so only its difference to now is used.
         age = max(0.0, time.time() - state[1] * 1e-9)
         clip_level = self._clip or float(np.iinfo(image.dtype).max)
-        return Frame(image, time.monotonic() - age, clip_level)
+        return base.Frame(image, time.monotonic() - age, clip_level)
 
 
-def open_watched(address: Address) -> WatchedFolder:
+def open_watched(address: base.Address) -> WatchedFolder:
     """Open a folder in which frames appear; files that are there already are passed over.
 
     A file that is written again is a new frame. All frames have the ending of the first one, so

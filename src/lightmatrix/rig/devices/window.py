@@ -13,14 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lightmatrix.errors import DeviceError, InputError
-from lightmatrix.rig.devices.base import (
-    Address,
-    AvailableDevice,
-    Projector,
-    check_image,
-    load,
-    size_in_words,
-)
+from lightmatrix.rig.devices import base
 
 _VERTEX = """
 #version 330
@@ -43,7 +36,7 @@ void main() {
 _windows = 0
 
 
-class WindowProjector(Projector):
+class WindowProjector(base.Projector):
     """A full-screen window, used only by the thread that made it (on macOS the main thread)."""
 
     def __init__(self, glfw: Any, moderngl: Any, monitor: Any, number: int, gamma: str) -> None:
@@ -93,7 +86,7 @@ class WindowProjector(Projector):
         """Show an image; return when the swap was done."""
         if self._window is None:
             raise DeviceError("the projector window is closed", hint="open it again")
-        check_image(image, self._shape)
+        base.check_image(image, self._shape)
         colours = image if image.ndim == 3 else np.repeat(image[..., None], 3, axis=2)
         self._texture.write(np.ascontiguousarray(colours).data)
         self._texture.use()
@@ -134,7 +127,7 @@ class WindowProjector(Projector):
             self._glfw.set_window_should_close(window, True)
 
 
-def open_window(address: Address) -> WindowProjector:
+def open_window(address: base.Address) -> WindowProjector:
     """Open a window on the monitor of a number or name, or on the second one if there is one.
 
     The option gamma=linear loads a linear gamma ramp as long as the window is open; gamma=keep, the
@@ -162,26 +155,26 @@ def open_window(address: Address) -> WindowProjector:
         ) from error
 
 
-def find_windows() -> list[AvailableDevice]:
+def find_windows() -> list[base.AvailableDevice]:
     """The monitors of this computer."""
     glfw, _ = _load()
     _start(glfw)
     devices = []
     for number, monitor in enumerate(glfw.get_monitors()):
         size, _, refresh = glfw.get_video_mode(monitor)
-        words = f"{_name(glfw, monitor)}, {size_in_words((size.height, size.width))}"
+        words = f"{_name(glfw, monitor)}, {base.size_in_words((size.height, size.width))}"
         if refresh:
             words += f" at {refresh} Hz"
         if not number:
             words += ", the first monitor"
-        devices.append(AvailableDevice(f"window:{number}", words))
+        devices.append(base.AvailableDevice(f"window:{number}", words))
     if not _windows:
         glfw.terminate()
     return devices
 
 
 def _load() -> tuple[Any, Any]:
-    glfw, moderngl = load("window", "a projector window", "glfw", "moderngl")
+    glfw, moderngl = base.load("window", "a projector window", "glfw", "moderngl")
     # Otherwise GLFW only prints its errors.
     glfw.ERROR_REPORTING = "raise"
     return glfw, moderngl
@@ -200,7 +193,7 @@ def _start(glfw: Any) -> None:
     raise DeviceError(f"no display to open a projector window on ({reason})", hint=hint)
 
 
-def _chosen(address: Address, names: list[str]) -> int:
+def _chosen(address: base.Address, names: list[str]) -> int:
     listed = ", ".join(f"{number} ({name})" for number, name in enumerate(names)) or "none"
     wanted = address.argument
     if not names:
