@@ -131,7 +131,7 @@ def test_chunks_change_nothing_and_report_progress(monkeypatch: pytest.MonkeyPat
     calls: list[tuple[int, int]] = []
     # Chunks of two rows: 8 bytes for each of 3 n columns under K patterns.
     size = 2 * 8 * 3 * 3 * problem.patterns.count
-    monkeypatch.setattr("lightmatrix.solvers.romp.CHUNK_BYTES", size)
+    monkeypatch.setattr("lightmatrix.solvers.problem.CHUNK_BYTES", size)
     result = solve(
         problem, ROMP(sparsity=3), progress=lambda done, rows: calls.append((done, rows))
     )

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
+from lightmatrix import estimators
 from lightmatrix.capture.camera_curve import AUTOMATIC, Response
 from lightmatrix.capture.capture import Capture, Crop
 from lightmatrix.capture.found_response import with_response
@@ -14,8 +15,6 @@ from lightmatrix.check.finding import Finding
 from lightmatrix.check.refusals import refuse_unusable
 from lightmatrix.errors import InputError
 from lightmatrix.estimators.camera_window import window_of_levels
-from lightmatrix.estimators.choice import choose_estimator
-from lightmatrix.estimators.corrected import corrected
 from lightmatrix.patterns.colour import ColourPatterns
 from lightmatrix.patterns.pattern_set import PatternSet
 from lightmatrix.patterns.stripes import is_separable
@@ -115,8 +114,9 @@ def rig_findings(
         part = part.select(np.linspace(0, part.count - 1, _MOST_FRAMES).astype(int))
     try:
         refuse_unusable(part)
-        estimator = choose_estimator(part)
-        model, _ = corrected(part, estimator.estimate(part), estimator.estimate, terms)
+        estimator = estimators.choice.choose_estimator(part)
+        correct = estimators.corrected.corrected
+        model, _ = correct(part, estimator.estimate(part), estimator.estimate, terms)
     except InputError:
         return []
     terms_found = [(TERMS[name](), values) for name, values in model.values.items()]

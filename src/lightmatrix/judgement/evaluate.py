@@ -10,15 +10,7 @@ import numpy as np
 
 from lightmatrix.errors import InputError
 from lightmatrix.files.colours import COLOURS, colour_paths
-from lightmatrix.judgement.metrics import (
-    diffuse_rows,
-    relative_error,
-    relighting_error,
-    response_rmse,
-    row_energies,
-    unclipped_rows,
-    unseen_patterns,
-)
+from lightmatrix.judgement import metrics
 from lightmatrix.paths import as_path
 from lightmatrix.progress import Progress
 from lightmatrix.ranges import check_list, check_number
@@ -219,11 +211,11 @@ def evaluate_colour(
             raise InputError(f"{len(matrices)} {word}", hint="give those of red, green and blue")
     pairs = [_matrices(*pair) for pair in zip(estimates, truths, strict=True)]
     red, green, blue = each = [errors_by_rows(*pair, exposure) for pair in pairs]
-    energies = np.array([float(row_energies(matrix).sum()) for _, matrix in pairs])
+    energies = np.array([float(metrics.row_energies(matrix).sum()) for _, matrix in pairs])
     missed = np.array([errors.relative_error for errors in each]) ** 2 * energies
-    patterns = np.stack(list(unseen_patterns(pairs[0][1].projector_shape).values()))
+    patterns = np.stack(list(metrics.unseen_patterns(pairs[0][1].projector_shape).values()))
     matrices, expected = zip(*pairs, strict=True)
-    relighting = relighting_error(matrices, expected, patterns)
+    relighting = metrics.relighting_error(matrices, expected, patterns)
     relative = float(np.sqrt(missed.sum() / energies.sum()))
     return ColourErrors(red, green, blue, relative, relighting)
 
@@ -256,16 +248,16 @@ def _matrices(
 def errors_by_rows(estimate: LightTransport, truth: LightTransport, exposure: float) -> Errors:
     """The metrics over all rows, over rows without a clipped single response, and diffuse rows."""
     check_number("an exposure", exposure, above=True, hint="use a number above 0, such as 1")
-    patterns = np.stack(list(unseen_patterns(truth.projector_shape).values()))
+    patterns = np.stack(list(metrics.unseen_patterns(truth.projector_shape).values()))
     result = {
         "exposure": float(exposure),
-        "relative_error": relative_error(estimate, truth),
-        "relighting_error": relighting_error([estimate], [truth], patterns),
-        "response_rmse": response_rmse(estimate, truth, clip_level=1 / exposure),
+        "relative_error": metrics.relative_error(estimate, truth),
+        "relighting_error": metrics.relighting_error([estimate], [truth], patterns),
+        "response_rmse": metrics.response_rmse(estimate, truth, clip_level=1 / exposure),
     }
     groups = {
-        "unclipped_responses": unclipped_rows(truth, exposure),
-        "diffuse": diffuse_rows(truth.sparse, truth.projector_shape),
+        "unclipped_responses": metrics.unclipped_rows(truth, exposure),
+        "diffuse": metrics.diffuse_rows(truth.sparse, truth.projector_shape),
     }
     for name, chosen in groups.items():
         rows = np.flatnonzero(chosen)
@@ -273,8 +265,8 @@ def errors_by_rows(estimate: LightTransport, truth: LightTransport, exposure: fl
         errors = (math.nan, math.nan)
         if len(rows):
             errors = (
-                relative_error(estimate, truth, rows),
-                relighting_error([estimate], [truth], patterns, rows),
+                metrics.relative_error(estimate, truth, rows),
+                metrics.relighting_error([estimate], [truth], patterns, rows),
             )
         result[f"relative_error_{name}"], result[f"relighting_error_{name}"] = errors
     return Errors(**result)

@@ -28,16 +28,7 @@ from lightmatrix.patterns.grey import fewest_frames
 from lightmatrix.patterns.making import make_patterns
 from lightmatrix.patterns.mix import Mix, MixedPatterns, default_mix
 from lightmatrix.patterns.pattern_set import PatternSet
-from lightmatrix.planning.exposure_advice import (
-    DENSITY,
-    RULES,
-    WhiteFrame,
-    advise_density,
-    advise_exposures,
-    check_camera,
-    clipped_share,
-    single_clipped_share,
-)
+from lightmatrix.planning import exposure_advice as advising
 from lightmatrix.progress import Progress
 from lightmatrix.ranges import as_float, check_number, check_sides, check_whole
 from lightmatrix.reprs import text_table
@@ -189,12 +180,12 @@ class Advice:
     @property
     def white_is_clipped(self) -> bool:
         """Whether more than single glints of the white frame clip."""
-        return self.white_clipped_share > RULES.glints
+        return self.white_clipped_share > advising.RULES.glints
 
     @property
     def too_bright(self) -> bool:
         """Whether many single responses will clip, so that errors are larger than expected."""
-        return self.rows_that_clip_singly > RULES.clipped_singly
+        return self.rows_that_clip_singly > advising.RULES.clipped_singly
 
     @property
     def exposure(self) -> float | str:
@@ -237,7 +228,7 @@ class Advice:
 
 
 def plan(
-    white: str | Path | Truth | WhiteFrame,
+    white: str | Path | Truth | advising.WhiteFrame,
     *,
     size: tuple[int, int] | None = None,
     frames: int | None = None,
@@ -313,13 +304,13 @@ def plan(
         raise InputError(f"an error of {error}", hint="use a relative error, such as 0.05")
     if frames is not None:
         check_whole("frames", frames, least=2, most=1_000_000, hint="use 16, or more")
-    check_camera(noise, shortest)
+    advising.check_camera(noise, shortest)
     of_photograph = {"exposure": exposure, "black": black, "clip": clip, "response": response}
     of_photograph |= {"output": output}
     if size is not None:
         check_sides("a projector", size)
     projector, simulated = USUAL_SIZE if size is None else size, False
-    if isinstance(white, WhiteFrame):
+    if isinstance(white, advising.WhiteFrame):
         frame = white
     elif isinstance(white, Truth) or str(white).lower().endswith(".npz") or str(white) in names():
         present = [name for name, value in of_photograph.items() if value is not None]
@@ -335,7 +326,7 @@ def plan(
                 hint="leave the size out",
             )
         levels = known.matrix.sum(axis=1, dtype=np.float64)
-        frame = WhiteFrame(levels, np.zeros(len(levels), bool))
+        frame = advising.WhiteFrame(levels, np.zeros(len(levels), bool))
     else:
         unit = 1.0 if exposure is None else exposure
         hint = "use a number above 0, such as 20"
@@ -343,7 +334,7 @@ def plan(
         settings = ReadSettings(black=black, clip=clip, response=response)
         photograph = read_white_frame(white, settings)
         values = photograph.values[:, 0].astype(np.float64) / unit
-        frame = WhiteFrame(values, photograph.clipped[:, 0])
+        frame = advising.WhiteFrame(values, photograph.clipped[:, 0])
     fewest = fewest_frames(projector[0] * projector[1])
     if frames is None:
         # The fewest measured frames that reach the error on the worst scene, or the most.
@@ -355,9 +346,9 @@ def plan(
             f"{count} photographs do not tell {projector[0]} x {projector[1]} pixels apart",
             hint=f"take {fewest} or more, better {FEWEST_BLACK_AND_WHITE}",
         )
-    exposures = advise_exposures(frame, noise, shortest, count)
+    exposures = advising.advise_exposures(frame, noise, shortest, count)
     kind = _MADE[kind_for(count)]
-    density = DENSITY if kind == "random" else advise_density(frame, exposures)
+    density = advising.DENSITY if kind == "random" else advising.advise_density(frame, exposures)
     mix = default_mix(projector, count)
     sequence = exposure_sequence(exposures, MixedPatterns(projector, count, mix))
     per_frame = np.broadcast_to(sequence, count)
@@ -370,12 +361,14 @@ def plan(
         density=density,
         mix=mix,
         exposures=tuple(
-            AdvisedExposure(e, share, int((per_frame == e).sum()), clipped_share(frame, e, density))
+            AdvisedExposure(
+                e, share, int((per_frame == e).sum()), advising.clipped_share(frame, e, density)
+            )
             for e, share in exposures
         ),
         exposure_of_frames=per_frame,
         white_clipped_share=frame.clipped_share,
-        rows_that_clip_singly=single_clipped_share(frame, exposures),
+        rows_that_clip_singly=advising.single_clipped_share(frame, exposures),
         expected=tuple(
             min(expectations(k), key=lambda each: each.relative_error[1])
             for k in sorted({count, *counts()})
@@ -412,7 +405,7 @@ def _commands(
     """The commands that make the patterns, simulate if there is no rig, and estimate."""
     size = "x".join(map(str, advice.projector))
     patterns = f"lightmatrix patterns {advice.patterns} -k {advice.frames} --size {size}"
-    if advice.density != DENSITY:
+    if advice.density != advising.DENSITY:
         patterns += f" --density {advice.density:g}"
     patterns += " -o patterns/"
     whole = "lightmatrix estimate capture/ -o scene.zarr"

@@ -70,8 +70,7 @@ def uses(facts: Facts) -> Section:
             "`lightmatrix triangulate SCENE.zarr --geometry GEOMETRY.json -o CLOUD.ply`."
         )
         return Section("uses", "Uses", lead, (Text(words),))
-    shape = _triangulated(transport, facts.geometry)
-    elements = (*_separated(transport), *shape)
+    elements = (*_separated(transport), *_triangulated(transport, facts.geometry))
     return Section("uses", "Uses", lead, elements)
 
 

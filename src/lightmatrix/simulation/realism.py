@@ -71,14 +71,10 @@ def camera_defocus(truth: Truth, sigma: float) -> Truth:
 
 def vignetting(truth: Truth, strength: float) -> Truth:
     """Gain 1 - strength r^2, r from the middle to 1 in the corners; strength in [0, 1)."""
-    rows, cols = truth.camera_shape[:2]
-    y = np.linspace(-1, 1, rows)[:, None]
-    x = np.linspace(-1, 1, cols)[None, :]
-    gain = (1 - strength * (x**2 + y**2) / 2).ravel()
-    channels = truth.camera_shape[2] if len(truth.camera_shape) == 3 else 1
-    gain = np.repeat(gain, channels).astype(np.float32)
-    entry_gain = np.repeat(gain, np.diff(truth.matrix.indptr))
-    return truth.scaled(entry_gain)
+    y, x = (np.linspace(-1, 1, size) for size in truth.camera_shape[:2])
+    gain = (1 - strength * np.add.outer(y**2, x**2) / 2).ravel().astype(np.float32)
+    gain = np.repeat(gain, truth.matrix.shape[0] // gain.size)
+    return truth.scaled(np.repeat(gain, np.diff(truth.matrix.indptr)))
 
 
 def ambient(truth: Truth, level: float) -> NDArray[np.float32]:

@@ -111,7 +111,8 @@ def l_outline(leg: float, width: float) -> NDArray[np.float64]:
 
 def revolve(profile: ArrayLike, points: int = 64) -> Mesh:
     """A body of revolution about z from (radius, z) pairs, bottom to top, closed at both ends."""
-    rings = [at_height(polygon(points, radius), z) for radius, z in np.asarray(profile, float)]
+    unit = polygon(points, 1)
+    rings = [at_height(radius * unit, z) for radius, z in np.asarray(profile, float)]
     return loft(rings, (0.0, 0.0))
 
 
