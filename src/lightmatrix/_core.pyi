@@ -200,8 +200,12 @@ class PreparedPatterns:
         shape: tuple[int, int],
         planes: list[tuple[NDArray[np.float32], float]],
         narrow: bool = False,
+        wanted: NDArray[np.integer] | None = None,
     ) -> PreparedPatterns:
-        """Atoms with a (kernel, gain) for each plane; `narrow` stores columns to within 1e-5."""
+        """Atoms with a (kernel, gain) for each plane; `narrow` stores columns to within 1e-5.
+
+        All but the `wanted` ones, if there are some, are zero.
+        """
 
     def columns(self, index: NDArray[np.integer]) -> NDArray[np.float32]:
         """The columns of the pixels or atoms `index`, (m, K)."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -61,6 +62,27 @@ def test_the_compiled_pass_bounds_every_correlation(shape: Any, count: int, seed
         assert (exact <= unit * (scores + offset + up) + slack).all()
         # A 249th of the largest two tables for each of them, which are of six samples.
         assert (unit * (up + down) <= 0.04 * np.abs(e).sum(axis=1, keepdims=True) + slack).all()
+
+
+@settings(max_examples=15, deadline=None)
+@given(
+    st.tuples(st.integers(1, 20), st.integers(1, 20)), st.integers(2, 70), st.booleans(), st.data()
+)
+def test_only_the_wanted_atoms_are_made(shape: Any, count: int, narrow: bool, data: Any) -> None:
+    for patterns in kinds(shape, count, 1):
+        atoms = AtomPatterns(patterns, SIZES, narrow=narrow)
+        whole = atoms.prepared.columns(np.arange(atoms.pixels))
+        wanted = np.unique(data.draw(st.lists(st.integers(0, atoms.pixels - 1), max_size=30)))
+        wanted = wanted.astype(np.int64)
+        some = replace(atoms, wanted=wanted).prepared.columns(np.arange(atoms.pixels))
+        np.testing.assert_allclose(some[wanted], whole[wanted], atol=2e-5)
+        assert not np.delete(some, wanted, axis=0).any()
+
+
+def test_wanted_atoms_must_be_there() -> None:
+    atoms = AtomPatterns(BernoulliPatterns((4, 5), 8), SIZES, wanted=np.array([60]))
+    with pytest.raises(ValueError, match="atom 60 of 60"):
+        _ = atoms.prepared
 
 
 def test_the_fast_transform_serves_atoms_too() -> None:

@@ -66,6 +66,78 @@ impl Atoms {
         WordColumns::from_padded(values, stride)
     }
 
+    /// The columns of the `wanted` atoms only; others are zero, and take no memory before they are read.
+    pub fn some_columns(
+        &self,
+        level: Level,
+        columns: &Columns,
+        patterns: usize,
+        wanted: &[u32],
+    ) -> DenseColumns {
+        let stride = padded(patterns);
+        let mut values = vec![0f32; self.count() * stride];
+        self.some(level, columns, stride, wanted, &mut values, |sum, out| {
+            out.copy_from_slice(sum)
+        });
+        DenseColumns::from_padded(values, stride, 1.0)
+    }
+
+    /// The same in half the memory, with rounded values.
+    pub fn some_words(
+        &self,
+        level: Level,
+        columns: &Columns,
+        patterns: usize,
+        wanted: &[u32],
+    ) -> WordColumns {
+        let stride = padded(patterns);
+        let mut values = vec![0u16; self.count() * stride];
+        self.some(level, columns, stride, wanted, &mut values, |sum, out| {
+            to_words(level, sum, out)
+        });
+        WordColumns::from_padded(values, stride)
+    }
+
+    /// Computes the columns of some atoms, each by itself, and stores them by `keep`.
+    fn some<T>(
+        &self,
+        level: Level,
+        columns: &Columns,
+        stride: usize,
+        wanted: &[u32],
+        kept: &mut [T],
+        keep: impl Fn(&[f32], &mut [T]),
+    ) {
+        let [rows, cols] = self.grid;
+        let mut sums = vec![0f32; wanted.len() * stride];
+        let each = wanted.par_iter().zip(sums.par_chunks_exact_mut(stride));
+        each.for_each_init(
+            || vec![0f64; stride],
+            |sum, (&atom, out)| {
+                let plane = &self.planes[atom as usize / self.pixels()];
+                let (row, col) = (
+                    atom as usize % self.pixels() / cols,
+                    atom as usize % self.pixels() % cols,
+                );
+                let reach = plane.kernel.len() - 1;
+                sum.fill(0.0);
+                for r in row.saturating_sub(reach)..rows.min(row + reach + 1) {
+                    let down = plane.gain * plane.kernel[r.abs_diff(row)];
+                    for c in col.saturating_sub(reach)..cols.min(col + reach + 1) {
+                        let weight = down * plane.kernel[c.abs_diff(col)];
+                        columns.add(level, (r * cols + c) as u32, weight.into(), sum);
+                    }
+                }
+                for (out, sum) in out.iter_mut().zip(&*sum) {
+                    *out = *sum as f32;
+                }
+            },
+        );
+        for (&atom, sum) in wanted.iter().zip(sums.chunks_exact(stride)) {
+            keep(sum, &mut kept[atom as usize * stride..][..stride]);
+        }
+    }
+
     /// Computes the column of each atom, `stride` values, and stores those of pixels side by side by
     /// `keep`.
     fn each<T: Send>(

@@ -110,14 +110,16 @@ impl PreparedPatterns {
     }
 
     /// Atoms under the patterns, with (kernel, gain) for each plane; see `lightmatrix_core::atoms`.
-    /// `narrow` stores columns in half the memory, with an error of at most 1e-5.
-    #[pyo3(signature = (shape, planes, narrow=false))]
+    /// `narrow` stores columns in half the memory, with an error of at most 1e-5. All but the `wanted`
+    /// atoms, if there are some, are zero.
+    #[pyo3(signature = (shape, planes, narrow=false, wanted=None))]
     fn atoms<'py>(
         &self,
         py: Python<'py>,
         shape: &Bound<'py, PyAny>,
         planes: Vec<(Bound<'py, PyAny>, Bound<'py, PyAny>)>,
         narrow: bool,
+        wanted: Option<Vec<u32>>,
     ) -> PyResult<Self> {
         let (grid, pixels) = grid(shape, "shape")?;
         let single = Arc::clone(&self.dictionary);
@@ -131,15 +133,26 @@ impl PreparedPatterns {
         let planes = planes.iter().map(plane).collect::<PyResult<Vec<_>>>()?;
         let atoms = Atoms { grid, planes };
         let (level, patterns) = (single.level, single.patterns);
+        if let Some(outside) = (wanted.iter().flatten()).find(|&&j| j as usize >= atoms.count()) {
+            return Err(PyValueError::new_err(format!(
+                "atom {outside} of {}",
+                atoms.count()
+            )));
+        }
         // The columns, and those of single pixels between margins, which may be as wide as they are.
         let size = atoms.planes.len() * if narrow { 2 } else { 4 } + 2 * size_of::<f32>();
         check_memory::<u8>(&[size, pixels, padded(patterns)], "the prepared atoms")?;
         let dictionary = on_all_cores(py, || Dictionary {
             level,
-            columns: if narrow {
-                Columns::Words(atoms.words(level, &single.columns, patterns))
-            } else {
-                Columns::Dense(atoms.columns(level, &single.columns, patterns))
+            columns: match (narrow, &wanted) {
+                (true, None) => Columns::Words(atoms.words(level, &single.columns, patterns)),
+                (true, Some(wanted)) => {
+                    Columns::Words(atoms.some_words(level, &single.columns, patterns, wanted))
+                }
+                (false, None) => Columns::Dense(atoms.columns(level, &single.columns, patterns)),
+                (false, Some(wanted)) => {
+                    Columns::Dense(atoms.some_columns(level, &single.columns, patterns, wanted))
+                }
             },
             means: single.means.clone(),
             patterns,

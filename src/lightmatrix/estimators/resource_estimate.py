@@ -130,8 +130,9 @@ def estimate_resources(
     def memory(tile_bytes: int) -> int:
         solving = held + share * min(capture.rows * row_bytes, tile_bytes)
         if coherent and in_parts(capture):
-            # The atoms of rows that are solved, and those of two squares that are searched.
-            solving = held + tile_bytes + (800 << 20)
+            # The atoms of rows that are solved, and those of two squares that are searched; later
+            # T, of 20 to 25 entries and 64 cells a row, when faults of the rig are looked for.
+            solving = held + max(tile_bytes + (800 << 20), 250 * capture.rows)
         # Python and its libraries take 170 MiB.
         return int((170 << 20) + max(solving, checking))
 
@@ -176,7 +177,7 @@ def _held_bytes(capture: Capture, coherent: bool, active_set: bool, sample_bytes
             pixel, value, grey, row, sample = 1700, 13, 12, 100, 12
         if in_parts(capture):
             # No atoms are kept, and patterns are as they were given.
-            pixel, value, grey, row, sample = 40, 0.125, 8, 400, 12
+            pixel, value, grey, row, sample = 40, 0.125, 8, 270, 1
         # 64 more patterns were never shown.
         values = patterns.pixels * (capture.count + 64)
         # Stripes tell places less apart, so that rows have more entries.

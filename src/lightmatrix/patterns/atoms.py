@@ -44,6 +44,8 @@ class AtomPatterns(PatternSet):
     # Whether contrast is what differs from even light. Else it has what spots lose at the border,
     # which is three times their contrast where these are wide.
     even: bool = False
+    # The only atoms that the compiled solver needs, ascending; None: all.
+    wanted: NDArray[np.int64] | None = None
 
     def __post_init__(self) -> None:
         sizes = self.sizes
@@ -145,7 +147,7 @@ class AtomPatterns(PatternSet):
     ) -> _core.PreparedPatterns:
         single = self.single.prepare(column, instructions)
         planes = [(k, float(gain)) for k, gain in zip(self.kernels, self._gain, strict=True)]
-        return single.atoms(self.shape, planes, self.narrow)
+        return single.atoms(self.shape, planes, self.narrow, self.wanted)
 
     def centres(self, rows: csr_array) -> csr_array:
         """Coefficients (M, S N) as light at the middles of their spots, (M, N)."""

@@ -364,13 +364,15 @@ class RowSolver:
             near, rows = neighbours.part(rows, REACH)
             boxes = boxes_around(candidates.indices % atoms.single.pixels, atoms.shape)
             sheet = Sheet.of(boxes, atoms.shape, self._margin(near, this_round))
-            shown = atoms.part(sheet.pixels)
-            problem = replace(problem, patterns=shown)
-            if this_round.has_pseudo_samples:
-                unseen = unseen.part(sheet.pixels)
             parts = candidates.data, candidates.indices, candidates.indptr
             laid = sheet.laid(csr_array(parts, (len(rows), atoms.pixels)))
             candidates = Candidates(laid.indptr.astype(np.int64), laid.indices, laid.data)
+            shown = atoms.part(sheet.pixels)
+            if this_round.has_pseudo_samples:
+                unseen = unseen.part(sheet.pixels)
+            else:
+                shown = replace(shown, wanted=np.unique(laid.indices))
+            problem = replace(problem, patterns=shown)
             start = replace(start, coefficients=sheet.laid(start.coefficients))
         first, last = int(rows[0]), int(rows[-1]) + 1
         if this_round.has_pseudo_samples:
