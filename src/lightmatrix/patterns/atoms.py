@@ -18,7 +18,7 @@ from scipy.sparse import csr_array, vstack
 from lightmatrix import _core
 from lightmatrix.errors import InputError
 from lightmatrix.patterns.pattern_set import ImagePatterns, PatternSet
-from lightmatrix.resources.threads import computed_once, work_ahead
+from lightmatrix.resources.threads import computed_once
 
 # Rows whose spots become pixels at a time, which bounds memory: the widest spot has 500 pixels.
 _EXPANDED_ROWS = 4096
@@ -219,9 +219,8 @@ class AtomPatterns(PatternSet):
         chunks: Iterable[NDArray[Any]] = (chunk for _, chunk in self.single.chunks())
         if self.even:
             chunks = (chunk - chunk.mean(axis=1, keepdims=True) for chunk in chunks)
-        # The core gives each image to one thread, and a chunk may be a single image.
-        parts = work_ahead(lambda images: _core.blurred_moments(images, self.shape, kernel), chunks)
-        total, squares = np.sum(list(parts), axis=0) / (self.count * self.single.pixels)
+        parts = [_core.blurred_moments(c, self.shape, kernel) for c in chunks]
+        total, squares = np.sum(parts, axis=0) / (self.count * self.single.pixels)
         return float(np.sqrt(max(squares - total**2, 0.0)))
 
 
