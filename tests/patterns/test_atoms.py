@@ -64,6 +64,18 @@ def test_the_compiled_pass_bounds_every_correlation(shape: Any, count: int, seed
         assert (unit * (up + down) <= 0.04 * np.abs(e).sum(axis=1, keepdims=True) + slack).all()
 
 
+@settings(max_examples=20, deadline=None)
+@given(st.tuples(st.integers(1, 9), st.integers(1, 9)), st.integers(1, 70), st.integers(0, 99))
+def test_patterns_are_laid_on_a_sheet(shape: Any, count: int, seed: int) -> None:
+    pixels = np.random.default_rng(seed).integers(-1, shape[0] * shape[1], (5, 7))
+    for patterns in kinds(shape, count, seed):
+        laid = patterns.laid(pixels)
+        assert laid.shape == (5, 7)
+        expected = np.where(pixels < 0, 0, patterns.dense()[:, pixels])
+        np.testing.assert_array_equal(laid.images(), expected)
+        np.testing.assert_allclose(laid.sums, expected.sum(axis=(1, 2), dtype=float))
+
+
 @settings(max_examples=15, deadline=None)
 @given(
     st.tuples(st.integers(1, 20), st.integers(1, 20)), st.integers(2, 70), st.booleans(), st.data()

@@ -414,3 +414,10 @@ def test_samples_of_complete_sets_give_t_and_its_noise(patterns: PatternSet) -> 
 )
 def test_other_sets_have_no_inverse(patterns: PatternSet) -> None:
     assert patterns.inverted is None
+
+
+@given(st.integers(1, 20), st.integers(0, 99))
+def test_bits_beyond_the_projector_do_not_count(width: int, seed: int) -> None:
+    bits = np.random.default_rng(seed).integers(0, 256, (3, -(-width // 8)), np.uint8)
+    patterns = BitPatterns((1, width), bits)
+    np.testing.assert_array_equal(patterns.sums, patterns.dense().sum(axis=1))

@@ -121,7 +121,11 @@ def estimate_resources(
     temporary = capture.rows * capture.count * sample_bytes
     # Temporary files hold samples that are too many for memory.
     temporary *= temporary > SCRATCH_MEMORY_BYTES
-    held = _held_bytes(capture, coherent, active_set, sample_bytes) - temporary
+    # The regression of what the rig did takes up to 320,000 samples and their margins, and changes
+    # 64 MiB of patterns at a time.
+    samples, values = capture.rows * capture.count, patterns.pixels * (capture.count + 64)
+    regression = coherent * (300 * min(samples, 640_000) + 20 * min(values, 1 << 24))
+    held = _held_bytes(capture, coherent, active_set, sample_bytes) + regression - temporary
     # The check of the photographs reads at most 48 M levels, and takes 12 bytes for each.
     checking = 12 * min(capture.rows * capture.count, 48 << 20)
     # The active set takes less than half of the bytes that it may take of each row.
@@ -130,9 +134,10 @@ def estimate_resources(
     def memory(tile_bytes: int) -> int:
         solving = held + share * min(capture.rows * row_bytes, tile_bytes)
         if coherent and in_parts(capture):
-            # The atoms of rows that are solved, and those of two squares that are searched; later
-            # T, of 20 to 25 entries and 64 cells a row, when faults of the rig are looked for.
-            solving = held + max(tile_bytes + (800 << 20), 250 * capture.rows)
+            # The atoms of a square that is searched, those of rows that are solved, and the rows of
+            # two tiles; later T, of 20 to 25 entries and 64 cells a row, beside the regression.
+            in_work = (600 << 20) + 2.25 * tile_bytes + min(1700 * capture.rows, 1.1 * tile_bytes)
+            solving = held + max(in_work - regression, 250 * capture.rows)
         # Python and its libraries take 170 MiB.
         return int((170 << 20) + max(solving, checking))
 
@@ -188,10 +193,6 @@ def _held_bytes(capture: Capture, coherent: bool, active_set: bool, sample_bytes
     size = pixel * patterns.pixels + value * values + row * rows
     size += grey * patterns.pixels * capture.count * _is_grey(patterns)
     size += (sample + sample_bytes - 1) * rows * capture.count
-    if coherent:
-        # The regression of what the rig did takes up to 320,000 samples and their margins, and
-        # changes 64 MiB of patterns at a time.
-        size += 300 * min(rows * capture.count, 640_000) + 20 * min(values, 1 << 24)
     return int(size)
 
 

@@ -17,7 +17,7 @@ from scipy.sparse import csr_array, vstack
 
 from lightmatrix import _core
 from lightmatrix.errors import InputError
-from lightmatrix.patterns.pattern_set import ImagePatterns, PatternSet
+from lightmatrix.patterns.pattern_set import PatternSet
 from lightmatrix.resources.threads import computed_once
 
 # Rows whose spots become pixels at a time, which bounds memory: the widest spot has 500 pixels.
@@ -130,9 +130,8 @@ class AtomPatterns(PatternSet):
 
         Columns are those of the whole where all pixels under a spot are there.
         """
-        values = self.single.at(np.maximum(pixels, 0)) * (pixels >= 0)
         sizes, gains = self.sizes[::every], self.gains[::every]
-        return AtomPatterns(ImagePatterns(values), sizes, gains, self.narrow)
+        return AtomPatterns(self.single.laid(pixels), sizes, gains, self.narrow)
 
     def rows(self, start: int, stop: int) -> NDArray[np.float32]:
         single = self.single.rows(start, stop)

@@ -49,6 +49,14 @@ class BinaryPatterns(pattern_set.PatternSet):
         return self.dense()
 
     @computed_once
+    def sums(self) -> NDArray[np.float64]:
+        lit = np.unpackbits(np.arange(256, dtype=np.uint8)[:, None], axis=1).sum(axis=1)
+        # The last byte may be longer than the pattern.
+        beyond = lit[self.bits[:, -1] >> np.uint8(self.pixels % 8 or 8)]
+        whole = lit.astype(np.uint8)[self.bits].sum(axis=1, dtype=np.float64)
+        return np.asarray(whole - beyond)
+
+    @computed_once
     def squares(self) -> NDArray[np.float64]:
         return self.weighted_sum(np.ones(self.count))
 
@@ -57,6 +65,13 @@ class BinaryPatterns(pattern_set.PatternSet):
 
     def columns(self, index: NDArray[np.integer]) -> NDArray[np.float32]:
         return _core.bits_columns(self.bits, self.pixels, np.asarray(index, np.int64))
+
+    def laid(self, pixels: NDArray[np.int64]) -> "BitPatterns":
+        place = np.maximum(pixels, 0).ravel()
+        lit = np.take(self.bits, place >> 3, axis=1)
+        lit >>= (place & 7).astype(np.uint8)
+        lit &= (pixels >= 0).ravel()
+        return BitPatterns(pixels.shape, np.packbits(lit, axis=1, bitorder="little"))
 
     def span(self, start: int, stop: int) -> NDArray[np.float32]:
         if self._is_small:

@@ -157,6 +157,10 @@ class PatternSet(ShortRepr, ABC):
         """Values at pixels in an array of any shape: (K, *pixels.shape) float32."""
         return self.columns(pixels.ravel()).reshape(self.count, *pixels.shape)
 
+    def laid(self, pixels: NDArray[np.int64]) -> "PatternSet":
+        """The patterns on a sheet of some of their pixels, (h, w); places of -1 are dark."""
+        return ImagePatterns(self.at(np.maximum(pixels, 0)) * (pixels >= 0))
+
     def span(self, start: int, stop: int) -> NDArray[np.float32]:
         """Columns start..stop of P: (K, stop - start) float32."""
         return self.columns(np.arange(start, stop))
