@@ -204,7 +204,7 @@ class PreparedPatterns:
     ) -> PreparedPatterns:
         """Atoms with a (kernel, gain) for each plane; `narrow` stores columns to within 1e-5.
 
-        All but the `wanted` ones, if there are some, are zero.
+        The columns of atoms that are not `wanted` are zero. None: all are wanted.
         """
 
     def columns(self, index: NDArray[np.integer]) -> NDArray[np.float32]:

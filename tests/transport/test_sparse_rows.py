@@ -84,6 +84,21 @@ def test_parts_that_are_made_one_after_the_other_are_joined(
     same(SparseRows.joined(parts, bound), whole)
 
 
+@pytest.mark.parametrize(
+    "other",
+    [
+        rows(pixels=8),
+        rows(background=1),
+        replace(rows(), diagnostics={"gap": np.zeros(7)}),
+        replace(rows(), coefficients=csr_array((7, 9))),
+    ],
+    ids=["columns", "background", "diagnostics", "precision"],
+)
+def test_parts_that_differ_are_not_joined(other: SparseRows) -> None:
+    with pytest.raises(ValueError, match="parts of rows differ"):
+        SparseRows.joined([rows(), other])
+
+
 def test_joined_rows_are_in_memory_once() -> None:
     whole = rows(4000, 60, 64)
 

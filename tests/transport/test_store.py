@@ -21,10 +21,18 @@ from scipy.io import loadmat
 from lightmatrix.errors import InputError, OutputError
 from lightmatrix.files.kinds import CORRESPONDENCE_MARK
 from lightmatrix.transport import store
-from lightmatrix.transport.checkpoint import Checkpoint, unfinished_spans
+from lightmatrix.transport.checkpoint import ROWS, Checkpoint, unfinished_spans
 from lightmatrix.transport.npz import export, import_npz
 from tests.helpers.limits import largest_file
-from tests.helpers.stores import FINGERPRINT, assert_same, finish, run, transport, write_tile
+from tests.helpers.stores import (
+    FINGERPRINT,
+    TILES,
+    assert_same,
+    finish,
+    run,
+    transport,
+    write_tile,
+)
 from tests.helpers.systems import LIMITS, SIGNALS
 
 
@@ -284,6 +292,20 @@ def test_a_changed_tile_is_computed_again(
     np.savez(tile, **arrays)
     assert run(path) == 8
     assert_same(store.open(path), transport())
+
+
+@pytest.mark.parametrize("lost", [True, False])
+def test_a_tile_that_is_damaged_meanwhile_is_named(tmp_path: Path, lost: bool) -> None:
+    with Checkpoint.open(tmp_path / "t.zarr", FINGERPRINT) as running:
+        for start, stop in TILES:
+            write_tile(running, start, stop)
+        assert running.read(ROWS).count == TILES[-1][1]
+        file = next((tmp_path / "t.zarr.partial").glob("rows-*.npz"))
+        file.write_bytes(b"")
+        if lost:
+            file.unlink()
+        with pytest.raises(InputError, match=r"rows-\d+-\d+\.npz was damaged meanwhile"):
+            running.read(ROWS)
 
 
 def test_tiles_under_each_others_names_are_computed_again(tmp_path: Path) -> None:

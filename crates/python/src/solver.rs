@@ -110,8 +110,8 @@ impl PreparedPatterns {
     }
 
     /// Atoms under the patterns, with (kernel, gain) for each plane; see `lightmatrix_core::atoms`.
-    /// `narrow` stores columns in half the memory, with an error of at most 1e-5. All but the `wanted`
-    /// atoms, if there are some, are zero.
+    /// `narrow` stores columns in half the memory, with an error of at most 1e-5. The columns of atoms
+    /// that are not `wanted` are zero. None: all are wanted.
     #[pyo3(signature = (shape, planes, narrow=false, wanted=None))]
     fn atoms<'py>(
         &self,

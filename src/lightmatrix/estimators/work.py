@@ -109,6 +109,8 @@ class TilesInMemory:
         """All tiles of a step, joined."""
         tiles = self.rows[step]
         spans = sorted(tiles)
+        if len(spans) == 1:
+            return tiles[spans[0]]
         size = spans[-1][1], sum(tile.coefficients.nnz for tile in tiles.values())
         # Each is thrown away as soon as it is copied.
         whole = SparseRows.joined(map(tiles.pop, spans), size)
@@ -151,7 +153,7 @@ def complete(
         if pool is not None:
             pool.solve(work, step, spans, finished, report)
         else:
-            # No variable keeps what a step was prepared with until the next one is.
+            # A prepared step has no name here, so that its memory is free before the next is.
             together = min(work.together, len(spans))
             _solve(work.prepare(step, finished.read), spans, together, keep, report)
         for before in work.steps[step]:

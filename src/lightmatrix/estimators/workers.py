@@ -389,7 +389,7 @@ def solve_tile(
             vars(_open_job).update(vars(_OpenJob(digest, pickle.loads(packed))))
             assert _open_job.work is not None
         if _open_job.step != step or _open_job.solve_tile is None:
-            # What the step before was prepared with goes first.
+            # This frees what the step before was prepared with.
             _open_job.solve_tile = None
             _open_job.solve_tile = _open_job.work.prepare(
                 step, lambda name: pickle.loads(before[name])

@@ -374,9 +374,14 @@ class RigGeometry(ShortRepr):
         return centre_of(self.camera_matrix)
 
     @property
+    def projector_centre(self) -> Array:
+        """The projector's centre (3,) in the world."""
+        return centre_of(self.projector_matrix)
+
+    @property
     def baseline(self) -> float:
         """Distance from the camera to the projector, in `units`."""
-        return float(np.linalg.norm(centre_of(self.projector_matrix) - self.camera_centre))
+        return float(np.linalg.norm(self.projector_centre - self.camera_centre))
 
     def fundamental_matrix(self) -> Array:
         """F (3, 3), of Frobenius norm 1, for undistorted pixels.

@@ -44,7 +44,7 @@ class AtomPatterns(PatternSet):
     # Whether contrast is what differs from even light. Else it has what spots lose at the border,
     # which is three times their contrast where these are wide.
     even: bool = False
-    # The only atoms that the compiled solver needs, ascending; None: all.
+    # The only atoms that are prepared for the compiled solver, ascending; None: all.
     wanted: NDArray[np.int64] | None = None
 
     def __post_init__(self) -> None:

@@ -323,6 +323,7 @@ class PatternSet(ShortRepr, ABC):
 
         Blocks at the border may be smaller.
         """
+        block = block_size(block, "projector")
         parts = [
             block_mean(part.reshape(-1, *self.shape), block).astype(np.float32)
             for _, part in self.chunks()

@@ -82,30 +82,26 @@ class SparseRows:
             if len(parts) == 1:
                 return parts[0]
             size = sum(part.count for part in parts), sum(part.coefficients.nnz for part in parts)
-        # Memory is taken where it is written, so that a bound may be large.
+        # The system gives memory when it is written, so a bound may exceed what is needed.
         whole, ends, row, entry = dict[str, NDArray[Any]](), [np.zeros(1, np.int64)], 0, 0
+        form: tuple[Any, ...] = ()
         for part in parts:
             arrays = part.arrays()
             columns = int(arrays.pop("shape")[1])
             ends.append(arrays.pop("indptr")[1:] + np.int64(entry))
+            arrays["indices"] = arrays["indices"].astype(_index_type(columns), copy=False)
+            own = columns, {name: (each.shape[1:], each.dtype) for name, each in arrays.items()}
+            if own != (form := form or own):
+                raise ValueError("parts of rows differ in columns, diagnostics or precision")
             for name, array in arrays.items():
                 start, most = (entry, size[1]) if name in _OF_ENTRIES else (row, size[0])
                 if name not in whole:
-                    kind = _index_type(columns) if name == "indices" else array.dtype
-                    whole[name] = np.empty((most, *array.shape[1:]), kind)
-                assert name == "indices" or whole[name].dtype == array.dtype, (
-                    name,
-                    whole[name].dtype,
-                    array.dtype,
-                )
+                    whole[name] = np.empty((most, *array.shape[1:]), array.dtype)
                 whole[name][start : start + len(array)] = array
             row, entry = row + part.count, entry + part.coefficients.nnz
-        whole = {
-            name: each[: entry if name in _OF_ENTRIES else row] for name, each in whole.items()
-        }
-        whole["indptr"] = np.concatenate(
-            ends, dtype=_index_type(entry, columns), casting="same_kind"
-        )
+        for name, array in whole.items():
+            whole[name] = array[: entry if name in _OF_ENTRIES else row]
+        whole["indptr"] = np.concatenate(ends).astype(_index_type(entry, columns))
         named = {n.removeprefix(_DIAGNOSTIC): each for n, each in whole.items() if _DIAGNOSTIC in n}
         matrix = csr_array((whole["data"], whole["indices"], whole["indptr"]), shape=(row, columns))
         return cls(matrix, whole["background"], named)

@@ -115,13 +115,14 @@ class Rounds(Work):
             return self._search
         neighbours = self._neighbours(number, read)
         if step == ROWS:
+            # No later step has this neighbourhood.
             self._latest.clear()
         if step == HELD_OUT:
             return partial(self._hold_out, neighbours)
         if step != ROWS:
             skips = self._grows and self.rounds[number].skip_settled
-            moving = unsettled(neighbours.rows, neighbours.camera) if skips else None
-            return partial(self._solve, number, neighbours, moving)
+            changing = unsettled(neighbours.rows, neighbours.camera) if skips else None
+            return partial(self._solve, number, neighbours, changing)
         if not self.judged:
             return partial(self._judge, neighbours, None, None)
         before = read(HELD_OUT).diagnostics
@@ -169,10 +170,10 @@ class Rounds(Work):
         return _searched(solved) if self._grows else _for_next_round(solved)
 
     def _solve(
-        self, number: int, neighbours: Neighbourhood, moving: NDArray[np.bool_] | None,
+        self, number: int, neighbours: Neighbourhood, changing: NDArray[np.bool_] | None,
         start: int, stop: int, progress: Progress,
     ) -> SparseRows:  # fmt: skip
-        """The rows start..stop of a round, or those that are moving, as their neighbours say."""
+        """The rows start..stop of a round, or those around which rows are `changing`."""
         this_round = self.rounds[number]
         samples = self._grid(number).samples(start, stop)
         rows = np.arange(start, stop)
@@ -180,7 +181,7 @@ class Rounds(Work):
             solved, _ = self.solver.near(samples, rows, this_round, neighbours, progress)
             return _for_next_round(solved)
         before = neighbours.rows.rows(rows)
-        if moving is None:
+        if changing is None:
             solved, _ = self.solver.near(samples, rows, this_round, neighbours, progress)
             result = _for_next_round(solved, before)
             if this_round.search_unexplained:
@@ -189,15 +190,15 @@ class Rounds(Work):
                     samples, solved, result, share, neighbours, start, progress
                 )
             return with_change(result, before)
-        some = np.flatnonzero(moving[start:stop])
-        if not len(some):
+        chosen = np.flatnonzero(changing[start:stop])
+        if not len(chosen):
             return unchanged(before)
-        part = before.rows(some)
+        part = before.rows(chosen)
         solved, _ = self.solver.near(
-            samples.rows(some), rows[some], this_round, neighbours, progress
+            samples.rows(chosen), rows[chosen], this_round, neighbours, progress
         )
         new = with_change(_for_next_round(solved, part), part)
-        return unchanged(before).replaced(some, new)
+        return unchanged(before).replaced(chosen, new)
 
     def _search_unexplained(
         self, samples: Samples, solved: Result, rows: SparseRows, share: float,
@@ -314,7 +315,7 @@ class Rounds(Work):
             rows = read(round_name(number - 1))
             grid, before = self._grid(number), self._grid(number - 1)
             if grid is not before:
-                # The samples of the coarser grid have served.
+                # A copy without the samples that were read takes its place, to free their memory.
                 self._grids[before.spacing] = replace(before)
             atoms = self.solver.atoms
             projectors = max(1, len(self.capture.projectors))
