@@ -15,6 +15,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import lightmatrix as lm
+from lightmatrix import estimators
 from lightmatrix.cli import main
 from lightmatrix.geometry.matches import fit_fundamental, fit_homography, moved, sampson
 from lightmatrix.shape import calibrate
@@ -521,7 +522,7 @@ def test_a_pose_under_random_patterns_has_the_same_corners(
     usual: tuple[RigCalibration, Path], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     plain = partial(lm.estimate, check=False, correct="none")
-    monkeypatch.setattr(calibrate, "estimate", plain)
+    monkeypatch.setattr(estimators.estimate, "estimate", plain)
     # A part of the camera, which the whole board is in, and a projector of half as many pixels.
     rig, corner = board_rig().scaled(projector=2), (24, 48)
     random = lm.BernoulliPatterns(rig.projector_shape, 24)
@@ -542,7 +543,7 @@ def test_two_projectors_and_two_cameras_from_one_set_of_boards(
     known = two_by_two()
     captures = [[[two_projector_capture(rigs, pose) for rigs in known]] for pose in POSES[:3]]
     # Estimates from random patterns take half a minute a pose; they are exact here.
-    monkeypatch.setattr(calibrate, "estimate", lambda capture: capture.truth.transport())
+    monkeypatch.setattr(estimators.estimate, "estimate", lambda capture: capture.truth.transport())
     with pytest.raises(lm.InputError, match="pose 2: has images of other sizes"):
         lm.calibrate_rig([*captures[:2], [captures[2][0][:1]]], BOARD, SQUARE)
     measured = lm.calibrate_rig(captures, BOARD, SQUARE, output=tmp_path / "rig.json")

@@ -145,17 +145,25 @@ def complete(
         # What an earlier run has finished counts as well.
         done = max(stop for _, stop in spans) - sum(stop - start for start, stop in spans)
 
-        def report(rows: int, _: int = 0, step: str = step, before: int = done) -> None:
+        def report(rows: int, _: int = 0, step: str = step, already: int = done) -> None:
             if progress is not None:
-                progress(work.solved(step, before + rows), work.capture.rows)
+                progress(work.solved(step, already + rows), work.capture.rows)
 
-        keep = partial(finished.write, step=step)
         if pool is not None:
             pool.solve(work, step, spans, finished, report)
         else:
-            # A prepared step has no name here, so that its memory is free before the next is.
-            together = min(work.together, len(spans))
-            _solve(work.prepare(step, finished.read), spans, together, keep, report)
+            solve_tile = work.prepare(step, finished.read)
+            if min(work.together, len(spans)) > 1:
+                keep = partial(finished.write, step=step)
+                _solve_side_by_side(solve_tile, spans, work.together, keep, report)
+            else:
+                # This thread solves, too: others would only delay small estimates.
+                for start, stop in spans:
+                    note = partial(report, already=done)
+                    finished.write(start, stop, solve_tile(start, stop, note), step)
+                    done += stop - start
+            # Its memory is free before the next step is prepared.
+            del solve_tile
         for before in work.steps[step]:
             if [name for name, needed in work.steps.items() if before in needed] == [step]:
                 finished.forget(before)
@@ -165,26 +173,15 @@ class _Stopped(Exception):  # noqa: N818 - nobody sees it; it ends a tile that n
     """Another tile failed, or the user stopped the estimate."""
 
 
-def _solve(
+def _solve_side_by_side(
     solve_tile: SolveTile, spans: list[Span], together: int,
     keep: Callable[[int, int, SparseRows], None], report: Callable[[int], None],
 ) -> None:  # fmt: skip
     """Solve tiles, `together` of them at a time, and `keep` each at once.
 
     While the core solves the rows of one tile on all cores, Python prepares those of another: so no
-    core waits for the main thread. One at a time is solved in this thread, as others would only
-    delay small estimates.
+    core waits for the main thread.
     """
-    if together == 1:
-        done = 0
-        for start, stop in spans:
-
-            def note_own(rows: int, _: int, before: int = done) -> None:
-                report(before + rows)
-
-            keep(start, stop, solve_tile(start, stop, note_own))
-            done += stop - start
-        return
     stopped, rows_done = Event(), dict.fromkeys(spans, 0)
 
     def solve(span: Span) -> SparseRows:

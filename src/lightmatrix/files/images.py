@@ -109,6 +109,9 @@ def as_image_error(name: str) -> Iterator[None]:
         raise InputError(f"{name}: cannot be read ({error.strerror})", hint=hint) from error
     # Libraries raise nearly anything, among them SyntaxError.
     except Exception as error:
+        # A decoder says so in its own words, or cannot be loaded, where memory runs out.
+        if isinstance(error, ImportError) or "out of memory" in str(error):
+            raise MemoryError(str(error)) from error
         # Their words do not help where the file ends early, or where no reader knows the format.
         reason = " ".join(str(error).split())[:120]
         if isinstance(error, (IndexError, struct.error, UnidentifiedImageError)):
