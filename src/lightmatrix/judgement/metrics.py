@@ -2,7 +2,8 @@
 
 import itertools
 from collections.abc import Iterator, Sequence
-from typing import Any
+from dataclasses import dataclass
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -38,24 +39,36 @@ def squared_errors(
     wrong = np.empty(truth.sparse.shape[0])
     entries = np.asarray(estimate.sparse.indptr, np.int64) + truth.sparse.indptr
     cells = estimate.background.shape[1] + truth.background.shape[1]
+    grids = _Grids.of(estimate.pooling, truth.pooling)
     for rows in _blocks(entries, cells):
         difference = csr_array(estimate.sparse[rows] - truth.sparse[rows], dtype=np.float64)
-        backgrounds = [
-            (estimate.background[rows], estimate.pooling),
-            (-truth.background[rows], truth.pooling),
-        ]
-        wrong[rows] = _row_energies(difference, backgrounds)
+        backgrounds = [estimate.background[rows], -truth.background[rows]]
+        wrong[rows] = _row_energies(difference, backgrounds, grids)
     return wrong, row_energies(truth)
 
 
 def row_energies(transport: LightTransport) -> NDArray[np.float64]:
     """||T_i||^2 of each row, background included, (M,) float64."""
     result = np.empty(transport.sparse.shape[0])
-    cells = transport.background.shape[1]
+    cells, grids = transport.background.shape[1], _Grids.of(transport.pooling)
     for rows in _blocks(transport.sparse.indptr, cells):
         sparse = csr_array(transport.sparse[rows], dtype=np.float64)
-        result[rows] = _row_energies(sparse, [(transport.background[rows], transport.pooling)])
+        result[rows] = _row_energies(sparse, [transport.background[rows]], grids)
     return result
+
+
+@dataclass(frozen=True)
+class _Grids:
+    """Means m over the cells of backgrounds, made once for all blocks of rows."""
+
+    # m' of each, (N, B), and the products m m' of each two.
+    turned: list[csr_array]
+    products: list[list[NDArray[np.float64]]]
+
+    @classmethod
+    def of(cls, *means: csr_array) -> Self:
+        turned = [csr_array(each.T, dtype=np.float64) for each in means]
+        return cls(turned, [[(one @ other).toarray() for other in turned] for one in means])
 
 
 def _blocks(indptr: NDArray[np.integer], cells: int = 0, bytes_each: int = 32) -> Iterator[slice]:
@@ -69,20 +82,19 @@ def _blocks(indptr: NDArray[np.integer], cells: int = 0, bytes_each: int = 32) -
 
 
 def _row_energies(
-    sparse: csr_array, backgrounds: list[tuple[NDArray[Any], csr_array]]
+    sparse: csr_array, backgrounds: list[NDArray[Any]], grids: _Grids
 ) -> NDArray[np.float64]:
     """||S + sum B m||^2 of each row, from products of the parts, so that nothing becomes dense."""
     squares = csr_array((sparse.data**2, sparse.indices, sparse.indptr), shape=sparse.shape)
     energy = np.asarray(squares.sum(axis=1), np.float64)
-    for i, (background, means) in enumerate(backgrounds):
+    for i, background in enumerate(backgrounds):
         if not background.any():
             continue
         own = background.astype(np.float64)
-        energy += 2 * ((sparse @ means.T.astype(np.float64)).toarray() * own).sum(axis=1)
-        for other_background, other_means in backgrounds[i:]:
-            overlap = (means @ other_means.T).toarray().astype(np.float64)
-            product = ((own @ overlap) * other_background).sum(axis=1)
-            energy += product if other_background is background else 2 * product
+        energy += 2 * ((sparse @ grids.turned[i]).toarray() * own).sum(axis=1)
+        for j in range(i, len(backgrounds)):
+            product = ((own @ grids.products[i][j]) * backgrounds[j]).sum(axis=1)
+            energy += product if i == j else 2 * product
     return np.maximum(energy, 0)
 
 
