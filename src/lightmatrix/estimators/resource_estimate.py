@@ -136,7 +136,7 @@ def estimate_resources(
         if coherent and in_parts(capture):
             # The atoms of a square that is searched, those of rows that are solved, and the rows of
             # two tiles; later T, of 20 to 25 entries and 64 cells a row, beside the regression.
-            in_work = (600 << 20) + 2.25 * tile_bytes + min(1700 * capture.rows, 1.1 * tile_bytes)
+            in_work = (800 << 20) + 2.25 * tile_bytes + min(1700 * capture.rows, 1.1 * tile_bytes)
             solving = held + max(in_work - regression, 300 * capture.rows)
         # Python and its libraries take 170 MiB.
         return int((170 << 20) + max(solving, checking))
