@@ -15,6 +15,7 @@ from lightmatrix.capture.capture import Capture
 from lightmatrix.capture.packing import pack
 from lightmatrix.capture.sensor import Sensor
 from lightmatrix.patterns.pattern_set import PatternSet
+from lightmatrix.simulation.simulate import irradiance
 from lightmatrix.transport.sparse_rows import stack_rows
 
 
@@ -63,12 +64,7 @@ class _Photographs:
 
     def levels(self, start: int, stop: int) -> NDArray[Any]:
         parts = [self.scene.rows(k, min(k + 8192, stop))[0] for k in range(start, stop, 8192)]
-        rows = stack_rows(parts)
-        # Some rows see few of a large projector's pixels.
-        seen, place = np.unique(rows.indices, return_inverse=True)
-        rows = csr_array((rows.data, place, rows.indptr), (stop - start, len(seen)))
-        light = rows @ np.ascontiguousarray(self.patterns.columns(seen).T)
-        return self.sensor.expose(light, first_row=start)
+        return self.sensor.expose(irradiance(stack_rows(parts), self.patterns), first_row=start)
 
     def name(self, index: int) -> str:
         return f"image_{index:04d}"

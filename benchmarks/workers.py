@@ -53,7 +53,7 @@ def main(arguments: list[str] | None = None) -> None:
     with tempfile.TemporaryDirectory() as folder:
         if options.weak:
             places = [capture(folder, times * options.camera) for times in (1, 2)]
-            times = {n: alone(place, n) for n, place in zip((1, 4), places, strict=True)}
+            times = {n: by_process(place, n) for n, place in zip((1, 4), places, strict=True)}
             ratio = sum(times[4]) / sum(times[1])
             print(json.dumps({**vars(options), "seconds": times, "ratio": ratio}), flush=True)
             return
@@ -88,7 +88,7 @@ def measured(place: Path, coherent: bool, repeats: int) -> dict[str, Any]:
     }
 
 
-def alone(place: Path, number: int) -> tuple[float, float]:
+def by_process(place: Path, number: int) -> tuple[float, float]:
     """Processor seconds of this process and of the busiest of some workers."""
     with dask_pool(number) as pool:
         before = processes(pool)

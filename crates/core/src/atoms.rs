@@ -46,56 +46,53 @@ impl Atoms {
         self.pixels() * self.planes.len()
     }
 
-    /// The columns of all atoms, computed from the patterns' `columns`.
-    pub fn columns(&self, level: Level, columns: &Columns, patterns: usize) -> DenseColumns {
-        let stride = padded(patterns);
-        let mut values = vec![0f32; self.count() * stride];
-        self.each(level, columns, stride, &mut values, |sum, out| {
-            out.copy_from_slice(sum)
-        });
-        DenseColumns::from_padded(values, stride, 1.0)
-    }
-
-    /// The same in half the memory, with rounded values.
-    pub fn words(&self, level: Level, columns: &Columns, patterns: usize) -> WordColumns {
-        let stride = padded(patterns);
-        let mut values = vec![0u16; self.count() * stride];
-        self.each(level, columns, stride, &mut values, |sum, out| {
-            to_words(level, sum, out)
-        });
-        WordColumns::from_padded(values, stride)
-    }
-
-    /// The columns of the `wanted` atoms only; others are zero, and take no memory before they are read.
-    pub fn some_columns(
+    /// The columns of all atoms, computed from the patterns' `columns`; or of the `wanted` ones only. Those of
+    /// all others are zero then, and take no memory as long as nothing is written into them.
+    pub fn columns(
         &self,
         level: Level,
         columns: &Columns,
         patterns: usize,
-        wanted: &[u32],
+        wanted: Option<&[u32]>,
     ) -> DenseColumns {
         let stride = padded(patterns);
         let mut values = vec![0f32; self.count() * stride];
-        self.some(level, columns, stride, wanted, &mut values, |sum, out| {
+        self.fill(level, columns, stride, wanted, &mut values, |sum, out| {
             out.copy_from_slice(sum)
         });
         DenseColumns::from_padded(values, stride, 1.0)
     }
 
     /// The same in half the memory, with rounded values.
-    pub fn some_words(
+    pub fn words(
         &self,
         level: Level,
         columns: &Columns,
         patterns: usize,
-        wanted: &[u32],
+        wanted: Option<&[u32]>,
     ) -> WordColumns {
         let stride = padded(patterns);
         let mut values = vec![0u16; self.count() * stride];
-        self.some(level, columns, stride, wanted, &mut values, |sum, out| {
+        self.fill(level, columns, stride, wanted, &mut values, |sum, out| {
             to_words(level, sum, out)
         });
         WordColumns::from_padded(values, stride)
+    }
+
+    /// Computes the columns, `stride` values each, and stores them by `keep`.
+    fn fill<T: Send>(
+        &self,
+        level: Level,
+        columns: &Columns,
+        stride: usize,
+        wanted: Option<&[u32]>,
+        kept: &mut [T],
+        keep: impl Fn(&[f32], &mut [T]) + Sync,
+    ) {
+        match wanted {
+            None => self.each(level, columns, stride, kept, keep),
+            Some(wanted) => self.some(level, columns, stride, wanted, kept, keep),
+        }
     }
 
     /// Computes the columns of some atoms, each by itself, and stores them by `keep`.
@@ -115,10 +112,8 @@ impl Atoms {
             || vec![0f64; stride],
             |sum, (&atom, out)| {
                 let plane = &self.planes[atom as usize / self.pixels()];
-                let (row, col) = (
-                    atom as usize % self.pixels() / cols,
-                    atom as usize % self.pixels() % cols,
-                );
+                let pixel = atom as usize % self.pixels();
+                let (row, col) = (pixel / cols, pixel % cols);
                 let reach = plane.kernel.len() - 1;
                 sum.fill(0.0);
                 for r in row.saturating_sub(reach)..rows.min(row + reach + 1) {

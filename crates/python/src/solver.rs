@@ -144,15 +144,10 @@ impl PreparedPatterns {
         check_memory::<u8>(&[size, pixels, padded(patterns)], "the prepared atoms")?;
         let dictionary = on_all_cores(py, || Dictionary {
             level,
-            columns: match (narrow, &wanted) {
-                (true, None) => Columns::Words(atoms.words(level, &single.columns, patterns)),
-                (true, Some(wanted)) => {
-                    Columns::Words(atoms.some_words(level, &single.columns, patterns, wanted))
-                }
-                (false, None) => Columns::Dense(atoms.columns(level, &single.columns, patterns)),
-                (false, Some(wanted)) => {
-                    Columns::Dense(atoms.some_columns(level, &single.columns, patterns, wanted))
-                }
+            columns: if narrow {
+                Columns::Words(atoms.words(level, &single.columns, patterns, wanted.as_deref()))
+            } else {
+                Columns::Dense(atoms.columns(level, &single.columns, patterns, wanted.as_deref()))
             },
             means: single.means.clone(),
             patterns,

@@ -118,28 +118,30 @@ def estimate_resources(
     active_set = settings.solver == "active-set" and not settings.multi_scale
     # Bytes of one kept sample of a frame: 1, 2 or 4; 5 once it is binned.
     sample_bytes = 5 if capture.bin_camera != (1, 1) else capture.frames.dtype.itemsize
-    temporary = capture.rows * capture.count * sample_bytes
+    samples, values = capture.rows * capture.count, patterns.pixels * (capture.count + 64)
+    temporary = samples * sample_bytes
     # Temporary files hold samples that are too many for memory.
     temporary *= temporary > SCRATCH_MEMORY_BYTES
     # The regression of what the rig did takes up to 320,000 samples and their margins, and changes
     # 64 MiB of patterns at a time.
-    samples, values = capture.rows * capture.count, patterns.pixels * (capture.count + 64)
     regression = coherent * (300 * min(samples, 640_000) + 20 * min(values, 1 << 24))
-    held = _held_bytes(capture, coherent, active_set, sample_bytes) + regression - temporary
+    held = _held_bytes(capture, coherent, active_set, sample_bytes) - temporary
     # The check of the photographs reads at most 48 M levels, and takes 12 bytes for each.
-    checking = 12 * min(capture.rows * capture.count, 48 << 20)
+    checking = 12 * min(samples, 48 << 20)
     # The active set takes less than half of the bytes that it may take of each row.
     share = 0.5 if active_set else 1.0
 
     def memory(tile_bytes: int) -> int:
-        solving = held + share * min(capture.rows * row_bytes, tile_bytes)
+        solving = share * min(capture.rows * row_bytes, tile_bytes) + regression
         if coherent and in_parts(capture):
-            # The atoms of a square that is searched, those of rows that are solved, and the rows of
-            # two tiles; later T, of 20 to 25 entries and 64 cells a row, beside the regression.
+            # Bytes of the atoms of a square that is searched, of the atoms of rows that are solved,
+            # and of the rows of two tiles, 1,700 a row; later of T beside the regression, where a
+            # row has 20 to 25 entries and 64 cells, and takes 300 more than in a round. What the
+            # estimates of `python -m benchmarks.scale --4k` took decides the factors.
             in_work = (800 << 20) + 2.25 * tile_bytes + min(1700 * capture.rows, 1.1 * tile_bytes)
-            solving = held + max(in_work - regression, 300 * capture.rows)
+            solving = max(in_work, 300 * capture.rows + regression)
         # Python and its libraries take 170 MiB.
-        return int((170 << 20) + max(solving, checking))
+        return int((170 << 20) + max(held + solving, checking))
 
     limit, workers, tile_bytes = settings.memory_limit, settings.workers or 1, TILE_BYTES
     # The free memory of this machine says nothing about the machines of a cluster.

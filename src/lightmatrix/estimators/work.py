@@ -109,8 +109,6 @@ class TilesInMemory:
         """All tiles of a step, joined."""
         tiles = self.rows[step]
         spans = sorted(tiles)
-        if len(spans) == 1:
-            return tiles[spans[0]]
         size = spans[-1][1], sum(tile.coefficients.nnz for tile in tiles.values())
         # Each is thrown away as soon as it is copied.
         whole = SparseRows.joined(map(tiles.pop, spans), size)

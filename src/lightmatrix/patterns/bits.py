@@ -51,7 +51,7 @@ class BinaryPatterns(pattern_set.PatternSet):
     @computed_once
     def sums(self) -> NDArray[np.float64]:
         lit = np.unpackbits(np.arange(256, dtype=np.uint8)[:, None], axis=1).sum(axis=1)
-        # The last byte may be longer than the pattern.
+        # The last byte may be longer than the pattern. Nothing is left of one shifted by 8.
         beyond = lit[self.bits[:, -1] >> np.uint8(self.pixels % 8 or 8)]
         whole = lit.astype(np.uint8)[self.bits].sum(axis=1, dtype=np.float64)
         return np.asarray(whole - beyond)

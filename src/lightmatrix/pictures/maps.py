@@ -24,6 +24,7 @@ if TYPE_CHECKING:
 else:
     mpl = lazy_loader.load("matplotlib")
 
+# Red, green and blue in [0, 1] that mark clipped pixels: a strong red, unlike any grey.
 CLIPPED_COLOUR = (0.90, 0.10, 0.12)
 # The grey of camera pixels without a value.
 UNKNOWN = (0.7, 0.7, 0.7)

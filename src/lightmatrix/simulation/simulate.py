@@ -319,9 +319,14 @@ def irradiance(
             f"has {pixels} columns",
             hint="make the patterns for the projector of this scene",
         )
+    if 0 < matrix.nnz < pixels:
+        # Few rows see little of a large projector, and only that is laid out.
+        seen, place = np.unique(matrix.indices, return_inverse=True)
+        matrix = csr_array((matrix.data, place, matrix.indptr), (rows, len(seen)))
+        patterns = patterns.laid(seen[None])
     light = np.empty((rows, patterns.count), np.float32)
     # Patterns as columns, so that the product of one row adds short vectors of a cached block.
-    size = max(16, _CACHED_VALUES // pixels)
+    size = max(16, _CACHED_VALUES // patterns.pixels)
     firsts = range(0, patterns.count, size)
     blocks = [
         np.ascontiguousarray(patterns.rows(k, min(k + size, patterns.count)).T) for k in firsts

@@ -128,15 +128,13 @@ class Checkpoint:
 
     def read(self, step: str) -> SparseRows:
         """All tiles of a step, joined."""
-        spans, size, tiles = self.spans(step), 0, self._tiles(step)
-        if len(spans) == 1:
-            return next(tiles)
+        spans, size = self.spans(step), 0
         for span in spans:
-            # The tiles say what is wrong with a file.
+            # Reading a tile says what is wrong with its file.
             with suppress(OSError):
                 size += self._kept.file(tile_name(step, span)).stat().st_size
         # An entry takes eight bytes of a file or more.
-        return SparseRows.joined(tiles, (spans[-1][1], size // 8))
+        return SparseRows.joined(self._tiles(step), (spans[-1][1], size // 8))
 
     def forget(self, step: str) -> None:
         """Throw away the tiles of a step."""

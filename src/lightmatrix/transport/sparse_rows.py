@@ -73,19 +73,18 @@ class SparseRows:
     def joined(cls, parts: Iterable[SparseRows], size: tuple[int, int] | None = None) -> SparseRows:
         """The rows of one or more parts, which have the same diagnostics, below each other.
 
-        With a `size`, as many rows and entries as all parts have at most, parts may be made one
-        after the other, so that T is not in memory twice. Otherwise a single part is returned as it
-        is.
+        With a `size`, the rows and entries that all parts have at most, parts may be made one after
+        the other, so that T is not in memory twice. A part with all rows is returned as it is.
         """
         if size is None:
             parts = list(parts)
-            if len(parts) == 1:
-                return parts[0]
             size = sum(part.count for part in parts), sum(part.coefficients.nnz for part in parts)
         # The system gives memory when it is written, so a bound may exceed what is needed.
         whole, ends, row, entry = dict[str, NDArray[Any]](), [np.zeros(1, np.int64)], 0, 0
         form: tuple[Any, ...] = ()
         for part in parts:
+            if part.count == size[0]:
+                return part
             arrays = part.arrays()
             columns = int(arrays.pop("shape")[1])
             ends.append(arrays.pop("indptr")[1:] + np.int64(entry))

@@ -328,7 +328,7 @@ fn blurred_scores_bound_the_correlations_with_atoms() {
                 grid,
                 planes: planes.to_vec(),
             };
-            let columns = Columns::Dense(atoms.columns(level, &single, patterns));
+            let columns = Columns::Dense(atoms.columns(level, &single, patterns, None));
             let lookup = Correlator::lookup(level, bits);
             let inner = Correlator::lookup(level, bits);
             let pass: Pass = Box::new(move |e, out, scratch| inner.run(&single, e, out, scratch));

@@ -173,7 +173,10 @@ class Rounds(Work):
         self, number: int, neighbours: Neighbourhood, changing: NDArray[np.bool_] | None,
         start: int, stop: int, progress: Progress,
     ) -> SparseRows:  # fmt: skip
-        """The rows start..stop of a round, or those around which rows are `changing`."""
+        """The rows start..stop of a round, of which only those that are `changing` are solved.
+
+        These have a change around them, (M,). None: all are solved.
+        """
         this_round = self.rounds[number]
         samples = self._grid(number).samples(start, stop)
         rows = np.arange(start, stop)
