@@ -14,6 +14,9 @@ use rayon::prelude::*;
 /// Image columns that are blurred together: their sums fit into vector registers.
 const STRETCH: usize = 64;
 
+/// Values of an image that are blurred together: 128 kB fit into the second cache with those around them.
+const BLURRED: usize = 1 << 15;
+
 /// Rows and columns of pixels that are blurred together. What they and those around them take under 64
 /// patterns, 230 kB, fits into the second cache.
 const BLOCK: [usize; 2] = [32, 16];
@@ -208,13 +211,14 @@ pub fn moments(level: Level, grid: [usize; 2], plane: &Plane, images: &[f32]) ->
     assert!(images.len().is_multiple_of(pixels));
     let sums_of_images: Vec<[f64; 2]> = images
         .par_chunks_exact(pixels)
-        .map_init(
-            || (Blurring::default(), vec![0f32; pixels]),
-            |(blurring, blurred), image| {
-                blurring.run(level, grid, plane, image, blurred);
-                sums(level, blurred)
-            },
-        )
+        .map_init(Blurring::default, |blurring, image| {
+            let mut whole = [0.0; 2];
+            blurring.run(level, grid, plane, image, |blurred| {
+                let part = sums(level, blurred);
+                whole = [whole[0] + part[0], whole[1] + part[1]];
+            });
+            whole
+        })
         .collect();
     // Summed in the order of the images, so that the result does not depend on threads.
     (sums_of_images.iter()).fold([0.0; 2], |all, one| [all[0] + one[0], all[1] + one[1]])
@@ -240,49 +244,67 @@ multiversion! {
 pub struct Blurring {
     line: Vec<f32>,
     middle: Vec<f32>,
+    blurred: Vec<f32>,
 }
 
 impl Blurring {
-    /// out = gain times the image under the plane's kernel, both (rows, columns).
+    /// Calls `take` for the rows of gain times the image (rows, columns) under the plane's kernel, several of
+    /// them at a time.
     ///
     /// # Panics
-    /// If the image or `out` have another size.
+    /// If the image has another size.
     pub fn run(
         &mut self,
         level: Level,
         [rows, cols]: [usize; 2],
         plane: &Plane,
         image: &[f32],
-        out: &mut [f32],
+        mut take: impl FnMut(&[f32]),
     ) {
-        assert!(image.len() == rows * cols && out.len() == rows * cols);
+        assert_eq!(image.len(), rows * cols);
         let reach = plane.kernel.len() - 1;
         let stride = cols.next_multiple_of(STRETCH);
-        self.line.clear();
-        self.line.resize(stride + 2 * reach, 0.0);
-        self.middle.resize((rows + 2 * reach) * stride, 0.0);
-        // The image lies between margins of zeros; what was there before is overwritten.
-        let (above, rest) = self.middle.split_at_mut(reach * stride);
-        let (middle, below) = rest.split_at_mut(rows * stride);
-        above.fill(0.0);
-        below.fill(0.0);
-        for (image, middle) in image
-            .chunks_exact(cols)
-            .zip(middle.chunks_exact_mut(stride))
+        let block = (BLURRED / stride).clamp(1, rows.max(1));
+        let Blurring {
+            line,
+            middle,
+            blurred,
+        } = self;
+        // A row lies between margins of zeros.
+        line.clear();
+        line.resize(stride + 2 * reach, 0.0);
+        blurred.resize(block * stride, 0.0);
+        // The rows of a block, blurred across, between those above and below; zeros beyond the image.
+        middle.resize((block + 2 * reach) * stride, 0.0);
+        middle[..reach * stride].fill(0.0);
+        let mut across = |row: usize, out: &mut [f32]| match image.get(row * cols..(row + 1) * cols)
         {
-            self.line[reach..reach + cols].copy_from_slice(image);
-            along(level, &plane.kernel, 1.0, 1, &self.line, middle);
-        }
-        self.line.resize(stride.max(self.line.len()), 0.0);
-        for (row, out) in out.chunks_exact_mut(cols).enumerate() {
-            let lines = &self.middle[row * stride..][..(2 * reach + 1) * stride];
-            if cols == stride {
-                along(level, &plane.kernel, plane.gain, stride, lines, out);
-                continue;
+            Some(values) => {
+                line[reach..reach + cols].copy_from_slice(values);
+                along(level, &plane.kernel, 1.0, 1, line, out);
             }
-            let whole = &mut self.line[..stride];
+            None => out.fill(0.0),
+        };
+        let lines = middle.chunks_exact_mut(stride).skip(reach);
+        for (row, out) in lines.take(reach).enumerate() {
+            across(row, out);
+        }
+        for top in (0..rows).step_by(block) {
+            let lines = middle.chunks_exact_mut(stride).skip(2 * reach);
+            for (row, out) in lines.enumerate() {
+                across(top + reach + row, out);
+            }
+            let count = block.min(rows - top);
+            let lines = &middle[..(count + 2 * reach) * stride];
+            let whole = &mut blurred[..count * stride];
             along(level, &plane.kernel, plane.gain, stride, lines, whole);
-            out.copy_from_slice(&whole[..cols]);
+            if cols < stride {
+                for row in 1..count {
+                    whole.copy_within(row * stride..row * stride + cols, row * cols);
+                }
+            }
+            take(&whole[..count * cols]);
+            middle.copy_within(block * stride.., 0);
         }
     }
 }

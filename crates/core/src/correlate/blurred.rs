@@ -24,8 +24,9 @@ const HALF: f64 = 0.51;
 #[derive(Default)]
 pub struct Buffers {
     image: Vec<f32>,
-    planes: Vec<f32>,
     blurring: Blurring,
+    /// Scores that wait until there are whole groups of them.
+    waiting: Vec<i16>,
 }
 
 impl Blurred {
@@ -41,15 +42,16 @@ impl Blurred {
         self.atoms.count().next_multiple_of(GROUP)
     }
 
-    /// Computes the scores of all atoms from those of single pixels.
+    /// Computes the scores of all atoms from those of single pixels; `out` keeps those that pass its
+    /// filter. The blurred images are as large as the columns of seven patterns, so they are filtered
+    /// while they are in the cache.
     pub fn run(&self, level: Level, single: &Scores, out: &mut Scores, buffers: &mut Buffers) {
         let Buffers {
             image,
-            planes,
             blurring,
+            waiting,
         } = buffers;
         image.resize(self.atoms.pixels(), 0.0);
-        planes.resize(self.atoms.count(), 0.0);
         let shift = (single.offset + (single.up - single.down) / 2.0) as f32;
         if self.pixel.is_empty() {
             shifted(level, &single.values, shift, image);
@@ -59,39 +61,41 @@ impl Blurred {
                 image[*pixel as usize] = f32::from(*score) + shift;
             }
         }
-        let parts = planes.chunks_exact_mut(self.atoms.pixels());
-        for (plane, values) in self.atoms.planes.iter().zip(parts) {
-            blurring.run(level, self.atoms.grid, plane, image, values);
+        let step = self.set_bounds(level, single, image, out);
+        let mut first = 0;
+        waiting.clear();
+        for plane in &self.atoms.planes {
+            blurring.run(level, self.atoms.grid, plane, image, |values| {
+                let before = waiting.len();
+                waiting.resize(before + values.len(), 0);
+                rounded(level, values, 1.0 / step, &mut waiting[before..]);
+                let whole = waiting.len() - waiting.len() % GROUP;
+                out.keep(level, first, &waiting[..whole]);
+                waiting.drain(..whole);
+                first += whole;
+            });
         }
-        self.score(level, single, image, planes, out);
+        waiting.resize(waiting.len().next_multiple_of(GROUP), 0);
+        out.keep(level, first, waiting);
     }
 
-    /// Rounds blurred scores to scores, with bounds on the errors of blurring and rounding.
-    fn score(
-        &self,
-        level: Level,
-        single: &Scores,
-        image: &[f32],
-        planes: &[f32],
-        out: &mut Scores,
-    ) {
+    /// Sets the bounds on the errors of blurring and rounding; returns the step that scores are rounded to.
+    fn set_bounds(&self, level: Level, single: &Scores, image: &[f32], out: &mut Scores) -> f32 {
         let taps = self.atoms.planes.iter().map(|plane| 2 * plane.kernel.len());
         // Two sums of `taps` products each, with kernels that sum to 1 and gains of at most 1.
         let roundings = 2 * taps.max().unwrap_or(0) + 8;
-        let error = f64::from(largest(level, image)) * roundings as f64 * f64::from(f32::EPSILON);
+        let top = largest(level, image);
+        let error = f64::from(top) * roundings as f64 * f64::from(f32::EPSILON);
         let margin = (single.up + single.down) / 2.0 + error;
-        let top = largest(level, planes);
-        // A finer step than the margin would only resolve errors.
-        let step = (top / LARGEST)
-            .max(margin as f32 / LARGEST)
-            .max(f32::MIN_POSITIVE);
+        // No blurred score exceeds the largest single one. A finer step than the margin would only
+        // resolve errors.
+        let step = (top.max(margin as f32) / LARGEST).max(f32::MIN_POSITIVE);
         out.unit = single.unit * f64::from(step);
         out.offset = 0.0;
         out.up = HALF + margin / f64::from(step);
         out.down = out.up;
-        let (values, rest) = out.values.split_at_mut(planes.len());
-        rounded(level, planes, 1.0 / step, values);
-        rest.fill(0);
+        out.begin();
+        step
     }
 }
 

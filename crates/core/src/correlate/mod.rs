@@ -188,7 +188,11 @@ impl Correlator {
         scratch: &mut Scratch,
     ) {
         assert!(e.len() <= self.batch() && e.len() == out.len());
-        let streams = matches!(&self.kind, Kind::Lookup(lookup) if lookup.streams());
+        let streams = match &self.kind {
+            Kind::Lookup(lookup) => lookup.streams(),
+            Kind::Blurred(..) => true,
+            _ => false,
+        };
         for out in out.iter_mut() {
             if !streams || matches!(out.filter, ScoreFilter::All) {
                 out.values.resize(self.length(), 0);
