@@ -80,10 +80,12 @@ def test_all_rows_of_small_frames_search_and_large_ones_grow() -> None:
     grown = schedule.schedule((1024, 1024), 768 * 1024, WINDOWS)
     assert [stage.spacing for stage in grown] == [32] * 8 + [8] * 3 + [4] * 3 + [1] * 3
     assert [stage.window is None for stage in grown] == [True] + [False] * 16
-    assert not grown[0].brief
+    assert grown[0].brief
     assert [stage.last for stage in grown] == [False] * 16 + [True]
-    assert [i for i, stage in enumerate(grown) if stage.search_unexplained] == [9, 12, 15]
+    assert [i for i, stage in enumerate(grown) if stage.search_unexplained] == [9, 12, 14]
     assert [i for i, stage in enumerate(grown) if stage.skip_settled] == [10, 13]
+    assert [i for i, stage in enumerate(grown) if stage.skip_every_second] == [15]
+    assert [i for i, stage in enumerate(grown) if stage.has_pseudo_samples] == [15, 16]
     # Narrow windows would leave gaps between seeds, and thin cameras have no neighbours.
     assert schedule.spacings((1024, 1024), 768 * 1024, ((1, 1),)) == (1,)
     assert schedule.spacings((10, 100_000), 768 * 1024, WINDOWS) == (1,)

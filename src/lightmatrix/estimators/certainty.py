@@ -39,10 +39,10 @@ def with_certainty(
     `cell_means` (B, K) are the means of the patterns over the cells of the rows' background. None:
     it has one cell.
     """
-    # Rows of an estimate, evenly spread, that are looked at: 1,024, or as many as make 2^31 pairs
+    # Rows of an estimate, evenly spread, that are looked at: 1,024, or as many as make 2^28 pairs
     # of a row and a projector pixel, but 256. Their share of certain rows has a standard error of
     # at most 1.6 %, or 3 % of 256 rows. Under 4K, 1,024 rows would take a minute of processor.
-    step = max(1, total // min(1024, max(256, (1 << 31) // patterns.pixels)))
+    step = max(1, total // min(1024, max(256, (1 << 28) // patterns.pixels)))
     index = np.arange(start, start + rows.count)
     chosen = np.flatnonzero(index % step == step // 2)
     certain = np.full(rows.count, np.nan, np.float32)

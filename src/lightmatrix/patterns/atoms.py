@@ -125,13 +125,13 @@ class AtomPatterns(PatternSet):
     def columns(self, index: NDArray[np.integer]) -> NDArray[np.float32]:
         return np.concatenate([chunk[:, index] for _, chunk in self.chunks()])
 
-    def part(self, pixels: NDArray[np.int64], every: int = 1) -> "AtomPatterns":
+    def part(self, pixels: NDArray[np.int64] | None = None, every: int = 1) -> "AtomPatterns":
         """The atoms, of every so-manieth size, over the pixels at some places, (h, w); see `Sheet`.
 
-        Columns are those of the whole where all pixels under a spot are there.
+        Columns are those of the whole where all pixels under a spot are there. None: all pixels.
         """
-        sizes, gains = self.sizes[::every], self.gains[::every]
-        return AtomPatterns(self.single.laid(pixels), sizes, gains, self.narrow)
+        single = self.single if pixels is None else self.single.laid(pixels)
+        return AtomPatterns(single, self.sizes[::every], self.gains[::every], self.narrow)
 
     def rows(self, start: int, stop: int) -> NDArray[np.float32]:
         single = self.single.rows(start, stop)
@@ -284,6 +284,12 @@ class Sheet:
             cells = tuple(slice(s.start // _CELL, s.stop // _CELL) for s in (rows, cols))
             shifts[cells] = (top + margin - rows.start) * width + left + margin - cols.start
         return cls(shape, pixels, shifts.ravel())
+
+    @classmethod
+    def whole(cls, shape: tuple[int, int]) -> "Sheet":
+        """All pixels in their own places."""
+        pixels = np.arange(shape[0] * shape[1]).reshape(shape)
+        return cls(shape, pixels, np.zeros([-(-n // _CELL) for n in shape], np.int64).ravel())
 
     def laid(self, rows: csr_array) -> csr_array:
         """Rows of the projector's atoms, (m, S N), as those of the sheet's, without all others."""

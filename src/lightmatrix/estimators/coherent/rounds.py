@@ -34,6 +34,7 @@ from lightmatrix.estimators.coherent.row_errors import (
 from lightmatrix.estimators.coherent.row_solver import RowSolver, coherent_row_bytes, in_parts
 from lightmatrix.estimators.coherent.schedule import GROWTH, Round
 from lightmatrix.estimators.work import TILE_BYTES, ReadStep, SolveTile, Work, cut_rows
+from lightmatrix.patterns.atoms import AtomPatterns
 from lightmatrix.progress import Progress
 from lightmatrix.resources.threads import computed_once, core_threads
 from lightmatrix.solvers.problem import Result
@@ -112,7 +113,8 @@ class Rounds(Work):
         """Prepare the neighbourhood of a step, and return what solves its rows start..stop."""
         number = self._number(step)
         if number == 0:
-            return self._search
+            whole = in_parts(self.capture) or not self.rounds[0].brief
+            return partial(self._search, None if whole else self.solver.sought())
         neighbours = self._neighbours(number, read)
         if step == ROWS:
             # No later step has this neighbourhood.
@@ -120,9 +122,7 @@ class Rounds(Work):
         if step == HELD_OUT:
             return partial(self._hold_out, neighbours)
         if step != ROWS:
-            skips = self._grows and self.rounds[number].skip_settled
-            changing = unsettled(neighbours.rows, neighbours.camera) if skips else None
-            return partial(self._solve, number, neighbours, changing)
+            return partial(self._solve, number, neighbours, self._chosen(number, neighbours))
         if not self.judged:
             return partial(self._judge, neighbours, None, None)
         before = read(HELD_OUT).diagnostics
@@ -163,20 +163,30 @@ class Rounds(Work):
     def _grid(self, number: int) -> CameraGrid:
         return self._grids[self.rounds[number].spacing]
 
-    def _search(self, start: int, stop: int, progress: Progress) -> SparseRows:
-        """The rows start..stop of the first round, each by itself on all atoms."""
+    def _search(
+        self, sought: AtomPatterns | None, start: int, stop: int, progress: Progress
+    ) -> SparseRows:
+        """The rows start..stop of the first round, each by itself, on atoms everywhere."""
         samples = self._grid(0).samples(start, stop)
-        solved = self.solver.everywhere(samples, progress, brief=self.rounds[0].brief)
+        brief = self.rounds[0].brief
+        solved = self.solver.everywhere(samples, progress, brief=brief, sought=sought)
         return _searched(solved) if self._grows else _for_next_round(solved)
 
+    def _chosen(self, number: int, neighbours: Neighbourhood) -> NDArray[np.bool_] | None:
+        """The rows that a round solves, (M,); None: all of them."""
+        this_round, camera = self.rounds[number], neighbours.camera
+        if self._grows and this_round.skip_settled:
+            return unsettled(neighbours.rows, camera)
+        if this_round.skip_every_second:
+            row, col, _ = np.indices(camera, sparse=True)
+            return np.broadcast_to((row + col) % 2 == 0, camera).ravel()
+        return None
+
     def _solve(
-        self, number: int, neighbours: Neighbourhood, changing: NDArray[np.bool_] | None,
+        self, number: int, neighbours: Neighbourhood, chosen: NDArray[np.bool_] | None,
         start: int, stop: int, progress: Progress,
     ) -> SparseRows:  # fmt: skip
-        """The rows start..stop of a round, of which only those that are `changing` are solved.
-
-        These have a change around them, (M,). None: all are solved.
-        """
+        """The rows start..stop of a round, of which only the `chosen` ones are solved, (M,)."""
         this_round = self.rounds[number]
         samples = self._grid(number).samples(start, stop)
         rows = np.arange(start, stop)
@@ -184,7 +194,7 @@ class Rounds(Work):
             solved, _ = self.solver.near(samples, rows, this_round, neighbours, progress)
             return _for_next_round(solved)
         before = neighbours.rows.rows(rows)
-        if changing is None:
+        if chosen is None:
             solved, _ = self.solver.near(samples, rows, this_round, neighbours, progress)
             result = _for_next_round(solved, before)
             if this_round.search_unexplained:
@@ -193,15 +203,15 @@ class Rounds(Work):
                     samples, solved, result, share, neighbours, start, progress
                 )
             return with_change(result, before)
-        chosen = np.flatnonzero(changing[start:stop])
-        if not len(chosen):
+        some = np.flatnonzero(chosen[start:stop])
+        if not len(some):
             return unchanged(before)
-        part = before.rows(chosen)
+        part = before.rows(some)
         solved, _ = self.solver.near(
-            samples.rows(chosen), rows[chosen], this_round, neighbours, progress
+            samples.rows(some), rows[some], this_round, neighbours, progress
         )
         new = with_change(_for_next_round(solved, part), part)
-        return unchanged(before).replaced(chosen, new)
+        return unchanged(before).replaced(some, new)
 
     def _search_unexplained(
         self, samples: Samples, solved: Result, rows: SparseRows, share: float,

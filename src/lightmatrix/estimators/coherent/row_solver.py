@@ -169,7 +169,11 @@ FIRST_REGULARIZATION = 0.32
 # The atoms of a projector of more pixels take more than 2.5 GB, so that they are not kept: those
 # that some rows may see are made, on a sheet, when these rows are solved.
 KEPT_PIXELS = 1 << 20
-# The side in pixels of the squares of it that are searched in turn, each a quarter of that limit.
+# A brief search looks for spots of every so-manieth size. They suffice to find light (errors differ
+# by less than 1 %), and take half of the time.
+_SOUGHT = 2
+# The side in pixels of the squares of a larger projector that are searched in turn, each a quarter
+# of that limit.
 _SQUARE = 512
 
 
@@ -254,22 +258,30 @@ class RowSolver:
         grid = min(several * down, shape[0]), min(right, shape[1])
         return Backgrounds(grid, self.capture.patterns, self.unseen.single)
 
+    def sought(self) -> AtomPatterns:
+        """The atoms of fewer sizes, by which seeds search."""
+        return self.atoms.part(every=_SOUGHT)
+
     def everywhere(
         self, samples: Samples, progress: Progress | None = None, *, brief: bool = False,
-        squares: NDArray[np.bool_] | None = None,
+        squares: NDArray[np.bool_] | None = None, sought: AtomPatterns | None = None,
     ) -> Result:  # fmt: skip
-        """Solve each row by itself on all atoms; in two passes if it may be `brief`.
+        """Solve each row by itself on all atoms, or those `sought`; in two passes if `brief`.
 
         Where not all atoms are kept, each row can be searched in some of the squares only, (m, S).
         """
         problem, parts = self.first_problem(samples), in_parts(self.capture)
         most = min(2, self.solver.max_passes) if brief or parts else self.solver.max_passes
         # A gap of 1 % suffices to show where light may be. Until it is reached there would be 3.5
-        # passes; but where every row has neighbours that have searched, two give the same errors.
+        # to 5 passes; but where rows have neighbours that have searched, two give the same errors.
         tolerance = max(1e-2, self.solver.tolerance)
         solver = replace(self.solver, tolerance=tolerance, max_passes=most)
-        if not parts:
+        if not parts and sought is None:
             return solver.solve(problem, progress)
+        if sought is not None:
+            problem = replace(problem, patterns=sought)
+            found = self._found(problem, Sheet.whole(self.atoms.shape), solver, progress)
+            return Result(found, Status.CONVERGED)
         (rows, cols), reach = self.atoms.shape, len(self.atoms.kernels[-1]) - 1
         problem = replace(problem, background_column=self.capture.patterns.means)
         best, before = None, np.full(problem.rows, np.inf)
@@ -282,12 +294,9 @@ class RowSolver:
             sides = zip(corner, (rows, cols), strict=True)
             square = tuple(slice(max(0, n - reach), min(n + _SQUARE + reach, m)) for n, m in sides)
             sheet = Sheet.of([square], (rows, cols), 0)
-            # Every second size suffices to find light, and takes half of the time.
-            patterns = self.atoms.part(sheet.pixels, every=2)
+            patterns = self.atoms.part(sheet.pixels, every=_SOUGHT)
             part = replace(problem, patterns=patterns, samples=samples.rows(some))
-            found = solver.solve(part, progress).rows
-            lifted = sheet.lifted(found.coefficients, self.atoms.planes, every=2)
-            found = replace(found, coefficients=lifted)
+            found = self._found(part, sheet, solver, progress)
             if best is None:
                 # Any rows, until each has its own.
                 best = found.rows(np.zeros(problem.rows, np.int64))
@@ -298,6 +307,14 @@ class RowSolver:
             best = best.replaced(some[better], found.rows(better))
         assert best is not None
         return Result(best, Status.CONVERGED)
+
+    def _found(
+        self, problem: Problem, sheet: Sheet, solver: ActiveSet, progress: Progress | None
+    ) -> SparseRows:
+        """Rows on the atoms of a sheet of every second size, as rows of all atoms."""
+        found = solver.solve(problem, progress).rows
+        lifted = sheet.lifted(found.coefficients, self.atoms.planes, _SOUGHT)
+        return replace(found, coefficients=lifted)
 
     def squares_seen(
         self, rows: NDArray[np.int64], neighbours: Neighbourhood

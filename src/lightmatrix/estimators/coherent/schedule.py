@@ -6,7 +6,7 @@ fourth to 64th. Their estimates spread to all others, as matches do in PatchMatc
 al. 2009); camera pixels whose samples this does not explain then search for themselves.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 
 @dataclass(frozen=True)
@@ -46,7 +46,8 @@ class Growth:
     fewest_seeds: int = 30
     # Rounds at each finer level after the one in which estimates spread to it.
     settling: int = 2
-    # Rounds at a level after which its unexplained rows search all projector pixels.
+    # Rounds at a level after which its unexplained rows search all projector pixels, but one at the
+    # last level of large frames.
     search_after: int = 2
     # A row is unexplained if its objective exceeds this share of what an even background leaves of
     # its samples. Measured on procedural scenes: the share is at most 0.02 in rows that are right,
@@ -76,18 +77,16 @@ class Round:
     # Rounds that the rows, or those that they spread from, have behind them.
     age: int
     last: bool = False
-    # The search ends early, as all its rows have close neighbours that will correct it.
+    # The search ends early, as all its rows have neighbours that will correct it.
     brief: bool = False
     # Rows of which more than this share is unexplained search all projector pixels; 0: none does.
     search_unexplained: float = 0.0
     # Rows stay as they are if nothing changed around them.
     skip_settled: bool = False
-
-    @property
-    def has_pseudo_samples(self) -> bool:
-        """Whether neighbours' rows stand in for samples that clip or were never taken."""
-        # Between distant camera pixels they change errors by 0.03 %, at a tenth of the time.
-        return self.spacing == 1 and self.age >= PSEUDO_SAMPLES_FROM
+    # Only every second row is solved, as the black squares of a chessboard.
+    skip_every_second: bool = False
+    # Neighbours' rows stand in for samples that clip or were never taken.
+    has_pseudo_samples: bool = False
 
 
 def schedule(
@@ -106,17 +105,25 @@ def schedule(
     (first, seed_windows), *finer = zip(steps, by_level, strict=True)
     near = first <= GROWTH.near_seeds
     share = GROWTH.unexplained_near if near else GROWTH.unexplained
-    rounds = [Round(first, None, 0, brief=near)]
-    rounds += [Round(first, window, age) for age, window in enumerate(seed_windows, start=1)]
+    rounds = [Round(first, None, 0, brief=first > 1)]
+    for age, window in enumerate(seed_windows, start=1):
+        known = first == 1 and age >= PSEUDO_SAMPLES_FROM
+        rounds.append(Round(first, window, age, has_pseudo_samples=known))
     for spacing, own in finer:
-        searched = min(GROWTH.search_after, len(own) - 1)
+        # In large frames all rows are solved twice, and every second one once more in between. A
+        # third time would change errors by less than 1 %, and take a sixth of the time.
+        twice = spacing == 1 and not near
+        searched = min(1 if twice else GROWTH.search_after, len(own) - 1)
         for i, window in enumerate(own):
             searching = share if i + 1 == searched else 0.0
-            settled = i >= searched and window == own[i - 1]
-            age = rounds[-1].age + 1
-            rounds.append(Round(spacing, window, age, False, False, searching, settled))
-    last = rounds.pop()
-    return (*rounds, Round(last.spacing, last.window, last.age, last=True))
+            settled = not twice and i >= searched and window == own[i - 1]
+            # Between distant camera pixels, and where estimates have just spread from them,
+            # pseudo-samples change errors by 0.03 %, and take half of the time.
+            known = spacing == 1 and (near or i > 0)
+            skips, age = (settled, twice and i > 0), rounds[-1].age + 1
+            rounds.append(Round(spacing, window, age, False, False, searching, *skips, known))
+    last = replace(rounds.pop(), last=True, skip_settled=False, skip_every_second=False)
+    return (*rounds, replace(last, search_unexplained=0.0))
 
 
 def is_large(samples: int, pixels: int) -> bool:
