@@ -439,10 +439,9 @@ class Relation:
         for shown in self.shown:
             # Camera pixels correlate with few pixels of the projector, and strongly: cubes keep
             # the sign of these.
-            followed, *chance = (
-                float(((self.samples[:1024, order] @ shown.T / count) ** 3).mean())
-                for order in orders
-            )
+            each = (self.samples[:1024, order] @ shown.T / count for order in orders)
+            # Two products are twenty times as fast as NumPy's power.
+            followed, *chance = (float((match * match * match).mean()) for match in each)
             score = (followed - float(np.mean(chance))) / max(float(np.std(chance)), 1e-12)
             if score > _LIMITS.follows:
                 return False
