@@ -93,6 +93,14 @@ def test_all_rows_of_small_frames_search_and_large_ones_grow() -> None:
     assert [stage.spacing for stage in short] == [32, 8, 4, 1, 1]
     assert schedule.spacings((128, 1000), 768 * 1024, WINDOWS) == (4, 1)
     assert schedule.spacings((3000, 4000), 2160 * 3840, WINDOWS) == (64, 16, 4, 1)
+    fine = [
+        stage
+        for stage in schedule.schedule((3000, 4000), 2160 * 3840, WINDOWS)
+        if stage.spacing == 1
+    ]
+    assert [stage.has_pseudo_samples for stage in fine] == [False, True]
+    assert fine[0].search_unexplained
+    assert not any(stage.skip_every_second for stage in fine)
 
 
 @pytest.fixture(scope="module")

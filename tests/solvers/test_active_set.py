@@ -351,10 +351,12 @@ def test_rows_stop_at_the_limit_of_passes() -> None:
     result = solve(problem, ActiveSet(max_passes=1, tolerance=1e-8))
     assert not result.converged.all()
     assert "raise the limit" in result.status
-    # The result is still feasible, and its gap is correct.
-    np.testing.assert_allclose(
-        dense_gap(problem, result, Fidelity.ONE_SIDED), result.gap, atol=1e-7
-    )
+    # The gap bounds how far the objective lies above the least one, and is no worse than that of
+    # the dual point from the row's own residual.
+    least = solve(problem, ActiveSet(tolerance=1e-8)).objective
+    assert (result.objective * (1 - result.gap) <= least * (1 + 1e-6)).all()
+    assert (least <= result.objective * (1 + 1e-6)).all()
+    assert (result.gap <= dense_gap(problem, result, Fidelity.ONE_SIDED) + 1e-7).all()
 
 
 def test_progress_reaches_the_end() -> None:

@@ -37,7 +37,7 @@ pub struct Settings {
     pub background: bool,
     /// The relative duality gap at which a row is solved.
     pub tolerance: f64,
-    /// Limit of passes over all pixels. A row that reaches it is returned as it is.
+    /// Limit of passes over all pixels. A row that reaches it is returned with the gap that it has.
     pub max_passes: u32,
 }
 

@@ -36,7 +36,7 @@ const FIDELITIES: [(&str, Fidelity); 3] = [
 /// tolerance : float
 ///     Relative duality gap at which a row is solved, in (0, 1).
 /// max_passes : int
-///     Limit of passes over all pixels, at least 1. A row that reaches it is returned as it is.
+///     Limit of passes over all pixels, at least 1. A row that reaches it is returned with the gap that it has.
 /// threads : int or None
 ///     1 to 1024; None means one per core.
 ///

@@ -199,7 +199,8 @@ impl RowSolver {
             new,
         );
         self.certify(problem, outcome.bound);
-        if self.gap() <= settings.tolerance || self.passes >= settings.max_passes {
+        let last = self.passes >= settings.max_passes;
+        if self.gap() <= settings.tolerance || (last && !outcome.conclusive) {
             return Next::Done;
         }
         if !outcome.conclusive {
@@ -232,7 +233,11 @@ impl RowSolver {
             (accuracy, Threshold::LaterPass)
         };
         self.solve_restricted(problem, restricted, accuracy, self.dual_is_residual);
-        self.prepare_pass(problem, threshold)
+        // What the last pass found is used; its dual value bounds the objective of any point.
+        match self.prepare_pass(problem, threshold) {
+            Next::Pass if !last => Next::Pass,
+            _ => Next::Done,
+        }
     }
 
     fn gap(&self) -> f64 {

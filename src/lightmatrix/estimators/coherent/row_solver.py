@@ -25,7 +25,7 @@ from lightmatrix.estimators.coherent.neighbourhood import (
     Neighbourhood,
     unseen_patterns,
 )
-from lightmatrix.estimators.coherent.schedule import Round
+from lightmatrix.estimators.coherent.schedule import KEPT_PIXELS, Round
 from lightmatrix.patterns.atoms import AtomPatterns, Sheet, boxes_around
 from lightmatrix.patterns.pattern_set import PatternSet
 from lightmatrix.progress import Progress
@@ -166,14 +166,11 @@ DEFAULT_REGULARIZATION = 0.1
 FIRST_REGULARIZATION = 0.32
 
 
-# The atoms of a projector of more pixels take more than 2.5 GB, so that they are not kept: those
-# that some rows may see are made, on a sheet, when these rows are solved.
-KEPT_PIXELS = 1 << 20
 # A brief search looks for spots of every so-manieth size. They suffice to find light (errors differ
 # by less than 1 %), and take half of the time.
 _SOUGHT = 2
 # The side in pixels of the squares of a larger projector that are searched in turn, each a quarter
-# of that limit.
+# of `KEPT_PIXELS`.
 _SQUARE = 512
 
 
@@ -266,14 +263,14 @@ class RowSolver:
         self, samples: Samples, progress: Progress | None = None, *, brief: bool = False,
         squares: NDArray[np.bool_] | None = None, sought: AtomPatterns | None = None,
     ) -> Result:  # fmt: skip
-        """Solve each row by itself on all atoms, or those `sought`; in two passes if `brief`.
+        """Solve each row by itself on all atoms, or those `sought`; in one pass if `brief`.
 
         Where not all atoms are kept, each row can be searched in some of the squares only, (m, S).
         """
         problem, parts = self.first_problem(samples), in_parts(self.capture)
-        most = min(2, self.solver.max_passes) if brief or parts else self.solver.max_passes
+        most = 1 if brief or parts else self.solver.max_passes
         # A gap of 1 % suffices to show where light may be. Until it is reached there would be 3.5
-        # to 5 passes; but where rows have neighbours that have searched, two give the same errors.
+        # to 5 passes; but where rows have neighbours that have searched, one gives the same errors.
         tolerance = max(1e-2, self.solver.tolerance)
         solver = replace(self.solver, tolerance=tolerance, max_passes=most)
         if not parts and sought is None:

@@ -63,6 +63,10 @@ GROWTH = Growth()
 # right by then, so that their neighbours can rely on them.
 PSEUDO_SAMPLES_FROM = 3
 
+# The atoms of a projector of more pixels take more than 2.5 GB, so that they are not kept: those
+# that some rows may see are made, on a sheet, when these rows are solved.
+KEPT_PIXELS = 1 << 20
+
 # Half widths of a window in camera and in projector pixels.
 Window = tuple[int, int]
 
@@ -100,7 +104,9 @@ def schedule(
         by_level = [windows[:cut], windows[cut:]]
     elif len(steps) > 1:
         between = (windows[0], *windows[-GROWTH.settling - 1 : -1])
-        final = (windows[0], *windows[-GROWTH.settling :])
+        # Where atoms are made each time, half of the rows take as long as all of them.
+        settling = GROWTH.settling if pixels <= KEPT_PIXELS else 1
+        final = (windows[0], *windows[-settling:])
         by_level = [windows[:-1], *([between] * (len(steps) - 2)), final]
     (first, seed_windows), *finer = zip(steps, by_level, strict=True)
     near = first <= GROWTH.near_seeds
