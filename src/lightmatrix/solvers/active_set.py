@@ -43,7 +43,8 @@ class ActiveSet:
     tolerance : float
         Relative duality gap, in (0, 1).
     max_passes : int
-        Limit of passes over all pixels, at least 1. A row that reaches it is returned with the gap that it has.
+        Limit of passes over all pixels, at least 1. A row that reaches it is returned with the gap
+        that it has.
     threads : int or None
         None: one per core.
 
