@@ -7,8 +7,8 @@ start. The processor time of the workers and of this process stands beside the c
 machine it bounds what two workers would gain on two idle cores.
 
 With `--weak`, four workers estimate a camera of twice the sides, and one worker its quarter. Each
-process counts as if it had a core of its own, by its processor seconds: first this one, then the
-worker that takes longest. So the ratio bounds that of clocks on five idle cores.
+counts as if it had a core of its own, by processor seconds: first what this process prepares and
+joins while workers wait, then the worker that takes longest. Messages travel while workers solve.
 
     python -m benchmarks.workers [--camera 256] [--projector 256] [--count 64] [--repeats 3]
                                 [--weak]
@@ -89,12 +89,13 @@ def measured(place: Path, coherent: bool, repeats: int) -> dict[str, Any]:
 
 
 def by_process(place: Path, number: int) -> tuple[float, float]:
-    """Processor seconds of this process and of the busiest of some workers."""
+    """Processor seconds of this thread and of the busiest of some workers."""
     with dask_pool(number) as pool:
-        before = processes(pool)
+        before, started = processes(pool), time.thread_time()
         estimated(lm.Capture.open(place), True, pool)
-        own, *workers = np.subtract(processes(pool), before)
-    return float(own), float(max(workers))
+        own = time.thread_time() - started
+        _, *workers = np.subtract(processes(pool), before)
+    return own, float(max(workers))
 
 
 def estimated(capture: lm.Capture, coherent: bool, pool: DaskPool) -> lm.LightTransport:
