@@ -77,5 +77,16 @@ def warn(message: str) -> None:
     warnings.warn(message, LightMatrixWarning, stacklevel=level)
 
 
+def lacks_memory(error: BaseException) -> bool:
+    """Whether memory ran out: for objects, a thread, a decoder, or a library that is loaded."""
+    words = str(error)
+    # What Linux says of a library that finds no room in memory.
+    signs = ("failed to map segment", "annot allocate memory", "cannot map zero-fill")
+    loading = isinstance(error, ImportError) and any(sign in words for sign in signs)
+    # The words of Python for threads, and of the decoders of images.
+    said = "can't start new thread" in words or "out of memory" in words
+    return isinstance(error, MemoryError) or loading or said
+
+
 def _rebuild(kind: type[LightMatrixError], message: str, hint: str | None) -> LightMatrixError:
     return kind(message, hint=hint)

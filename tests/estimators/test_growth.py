@@ -70,7 +70,7 @@ def test_all_rows_of_small_frames_search_and_large_ones_grow() -> None:
     assert [stage.age for stage in between] == [*range(9)]
     assert [i for i, stage in enumerate(between) if stage.search_unexplained] == [4]
     assert [i for i, stage in enumerate(between) if stage.skip_settled] == [6, 7]
-    # Seeds that search briefly need some rounds after them, and neighbours.
+    # Seeds need some rounds after their search, and neighbours.
     for rounds, steps in ((1, (1,)), (3, (1,)), (4, (2, 1))):
         assert schedule.spacings((128, 128), 128 * 128, WINDOWS[:rounds]) == steps
     # A camera of 64 x 64 is too coarse for a projector of 128 x 128.
@@ -80,7 +80,6 @@ def test_all_rows_of_small_frames_search_and_large_ones_grow() -> None:
     grown = schedule.schedule((1024, 1024), 768 * 1024, WINDOWS)
     assert [stage.spacing for stage in grown] == [32] * 8 + [8] * 3 + [4] * 3 + [1] * 3
     assert [stage.window is None for stage in grown] == [True] + [False] * 16
-    assert grown[0].brief
     assert [stage.last for stage in grown] == [False] * 16 + [True]
     assert [i for i, stage in enumerate(grown) if stage.search_unexplained] == [9, 12, 14]
     assert [i for i, stage in enumerate(grown) if stage.skip_settled] == [10, 13]
@@ -255,14 +254,14 @@ def test_rows_search_where_rows_around_them_see_light(
     capture = photographed(scene)
     solver = CoherentEstimator().row_solver(capture)
     samples = capture.samples(0, capture.rows)
-    everywhere = solver.everywhere(samples).rows
+    everywhere = solver.everywhere(samples, solver.sought).rows
     squares = np.broadcast_to(np.eye(9, dtype=bool)[:, None], (9, capture.rows, 9))
-    each = [solver.everywhere(samples, squares=square).rows for square in squares]
+    each = [solver.everywhere(samples, solver.sought, squares=square).rows for square in squares]
     best = np.argmin([rows.diagnostics["objective"] for rows in each], axis=0)
     for number in np.unique(best):
         rows = np.flatnonzero(best == number)
         assert (each[number].rows(rows).coefficients != everywhere.rows(rows).coefficients).nnz == 0
-    mixed = solver.everywhere(samples, squares=np.arange(9) == best[:, None]).rows
+    mixed = solver.everywhere(samples, solver.sought, squares=np.arange(9) == best[:, None]).rows
     assert (mixed.coefficients != everywhere.coefficients).nnz == 0
 
     # Only the upper rows of camera pixels see light: some squares of the projector.

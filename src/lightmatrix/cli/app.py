@@ -33,7 +33,7 @@ from lightmatrix.cli.shape import decode, layers, map, triangulate
 from lightmatrix.cli.simulate import demo, render, scenes, simulate
 from lightmatrix.cli.terminal import as_options, say, warn
 from lightmatrix.cli.use import evaluate, export, info, relight, separate, show, view
-from lightmatrix.errors import LightMatrixError, LightMatrixWarning
+from lightmatrix.errors import LightMatrixError, LightMatrixWarning, lacks_memory
 
 # Exit codes. 70 is EX_SOFTWARE of sysexits.h, and 130 what shells give for Ctrl-C.
 BAD, NO_MEMORY, BUG, STOPPED = 2, 3, 70, 130
@@ -172,7 +172,7 @@ def _explain(error: BaseException) -> tuple[int, list[str]]:
     if isinstance(error, typer.TyperException):
         message, hint = _usage_error(error)
         return BAD, [f"error: {message}", hint]
-    if _lacks_memory(error):
+    if lacks_memory(error):
         what = "; ".join(["error: not enough memory", *notes])
         return NO_MEMORY, [what, "use a smaller size, or --memory"]
     if isinstance(error, OSError) and str(error).startswith("cannot start"):
@@ -202,15 +202,6 @@ def _is_stop(error: BaseException | None) -> bool:
     while error is not None and not isinstance(error, KeyboardInterrupt):
         error = error.__cause__ or error.__context__
     return error is not None
-
-
-def _lacks_memory(error: BaseException) -> bool:
-    """Whether memory ran out: for objects, a thread that starts, or a library that is loaded."""
-    words = str(error)
-    # What Linux says of a library that finds no room in memory.
-    signs = ("failed to map segment", "annot allocate memory", "cannot map zero-fill")
-    loading = isinstance(error, ImportError) and any(sign in words for sign in signs)
-    return isinstance(error, MemoryError) or loading or "can't start new thread" in words
 
 
 def _usage_error(error: typer.TyperException) -> tuple[str, str]:

@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageOps, UnidentifiedImageError
 
-from lightmatrix.errors import InputError, LightMatrixError, warn
+from lightmatrix.errors import InputError, LightMatrixError, lacks_memory, warn
 from lightmatrix.files.colours import COLOURS
 from lightmatrix.files.extras import RAW, read_exr, read_raw, write_exr
 from lightmatrix.files.kinds import IMAGE
@@ -109,8 +109,8 @@ def as_image_error(name: str) -> Iterator[None]:
         raise InputError(f"{name}: cannot be read ({error.strerror})", hint=hint) from error
     # Libraries raise nearly anything, among them SyntaxError.
     except Exception as error:
-        # A decoder says so in its own words, or cannot be loaded, where memory runs out.
-        if isinstance(error, ImportError) or "out of memory" in str(error):
+        # Decoders that are installed cannot be loaded only where memory runs out.
+        if isinstance(error, ImportError) or lacks_memory(error):
             raise MemoryError(str(error)) from error
         # Their words do not help where the file ends early, or where no reader knows the format.
         reason = " ".join(str(error).split())[:120]

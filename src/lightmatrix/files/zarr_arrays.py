@@ -21,7 +21,7 @@ from numcodecs import Blosc
 from numcodecs.checksum32 import CRC32C
 from numpy.typing import NDArray
 
-from lightmatrix.errors import InputError
+from lightmatrix.errors import InputError, lacks_memory
 from lightmatrix.files.kinds import printable
 from lightmatrix.files.reading import check_version, parse_json, read_text, regular_file
 from lightmatrix.resources.threads import side_by_side, work_ahead
@@ -39,8 +39,6 @@ SMALL: Mapping[str, Any] = {"cname": "zstd", "clevel": 3, "shuffle": "shuffle"}
 QUICK: Mapping[str, Any] = {"cname": "lz4hc", "clevel": 5, "shuffle": "shuffle"}
 # The header of a Blosc chunk: version and flags, then three sizes, first that of its content.
 _BLOSC = struct.Struct("<4xI8x")
-# Python's words where there is no memory left for a thread, which is no damage.
-_NO_THREAD = "can't start new thread"
 
 
 def create_array(
@@ -135,7 +133,7 @@ def as_damage_error(place: Path, hint: str) -> Iterator[None]:
     except Exception as error:
         if isinstance(error.__cause__, PermissionError):
             raise
-        if _NO_THREAD in str(error):
+        if lacks_memory(error):
             raise MemoryError(str(error)) from error
         words = " ".join(str(getattr(error, "message", error)).split())[:120]
         raise InputError(

@@ -113,8 +113,7 @@ class Rounds(Work):
         """Prepare the neighbourhood of a step, and return what solves its rows start..stop."""
         number = self._number(step)
         if number == 0:
-            whole = in_parts(self.capture) or not self.rounds[0].brief
-            return partial(self._search, None if whole else self.solver.sought())
+            return partial(self._search, self.solver.sought)
         neighbours = self._neighbours(number, read)
         if step == ROWS:
             # No later step has this neighbourhood.
@@ -164,12 +163,11 @@ class Rounds(Work):
         return self._grids[self.rounds[number].spacing]
 
     def _search(
-        self, sought: AtomPatterns | None, start: int, stop: int, progress: Progress
+        self, sought: AtomPatterns, start: int, stop: int, progress: Progress
     ) -> SparseRows:
-        """The rows start..stop of the first round, each by itself, on atoms everywhere."""
+        """The rows start..stop of the first round, each by itself, on the atoms sought."""
         samples = self._grid(0).samples(start, stop)
-        brief = self.rounds[0].brief
-        solved = self.solver.everywhere(samples, progress, brief=brief, sought=sought)
+        solved = self.solver.everywhere(samples, sought, progress)
         return _searched(solved) if self._grows else _for_next_round(solved)
 
     def _chosen(self, number: int, neighbours: Neighbourhood) -> NDArray[np.bool_] | None:
@@ -223,8 +221,9 @@ class Rounds(Work):
             return rows
 
         solved = self.solver.everywhere(
-            samples.rows(unexplained), lambda *_: progress(rows.count, rows.count), brief=True,
-            squares=self.solver.squares_seen(start + unexplained, neighbours),
+            samples.rows(unexplained), self.solver.atoms,
+            lambda *_: progress(rows.count, rows.count),
+            self.solver.squares_seen(start + unexplained, neighbours),
         )  # fmt: skip
         again = _searched(solved)
         lit = np.flatnonzero(np.diff(again.coefficients.indptr) > 0)
@@ -345,12 +344,13 @@ class Rounds(Work):
     def _costs(self) -> list[float]:
         """The cost of each step, the frames held out before the last, in rows on likely atoms."""
         patterns = self.capture.patterns
-        # Operations: a search looks at all pixels and spots, a round at a row's candidates.
-        search = 20 * patterns.pixels / (self.solver.candidates * (patterns.count + 64))
-        costs = [
-            self._grid(number).count * (search if step.window is None else 1.0)
-            for number, step in enumerate(self.rounds)
-        ]
+        # Operations: a search looks at all pixels and half of the spots, a round at a row's
+        # candidates.
+        search = 4 * patterns.pixels / (self.solver.candidates * (patterns.count + 64))
+        costs = []
+        for number, step in enumerate(self.rounds):
+            each = 0.5 if step.skip_every_second else 1.0
+            costs.append(self._grid(number).count * (search if step.window is None else each))
         last = costs[-1]
         held_out = last / self._tested_every**2 if self.judged else 0.0
         return [*costs[:-1], held_out, last]

@@ -166,8 +166,8 @@ DEFAULT_REGULARIZATION = 0.1
 FIRST_REGULARIZATION = 0.32
 
 
-# A brief search looks for spots of every so-manieth size. They suffice to find light (errors differ
-# by less than 1 %), and take half of the time.
+# A search looks for spots of every so-manieth size. They suffice to find light (errors differ by
+# less than 1 %), and take half of the time.
 _SOUGHT = 2
 # The side in pixels of the squares of a larger projector that are searched in turn, each a quarter
 # of `KEPT_PIXELS`.
@@ -255,27 +255,27 @@ class RowSolver:
         grid = min(several * down, shape[0]), min(right, shape[1])
         return Backgrounds(grid, self.capture.patterns, self.unseen.single)
 
+    @property
     def sought(self) -> AtomPatterns:
-        """The atoms of fewer sizes, by which seeds search."""
+        """The atoms of fewer sizes, by which rows search."""
         return self.atoms.part(every=_SOUGHT)
 
     def everywhere(
-        self, samples: Samples, progress: Progress | None = None, *, brief: bool = False,
-        squares: NDArray[np.bool_] | None = None, sought: AtomPatterns | None = None,
+        self, samples: Samples, sought: AtomPatterns, progress: Progress | None = None,
+        squares: NDArray[np.bool_] | None = None,
     ) -> Result:  # fmt: skip
-        """Solve each row by itself on all atoms, or those `sought`; in one pass if `brief`.
+        """Solve each row by itself on `atoms`, or on those `sought`, in one pass over them.
 
-        Where not all atoms are kept, each row can be searched in some of the squares only, (m, S).
+        Where not all atoms are kept, those sought are made square by square; each row can then be
+        searched in some of the squares only, (m, S).
         """
-        problem, parts = self.first_problem(samples), in_parts(self.capture)
-        most = 1 if brief or parts else self.solver.max_passes
-        # A gap of 1 % suffices to show where light may be. Until it is reached there would be 3.5
-        # to 5 passes; but where rows have neighbours that have searched, one gives the same errors.
-        tolerance = max(1e-2, self.solver.tolerance)
-        solver = replace(self.solver, tolerance=tolerance, max_passes=most)
-        if not parts and sought is None:
-            return solver.solve(problem, progress)
-        if sought is not None:
+        problem = self.first_problem(samples)
+        # Until the gap is 1 % there would be 3.5 to 5 passes. But every row has neighbours that
+        # have searched, too, so that one gives the same errors.
+        solver = replace(self.solver, tolerance=max(1e-2, self.solver.tolerance), max_passes=1)
+        if not in_parts(self.capture):
+            if sought is self.atoms:
+                return solver.solve(problem, progress)
             problem = replace(problem, patterns=sought)
             found = self._found(problem, Sheet.whole(self.atoms.shape), solver, progress)
             return Result(found, Status.CONVERGED)

@@ -81,8 +81,6 @@ class Round:
     # Rounds that the rows, or those that they spread from, have behind them.
     age: int
     last: bool = False
-    # The search ends early, as all its rows have neighbours that will correct it.
-    brief: bool = False
     # Rows of which more than this share is unexplained search all projector pixels; 0: none does.
     search_unexplained: float = 0.0
     # Rows stay as they are if nothing changed around them.
@@ -111,7 +109,7 @@ def schedule(
     (first, seed_windows), *finer = zip(steps, by_level, strict=True)
     near = first <= GROWTH.near_seeds
     share = GROWTH.unexplained_near if near else GROWTH.unexplained
-    rounds = [Round(first, None, 0, brief=first > 1)]
+    rounds = [Round(first, None, 0)]
     for age, window in enumerate(seed_windows, start=1):
         known = first == 1 and age >= PSEUDO_SAMPLES_FROM
         rounds.append(Round(first, window, age, has_pseudo_samples=known))
@@ -127,7 +125,7 @@ def schedule(
             # pseudo-samples change errors by 0.03 %, and take half of the time.
             known = spacing == 1 and (near or i > 0)
             skips, age = (settled, twice and i > 0), rounds[-1].age + 1
-            rounds.append(Round(spacing, window, age, False, False, searching, *skips, known))
+            rounds.append(Round(spacing, window, age, False, searching, *skips, known))
     last = replace(rounds.pop(), last=True, skip_settled=False, skip_every_second=False)
     return (*rounds, replace(last, search_unexplained=0.0))
 
@@ -146,7 +144,7 @@ def spacings(camera: tuple[int, ...], pixels: int, windows: tuple[Window, ...]) 
     if small or windows[0][0] < GROWTH.reach:
         return (1,)
     possible = GROWTH.spacings if large else ((GROWTH.near_seeds, 1),)
-    # Seeds that search briefly need rounds after them: some of their own, and two of all pixels.
+    # Seeds need rounds after their search: some of their own, and two of all pixels.
     too_few = len(windows) < GROWTH.near_seed_rounds + 2
     if not large and (too_few or rows * cols < GROWTH.near_density * pixels):
         return (1,)
