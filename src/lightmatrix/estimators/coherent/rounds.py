@@ -113,7 +113,9 @@ class Rounds(Work):
         """Prepare the neighbourhood of a step, and return what solves its rows start..stop."""
         number = self._number(step)
         if number == 0:
-            return partial(self._search, self.solver.sought)
+            # In small frames spots of all sizes take little time, and blur is found more often.
+            sought = self.solver.sought if self._grows else self.solver.atoms
+            return partial(self._search, sought)
         neighbours = self._neighbours(number, read)
         if step == ROWS:
             # No later step has this neighbourhood.

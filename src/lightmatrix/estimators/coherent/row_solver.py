@@ -166,8 +166,8 @@ DEFAULT_REGULARIZATION = 0.1
 FIRST_REGULARIZATION = 0.32
 
 
-# A search looks for spots of every so-manieth size. They suffice to find light (errors differ by
-# less than 1 %), and take half of the time.
+# Seeds look for spots of every so-manieth size. They suffice to find light (errors differ by less
+# than 1 %), and take half of the time.
 _SOUGHT = 2
 # The side in pixels of the squares of a larger projector that are searched in turn, each a quarter
 # of `KEPT_PIXELS`.
@@ -257,7 +257,7 @@ class RowSolver:
 
     @property
     def sought(self) -> AtomPatterns:
-        """The atoms of fewer sizes, by which rows search."""
+        """The atoms of fewer sizes, by which seeds search."""
         return self.atoms.part(every=_SOUGHT)
 
     def everywhere(
@@ -274,11 +274,11 @@ class RowSolver:
         # have searched, too, so that one gives the same errors.
         solver = replace(self.solver, tolerance=max(1e-2, self.solver.tolerance), max_passes=1)
         if not in_parts(self.capture):
+            solved = solver.solve(replace(problem, patterns=sought), progress)
             if sought is self.atoms:
-                return solver.solve(problem, progress)
-            problem = replace(problem, patterns=sought)
-            found = self._found(problem, Sheet.whole(self.atoms.shape), solver, progress)
-            return Result(found, Status.CONVERGED)
+                return solved
+            whole = Sheet.whole(self.atoms.shape)
+            return replace(solved, rows=self._lifted(solved.rows, whole))
         (rows, cols), reach = self.atoms.shape, len(self.atoms.kernels[-1]) - 1
         problem = replace(problem, background_column=self.capture.patterns.means)
         best, before = None, np.full(problem.rows, np.inf)
@@ -293,7 +293,7 @@ class RowSolver:
             sheet = Sheet.of([square], (rows, cols), 0)
             patterns = self.atoms.part(sheet.pixels, every=_SOUGHT)
             part = replace(problem, patterns=patterns, samples=samples.rows(some))
-            found = self._found(part, sheet, solver, progress)
+            found = self._lifted(solver.solve(part, progress).rows, sheet)
             if best is None:
                 # Any rows, until each has its own.
                 best = found.rows(np.zeros(problem.rows, np.int64))
@@ -305,11 +305,8 @@ class RowSolver:
         assert best is not None
         return Result(best, Status.CONVERGED)
 
-    def _found(
-        self, problem: Problem, sheet: Sheet, solver: ActiveSet, progress: Progress | None
-    ) -> SparseRows:
+    def _lifted(self, found: SparseRows, sheet: Sheet) -> SparseRows:
         """Rows on the atoms of a sheet of every second size, as rows of all atoms."""
-        found = solver.solve(problem, progress).rows
         lifted = sheet.lifted(found.coefficients, self.atoms.planes, _SOUGHT)
         return replace(found, coefficients=lifted)
 
