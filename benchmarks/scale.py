@@ -28,7 +28,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from matplotlib.ticker import NullFormatter
+from matplotlib.ticker import LogLocator, NullFormatter
 from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
@@ -100,6 +100,7 @@ def draw_growth(costs: list[dict[str, Any]], folder: Path) -> None:
             )
             axes.set_ylabel(label)
             for axis in (axes.xaxis, axes.yaxis):
+                axis.set_major_locator(LogLocator(subs=(1, 2, 5)))
                 axis.set_major_formatter("{x:g}")
                 axis.set_minor_formatter(NullFormatter())
             for cost, across, up in zip(costs, grown, values, strict=True):
