@@ -52,9 +52,10 @@ _RATIO, _REGION, _ROW = 25.0, 10.0, 2.0
 # many it is searched whether known or not. Chosen by hand.
 _FIRST, _JUDGED, _SEARCHED = 5, 3, 8
 # Rows that were searched learn from their neighbours in all three rounds, others in the last.
-_ROUNDS = tuple(
-    Round(1, window, age, last=age == 5, has_pseudo_samples=True)
-    for age, window in ((3, (2, 1)), (4, (2, 1)), (5, (1, 1)))
+_ROUNDS = (
+    Round(1, (2, 1), 3, has_pseudo_samples=True),
+    Round(1, (2, 1), 4, has_pseudo_samples=True),
+    Round(1, (1, 1), 5, last=True, has_pseudo_samples=True),
 )
 
 

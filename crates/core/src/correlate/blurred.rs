@@ -43,8 +43,7 @@ impl Blurred {
     }
 
     /// Computes the scores of all atoms from those of single pixels; `out` keeps those that pass its
-    /// filter. The blurred images are as large as the columns of seven patterns, so they are filtered
-    /// while they are in the cache.
+    /// filter. The blurred images of all sizes exceed the caches, so each part is filtered at once.
     pub fn run(&self, level: Level, single: &Scores, out: &mut Scores, buffers: &mut Buffers) {
         let Buffers {
             image,

@@ -264,7 +264,7 @@ class RowSolver:
         self, samples: Samples, sought: AtomPatterns, progress: Progress | None = None,
         squares: NDArray[np.bool_] | None = None,
     ) -> Result:  # fmt: skip
-        """Solve each row by itself on `atoms`, or on those `sought`, in one pass over them.
+        """Solve each row by itself on the atoms `sought`, in one pass over them.
 
         Where not all atoms are kept, those sought are made square by square; each row can then be
         searched in some of the squares only, (m, S).

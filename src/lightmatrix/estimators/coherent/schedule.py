@@ -102,7 +102,8 @@ def schedule(
         by_level = [windows[:cut], windows[cut:]]
     elif len(steps) > 1:
         between = (windows[0], *windows[-GROWTH.settling - 1 : -1])
-        # Where atoms are made each time, half of the rows take as long as all of them.
+        # Where atoms are not kept, solving every second row takes as long as solving all of them,
+        # since the same atoms are made. So the round between is left out.
         settling = GROWTH.settling if pixels <= KEPT_PIXELS else 1
         final = (windows[0], *windows[-settling:])
         by_level = [windows[:-1], *([between] * (len(steps) - 2)), final]
